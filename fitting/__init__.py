@@ -1,0 +1,1 @@
+"""INFERENCE: from a file to a fitted material with error bars."""

@@ -1,0 +1,199 @@
+"""Levenberg-Marquardt on normal equations that are summed in blocks; optimistix is the solver.
+
+optimistix wants a residual function and differentiates it. Ours has a million residuals, so it is shown an equivalent
+one with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of squares
+as the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps of the stock solver M
+is summed at the point that it wants to see next, and the solver is given the affine function with that value and that
+Jacobian. Its step is compiled once for all models, grids and files.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax import Array
+
+from .residuals import Forward, Problem, normal_equations
+
+Backend = Literal["optimistix", "scipy", "jaxopt"]
+# Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
+# that this is a light one.
+RESIDUAL_SCALE = 100.0
+RIDGE = 1e-10  # pull of z towards 0, in units of cost: only stops drift along a flat direction
+JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
+NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected
+GRADIENT_TOLERANCE = 2e-3  # cosine between residual and tangent space below which a point is stationary
+
+
+class Status(Enum):
+    """How a fit ended, in a sentence that says what to do."""
+
+    CONVERGED = "converged: neither the parameters nor the cost change any more"
+    AT_BOUND = "converged with parameters at a bound: the data ask for more than the bound allows, see at_bound"
+    STEP_LIMIT = "stopped at the step limit while the cost was still falling: raise fit.max_steps"
+    NO_DESCENT = "stopped where no step lowers the cost although the gradient is not zero: try other fit.starts"
+    NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
+    NO_DATA = "failed: fewer valid bins than parameters; check the file with `merlfit check`"
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the parameters may be used."""
+        return self in (Status.CONVERGED, Status.AT_BOUND)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Outcome of one solve.
+
+    Attributes:
+        z: free coordinates (P,). cost: of Eq. 56 relative to the measurement's energy, without folding scatter.
+        normal: per-channel (J|r)^T W (J|r) at z, (C, P+1, P+1). steps: evaluations of the normal equations.
+        stationarity: largest cosine between the residual and a column of the Jacobian.
+        converged: whether the solver met its tolerance.
+    """
+
+    z: np.ndarray
+    cost: float
+    normal: np.ndarray
+    steps: int
+    stationarity: float
+    converged: bool
+
+
+def _factor(m: Array) -> Array:
+    """Upper triangular R with R^T R = m, for a positive semi-definite m of any scaling."""
+    scale = jnp.sqrt(jnp.maximum(jnp.diag(m), 1e-300))
+    unit = m / scale / scale[:, None]
+    return jnp.linalg.cholesky(unit + JITTER * jnp.eye(len(m))).T * scale
+
+
+class _Affine(eqx.Module):
+    """The compressed residuals near ``at``: value (P+1,) and Jacobian (P+1, P)."""
+
+    at: Array
+    value: Array
+    slope: Array
+
+    def __call__(self, z: Array) -> Array:
+        return self.value + self.slope @ (z - self.at)
+
+
+def compress(z: Array, normal: Array) -> _Affine:
+    """P + 1 residuals that stand for all: same cost, gradient and Gauss-Newton matrix at ``z``.
+
+    Args:
+        normal: per-channel (J|r)^T W (J|r), shape (C, P+1, P+1); J of the prediction, r = measured - predicted.
+    """
+    sign = jnp.ones(len(z) + 1).at[-1].set(-1.0)  # the residual's derivative is minus that of the prediction
+    pull = jnp.concatenate([jnp.eye(len(z)), z[:, None]], 1) * jnp.sqrt(RIDGE)
+    r = _factor((jnp.sum(normal, 0) * sign * sign[:, None] + pull.T @ pull) * RESIDUAL_SCALE**2)
+    r = jnp.where(jnp.all(jnp.isfinite(r)), r, jnp.eye(len(r)) * NON_FINITE_COST)
+    return _Affine(z, r[:, -1], r[:, :-1])
+
+
+@cache
+def _machine(size: int, rtol: float) -> tuple[Any, Callable[..., Any]]:
+    """Initial state and compiled step of optimistix' Levenberg-Marquardt for P parameters."""
+    solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol)
+    z = jnp.zeros(size)
+    shape = jax.ShapeDtypeStruct((size + 1,), z.dtype)
+
+    def affine(z: Array, near: _Affine) -> tuple[Array, None]:
+        return near(z), None
+
+    near = _Affine(z, jnp.zeros(size + 1), jnp.zeros((size + 1, size)))
+    state = solver.init(affine, z, near, {}, shape, None, frozenset())
+    dynamic, static = eqx.partition(state, eqx.is_array)
+
+    @jax.jit
+    def step(y: Array, dynamic: Any, z: Array, normal: Array) -> tuple[Array, Any, Array, Array]:  # noqa: ANN401
+        state = eqx.combine(dynamic, static)
+        y, state, _ = solver.step(affine, y, compress(z, normal), {}, state, frozenset())
+        accepted = state.num_steps_since_acceptance == 0
+        return y, eqx.filter(state, eqx.is_array), state.terminate, accepted
+
+    return dynamic, step
+
+
+def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> tuple[np.ndarray, np.ndarray, int, bool]:
+    """Drive the stock solver, summing normal equations at every point that it asks for."""
+    state, step = _machine(len(z), rtol)
+    y, state = jnp.asarray(z), eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(z))
+    kept, converged, steps = None, False, 0
+    while steps < limit and not converged:
+        normal = evaluate(state.y_eval)
+        y, state, stop, accepted = step(y, state, state.y_eval, normal)
+        steps += 1
+        if kept is None or bool(accepted):
+            kept = normal
+        converged = bool(stop)
+    return np.asarray(y), np.asarray(kept), steps, converged
+
+
+def _other(
+    evaluate: Callable, z: np.ndarray, limit: int, rtol: float, backend: Backend
+) -> tuple[np.ndarray, np.ndarray, int, bool]:
+    """The same compressed residuals given to another library: a cross-check."""
+
+    def near(z: np.ndarray) -> _Affine:
+        z = jnp.asarray(z)
+        return compress(z, evaluate(z))
+
+    if backend == "scipy":
+        from scipy.optimize import least_squares
+
+        found = least_squares(lambda z: np.asarray(near(z).value), z, lambda z: np.asarray(near(z).slope), method="lm",
+                              xtol=rtol, ftol=rtol**2, max_nfev=limit)  # fmt: skip
+        end, steps, converged = found.x, int(found.nfev), bool(found.status > 0)
+    else:
+        with warnings.catch_warnings():  # jaxopt says on import that it is unmaintained
+            warnings.simplefilter("ignore")
+            import jaxopt
+
+            solver = jaxopt.LevenbergMarquardt(
+                lambda z: near(z).value, jac_fun=lambda z: near(z).slope, maxiter=limit, tol=rtol**2, jit=False
+            )
+            found = solver.run(jnp.asarray(z))
+        end, steps = np.asarray(found.params), int(found.state.iter_num)
+        converged = steps < limit
+    return end, np.asarray(evaluate(jnp.asarray(end))), steps, converged
+
+
+def solve(
+    forward: Forward,
+    z: np.ndarray,
+    problem: Problem,
+    max_steps: int = 100,
+    rtol: float = 1e-5,
+    backend: Backend = "optimistix",
+) -> Solution:
+    """Minimise Eq. 56 from the free coordinates ``z``.
+
+    Args:
+        max_steps: evaluations of the normal equations at the most; 1 evaluates the starting point.
+        rtol: tolerance on z and on the residuals.
+        backend: ``optimistix``; ``scipy`` (MINPACK) and ``jaxopt`` (an extra) are there for cross-checks.
+
+    A trial step to where the model is not finite is rejected; the returned ``z`` is always finite.
+    """
+
+    def evaluate(z: Array) -> Array:
+        return normal_equations(forward, z, problem)
+
+    start = np.asarray(z, dtype=float)
+    if backend == "optimistix":
+        end, normal, steps, converged = _optimistix(evaluate, start, max_steps, rtol)
+    else:
+        end, normal, steps, converged = _other(evaluate, start, max_steps, rtol, backend)
+    m = normal.sum(0)
+    length = np.sqrt(np.maximum(np.diag(m), 1e-300))
+    stationarity = float(np.max(np.abs(m[-1, :-1]) / length[-1] / length[:-1], initial=0.0))
+    return Solution(end, float(m[-1, -1]), normal, steps, stationarity, converged)

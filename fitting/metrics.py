@@ -1,0 +1,78 @@
+"""How far a prediction is from a measurement, and how many independent bins the difference is worth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+THETA_MAX_RAD = 1.4  # HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
+CORRELATION_FLOOR = 0.05  # correlations are summed until they fall below this
+SIN_FLOOR = 0.02  # of theta_i in the RMSE weight, as the reference evaluation of the published parameters has it
+
+
+@dataclass(frozen=True)
+class Errors:
+    """RMSE (1/sr, cos^2-weighted, HP17 Table 2) and sMAPE (dimensionless, 0 to 1) of a prediction."""
+
+    rmse: float
+    smape: float
+
+
+def errors(
+    measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, angles: tuple[np.ndarray, ...], cos_i: np.ndarray,
+    cos_o: np.ndarray,
+) -> Errors:  # fmt: skip
+    """RMSE and sMAPE over valid bins with both directions at theta < 1.4.
+
+    RMSE = sqrt(sum w d^2 / C), w proportional to cos_d sin_d sin_h dtheta_h cos_i^2 / sin_i and summing to one: HP17
+    Table 2 integrated over incidence. sMAPE = mean of |m - p| / (m + p) over bins and channels, unweighted.
+
+    Args:
+        measured, predicted: (C, H, D, P), 1/sr. valid: (H, D, P). angles: theta_h (H,), theta_d (D,), phi_d (P,).
+    """
+    theta_h, theta_d, _ = angles
+    inside = valid & (np.minimum(cos_i, cos_o) > np.cos(THETA_MAX_RAD))
+    measure = (np.sin(theta_h) * np.gradient(theta_h))[:, None, None] * (np.sin(theta_d) * np.cos(theta_d))[:, None]
+    sin_i = np.sqrt(np.clip(1 - cos_i**2, 0, 1))
+    weight = np.where(inside, measure * cos_i**2 / np.maximum(sin_i, SIN_FLOOR), 0.0)
+    if not inside.any():
+        return Errors(float("nan"), float("nan"))
+    difference = np.where(inside, measured - predicted, 0.0)
+    rmse = np.sqrt(np.sum(weight / weight.sum() * difference**2) / len(measured))
+    total = np.abs(measured) + np.abs(predicted)
+    share = np.where(inside & (total > 0), np.abs(difference) / np.where(total > 0, total, 1.0), 0.0)
+    return Errors(float(rmse), float(share.sum() / (inside.sum() * len(measured))))
+
+
+def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:
+    """Integrated correlation of a zero-mean field along one axis, in bins (1 for independent bins).
+
+    1 + 2 sum of correlations at growing lags, until one falls below ``CORRELATION_FLOOR``.
+    """
+    field, used = np.moveaxis(field, axis, 0), np.moveaxis(used, axis, 0)
+    variance = np.mean(field[used] ** 2)
+    total = 1.0
+    for lag in range(1, len(field)):
+        pairs = used[lag:] & used[:-lag]
+        count = pairs.sum()
+        if count < 10 or variance == 0:
+            break
+        correlation = np.sum((field[lag:] * field[:-lag])[pairs]) / count / variance
+        if correlation < CORRELATION_FLOOR:
+            break
+        total += 2 * correlation
+    return float(total)
+
+
+def effective_count(field: np.ndarray, used: np.ndarray) -> float:
+    """How many independent equal bins the residuals of one channel are worth.
+
+    ``field`` holds weighted residuals sqrt(w) (m - p), (H, D, P). Two things make them fewer than the bins: a few bins
+    may carry most of the cost (participation, 3 (sum e^2)^2 / sum e^4, which is the number of bins for equal Gaussian
+    ones), and neighbours err alike (the product of correlation lengths along the three axes).
+    """
+    e2 = field[used] ** 2
+    if e2.size == 0 or e2.sum() == 0:
+        return float(used.sum())
+    participation = min(3 * e2.sum() ** 2 / np.sum(e2**2), e2.size)
+    lengths = np.prod([correlation_length(field, used, axis) for axis in range(3)])
+    return float(max(participation / lengths, 2.0))

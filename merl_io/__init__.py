@@ -1,0 +1,1 @@
+"""DATA: MERL binary files, their grid and their masks; numpy only, knows no model."""

@@ -1,0 +1,72 @@
+"""Samples with weights on the half of MERL's bins that a reciprocal model can tell apart, and thinned sets of them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .grid import MerlGrid
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Folded measurements on a product grid of angles.
+
+    Attributes:
+        theta_h, theta_d, phi_d: axes (rad), shapes (H,), (D,), (P,), phi_d below pi/2.
+        cos_i, cos_o: cosines of light and viewer, shape (H, D, P).
+        value: mean measured BRDF (1/sr), shape (C, H, D, P); 0 where no datum is valid.
+        weight: sum of the weights that stand behind a value, shape (C, H, D, P); 0 where no datum is valid.
+        scatter: sum of w (m - mean)^2 over all folded pairs: what no reciprocal model can explain.
+    """
+
+    theta_h: np.ndarray
+    theta_d: np.ndarray
+    phi_d: np.ndarray
+    cos_i: np.ndarray
+    cos_o: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+    scatter: float
+
+
+def fold(grid: MerlGrid, value: np.ndarray, weight: np.ndarray) -> Samples:
+    """Average bins phi_d and pi - phi_d, which hold the same pair of directions with light and viewer exchanged.
+
+    A weighted sum of squares against one prediction splits exactly: w1 (m1-p)^2 + w2 (m2-p)^2 =
+    (w1+w2) (m-p)^2 + w1 w2/(w1+w2) (m1-m2)^2 with m the weighted mean. Nothing is resampled.
+
+    Args:
+        value: BRDF (1/sr), shape (C, 90, 90, 180); anything where the weight is 0.
+        weight: shape (C, 90, 90, 180), 0 where there is no datum.
+    """
+    half = len(grid.phi_d) // 2
+    value = np.where(weight > 0, value, 0.0)
+    w1, w2 = weight[..., :half], weight[..., :half-1:-1]
+    m1, m2 = value[..., :half], value[..., :half-1:-1]
+    total = w1 + w2
+    safe = np.where(total > 0, total, 1.0)
+    scatter = float(np.sum(w1 * w2 / safe * (m1 - m2) ** 2))
+    return Samples(
+        grid.theta_h, grid.theta_d, grid.phi_d[:half], grid.cos_i[..., :half], grid.cos_o[..., :half],
+        (w1 * m1 + w2 * m2) / safe, total, scatter,
+    )  # fmt: skip
+
+
+def thin(samples: Samples, every: tuple[int, int, int]) -> Samples:
+    """Every so many-th row of each axis, the middle one of each run; weights and values unchanged.
+
+    Args:
+        every: strides in theta_h, theta_d, phi_d; each must divide its axis, so that shapes do not depend on the file.
+
+    Raises:
+        ValueError: a stride does not divide its axis.
+    """
+    shape = samples.cos_i.shape
+    if any(n % e for n, e in zip(shape, every, strict=True)):
+        raise ValueError(f"strides {every} must divide the grid {shape}")
+    h, d, p = (slice(e // 2, None, e) for e in every)
+    return replace(
+        samples, theta_h=samples.theta_h[h], theta_d=samples.theta_d[d], phi_d=samples.phi_d[p],
+        cos_i=samples.cos_i[h, d, p], cos_o=samples.cos_o[h, d, p],
+        value=samples.value[:, h, d, p], weight=samples.weight[:, h, d, p],
+    )  # fmt: skip

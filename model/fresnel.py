@@ -1,0 +1,94 @@
+"""Colour of the two lobes: Fresnel reflectance F and the Rayleigh-Rice diffraction factor Q.
+
+All complex arithmetic of HP17 Eq. 3-4 and 10 is written out in reals, which compiles to loops that vectorise and keeps
+gradients finite at ``k = 0``. ``n`` and ``k`` are the real and imaginary part of the index of refraction.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from .numerics import safe_divide, safe_sqrt
+
+
+class Transmitted(NamedTuple):
+    """Functions of one direction that F and Q are made of (HP17 Eq. 4 and 10); ``c = sqrt(eta^2 - sin^2 theta)``."""
+
+    senkrecht: Array  # 1 / |cos + c|^2
+    parallel: Array  # 1 / |eta^2 cos + c|^2
+    c_real: Array
+    c_imag: Array
+
+
+def refracted_cosine(cos_theta: Array, n: Array, k: Array) -> tuple[Array, Array]:
+    """Real and imaginary part of ``c = sqrt(eta^2 - sin^2 theta)`` (principal branch), HP17 Eq. 3.
+
+    The gradient is finite everywhere; at the critical angle of a real index below one it is set to zero.
+    """
+    real = (n - k) * (n + k) - 1 + cos_theta**2
+    imag = 2 * n * k
+    # sqrt of the modulus; the smaller of the two parts comes from the product, not from a difference
+    modulus = safe_sqrt(real**2 + imag**2)
+    larger = safe_sqrt((modulus + jnp.abs(real)) / 2)
+    smaller = safe_divide(imag, 2 * larger)
+    outside = real >= 0
+    return jnp.where(outside, larger, smaller), jnp.where(outside, smaller, larger)
+
+
+def transmitted(cos_theta: Array, n: Array, k: Array) -> Transmitted:
+    """The one-direction factors of F and Q for an index ``n + i k``; arrays broadcast."""
+    c_real, c_imag = refracted_cosine(cos_theta, n, k)
+    eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
+    senkrecht = safe_divide(jnp.ones(()), (cos_theta + c_real) ** 2 + c_imag**2)
+    parallel = safe_divide(
+        jnp.ones(()), (eta2_real * cos_theta + c_real) ** 2 + (eta2_imag * cos_theta + c_imag) ** 2
+    )
+    return Transmitted(senkrecht, parallel, c_real, c_imag)
+
+
+def fresnel(cos_theta: Array, n: Array, k: Array) -> Array:
+    """Unpolarised Fresnel reflectance in [0, 1] (HP17 Eq. 3-4), exact.
+
+    Args:
+        cos_theta: cosine of the angle of incidence; broadcasts with the index.
+        n: real part of the index of refraction, relative to the outside.
+        k: imaginary part; 0 for a dielectric.
+
+    Accuracy: 1e-12 against 30 digits (``tests/model/test_fresnel.py``).
+    """
+    t = transmitted(cos_theta, n, k)
+    eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
+    f_s = ((cos_theta - t.c_real) ** 2 + t.c_imag**2) * t.senkrecht
+    f_p = ((eta2_real * cos_theta - t.c_real) ** 2 + (eta2_imag * cos_theta - t.c_imag) ** 2) * t.parallel
+    return (f_s + f_p) / 2
+
+
+def diffraction_colour(cos_i: Array, cos_o: Array, projected_dot: Array, n: Array, k: Array) -> Array:
+    """Colour of the diffraction lobe, Q/2 of Rayleigh-Rice (HP17 Eq. 10), dimensionless.
+
+    HP17 prints Q, which is twice the Fresnel reflectance in the mirror direction; unpolarised light averages over two
+    incident states, hence Q/2 (``docs/physics.md``, erratum). Equals :func:`fresnel` where o is the mirror of i.
+
+    Args:
+        cos_i, cos_o: cosines of light and viewer.
+        projected_dot: sin_i sin_o cos(phi_o - phi_i), dot product of the two projected directions.
+        n, k: index of refraction.
+    """
+    i, o = transmitted(cos_i, n, k), transmitted(cos_o, n, k)
+    eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
+    sin2_sin2 = (1 - cos_i**2) * (1 - cos_o**2)
+    # cos^2 phi; at normal incidence Q does not depend on it and any value serves
+    cos2_phi = jnp.clip(safe_divide(projected_dot**2, sin2_sin2), 0.0, 1.0)
+    b_i = (i.c_real**2 + i.c_imag**2) * i.parallel
+    b_o = (o.c_real**2 + o.c_imag**2) * o.parallel
+    # Re(c_i c_o conj(eta^2))
+    product_real = i.c_real * o.c_real - i.c_imag * o.c_imag
+    product_imag = i.c_real * o.c_imag + i.c_imag * o.c_real
+    interference = product_real * eta2_real + product_imag * eta2_imag
+    same = cos2_phi * (i.senkrecht * o.senkrecht + b_i * b_o)
+    crossed = (1 - cos2_phi) * (i.senkrecht * b_o + b_i * o.senkrecht)
+    # cos(phi) sin_i sin_o is minus the projected dot product: phi is counted from the mirror direction
+    plane = i.parallel * o.parallel * ((eta2_real**2 + eta2_imag**2) * sin2_sin2 + 2 * projected_dot * interference)
+    contrast = (eta2_real - 1) ** 2 + eta2_imag**2
+    return contrast * (same + crossed + plane) / 2

@@ -1,0 +1,34 @@
+"""Functions whose values and gradients stay finite at the edge of their domain.
+
+Rule: substitute before computing, mask after (a double ``where``). Nothing else in the package may call ``sqrt``,
+``arccos`` or a real power on a base that can reach the edge.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+TINY = 1e-300  # smallest substitute; far below any square of an angle or reflectance in float64
+
+
+def safe_sqrt(x: Array) -> Array:
+    """Square root, 0 with zero gradient where ``x <= 0``."""
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+
+
+def safe_acos(x: Array) -> Array:
+    """Arc cosine (rad) clipped to [0, pi], with zero gradient where ``|x| >= 1``."""
+    inside = jnp.abs(x) < 1
+    return jnp.where(inside, jnp.arccos(jnp.where(inside, x, 0.0)), jnp.where(x > 0, 0.0, jnp.pi))
+
+
+def safe_pow(x: Array, p: Array | float) -> Array:
+    """``x**p`` for ``p > 0``; 0 with zero gradient (in ``x`` and in ``p``) where ``x <= 0``."""
+    positive = x > 0
+    return jnp.where(positive, jnp.exp(p * jnp.log(jnp.where(positive, x, 1.0))), 0.0)
+
+
+def safe_divide(numerator: Array | float, denominator: Array) -> Array:
+    """Quotient, 0 with zero gradient where the denominator is 0."""
+    nonzero = denominator != 0
+    return jnp.where(nonzero, numerator / jnp.where(nonzero, denominator, 1.0), 0.0)

@@ -1,0 +1,1 @@
+"""The rival reflectance models of the literature, one file each."""

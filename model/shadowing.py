@@ -1,0 +1,112 @@
+"""Smith masking of the exponential power distribution by a one-dimensional integral.
+
+HP17 Eq. 36-38. Eq. 36 prints the inner integral from 0; it runs over the whole line (HP15 Eq. 4). With that the double
+integral collapses, for tau = beta tan(theta) and P22 taken at beta = 1, to
+
+    Lambda(tau) = 2 Int_{s > 1/tau} s P22(s^2) [sqrt(s^2 tau^2 - 1) - arccos(1/(s tau))] ds.
+
+With w = s tau, E = (w / tau)^(2p) = E0 + x and E0 = tau^(-2p) this is
+
+    Lambda = e^(-E0) / (pi Gamma(1/p)) Int_0^inf e^(-x) (E0 + x)^(1/p - 1) h(w) dx,   h = z - arctan z, z = sqrt(w^2 - 1),
+
+a trapezoid rule in log x, whose error falls exponentially with the number of nodes.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.scipy.special import gammaln
+
+from .numerics import safe_sqrt
+
+# log x runs over q in [-17, 4] at spacing 0.3: exp(-e^q) is analytic for |Im q| < pi/2, error ~ exp(-pi^2 / 0.3) = 5e-15;
+# what lies outside is below 1e-10 of the integral, whose integrand falls at least as e^(3 q / 2) to the left.
+NODES = np.arange(-17.0, 4.0, 0.3)
+BEND = 3.0  # where the left tail begins to be stretched for p > 1/2
+LARGEST_EXPONENT = 650.0  # e^-650 = 1e-282: masking is 1 to the last digit long before
+TABLE_SIZE = 257  # nodes of the interpolation table; Hermite error <= 2e-8 (tests/model/test_shadowing.py)
+
+
+def _excess(w_minus_1: Array) -> Array:
+    """``z - arctan z`` with ``z = sqrt(w^2 - 1)``, without cancellation for small z."""
+    z = safe_sqrt(w_minus_1 * (2 + w_minus_1))
+    small = z < 0.03
+    z_small, z_large = jnp.where(small, z, 0.0), jnp.where(small, 1.0, z)
+    s = z_small**2
+    series = z_small * s * (1 / 3 - s * (1 / 5 - s * (1 / 7 - s * (1 / 9 - s / 11))))
+    return jnp.where(small, series, z_large - jnp.arctan(z_large))
+
+
+def smith_lambda(tau: Array, p: Array) -> Array:
+    """Smith's Lambda of the EPD (HP17 Eq. 36-37 with the corrected limits), >= 0.
+
+    Args:
+        tau: ``beta tan(theta) >= 0``, any shape; infinite gives infinity.
+        p: kurtosis exponent of the EPD.
+
+    Accuracy: 1e-9 relative for p in [0.12, 5] wherever Lambda > 1e-12; at p = 1 it is Beckmann's closed form.
+    Gradient: finite for finite tau, zero at tau = 0.
+    """
+    log_tau = jnp.log(jnp.where(tau > 0, tau, 1.0))
+    e0 = jnp.exp(jnp.clip(-2 * p * log_tau, -LARGEST_EXPONENT, jnp.log(LARGEST_EXPONENT)))
+    masked = (tau > 0) & (-2 * p * log_tau < jnp.log(LARGEST_EXPONENT))
+    # the left tail falls as x^(3 / 2p) when tau is large: stretch it by max(1, 2p), smoothly
+    stretch = jax.nn.softplus(4 * (2 * p - 1)) / 4
+    q = jnp.asarray(NODES)
+    log_x = q - stretch * jax.nn.softplus(-(q + BEND))
+    dlog_x = 1 + stretch * jax.nn.sigmoid(-(q + BEND))
+    x = jnp.exp(log_x)
+    total = e0[..., None] + x
+    w_minus_1 = jnp.expm1(jnp.log1p(x / e0[..., None]) / (2 * p))
+    log_rest = log_x - x + (1 / p - 1) * jnp.log(total)
+    integral = jnp.sum(jnp.exp(log_rest) * _excess(w_minus_1) * dlog_x, -1) * (NODES[1] - NODES[0])
+    value = integral * jnp.exp(-e0 - gammaln(1 / p)) / jnp.pi
+    return jnp.where(masked, value, 0.0)
+
+
+def masking_direct(cos_theta: Array, beta: Array, p: Array) -> Array:
+    """Smith's G1 = 1 / (1 + Lambda(beta tan theta)) (HP17 Eq. 38), by quadrature at every point."""
+    above = cos_theta > 0
+    cos = jnp.where(above, cos_theta, 1.0)
+    tau = beta * safe_sqrt((1 - cos) * (1 + cos)) / cos
+    return jnp.where(above, 1 / (1 + smith_lambda(tau, p)), 0.0)
+
+
+def _masking_of_x(x: Array, p: Array) -> Array:
+    """G1 as a function of x = 1 / (1 + sqrt(tau)); it starts as x^2, with slope 0."""
+    inside = x > 0
+    x = jnp.where(inside, x, 1.0)
+    return jnp.where(inside, 1 / (1 + smith_lambda(((1 - x) / x) ** 2, p)), 0.0)
+
+
+def masking(cos_theta: Array, beta: Array, p: Array) -> Array:
+    """Smith's G1 (HP17 Eq. 38) in [0, 1]; 0 below the horizon.
+
+    Many directions share one parameter set, so beyond ``TABLE_SIZE`` of them G1 is tabulated in
+    ``x = 1 / (1 + sqrt(tau))``, in which it does not depend on beta and is smooth at both ends, and interpolated by
+    cubic Hermite pieces.
+
+    Args:
+        cos_theta: cosine between normal and direction, any shape.
+        beta: width of the EPD. p: its exponent.
+
+    Accuracy: 1e-9 direct, 1e-7 absolute through the table.
+    """
+    if cos_theta.size <= TABLE_SIZE:
+        return masking_direct(cos_theta, beta, p)
+    nodes = jnp.linspace(0.0, 1.0, TABLE_SIZE)
+    value, slope = jax.jvp(lambda x: _masking_of_x(x, p), (nodes,), (jnp.ones(TABLE_SIZE),))
+    slope = slope / (TABLE_SIZE - 1)
+    above = cos_theta > 0
+    cos = jnp.where(above, cos_theta, 1.0)
+    root_cos = jnp.sqrt(cos)
+    root_tan = safe_sqrt(beta * safe_sqrt((1 - cos) * (1 + cos)))
+    position = root_cos / (root_cos + root_tan) * (TABLE_SIZE - 1)
+    cell = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, TABLE_SIZE - 2)
+    t = position - cell
+    left, right = value[cell], value[cell + 1]
+    d_left, d_right = slope[cell], slope[cell + 1]
+    rise = right - left
+    hermite = left + t * (d_left + t * (3 * rise - 2 * d_left - d_right + t * (d_left + d_right - 2 * rise)))
+    return jnp.where(above, hermite, 0.0)
