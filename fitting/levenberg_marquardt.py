@@ -27,10 +27,12 @@ Backend = Literal["optimistix", "scipy", "jaxopt"]
 # Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
 # that this is a light one.
 RESIDUAL_SCALE = 100.0
-RIDGE = 1e-10  # pull of z towards 0, in units of cost: only stops drift along a flat direction
+# Pull of z towards 0, relative to the cost at the start of a solve: stops drift along directions that the data leave
+# open and beyond a bound (z = 6 is 0.25 % from it and costs 1 %), and vanishes with the cost when the model is exact.
+PULL = 3e-4
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
 NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected
-GRADIENT_TOLERANCE = 2e-3  # cosine between residual and tangent space below which a point is stationary
+OFFSET_TOLERANCE = 1e-3  # of the relative offset: a further step would lower the cost by less than 1e-6 of itself
 
 
 class Status(Enum):
@@ -56,7 +58,7 @@ class Solution:
     Attributes:
         z: free coordinates (P,). cost: of Eq. 56 relative to the measurement's energy, without folding scatter.
         normal: per-channel (J|r)^T W (J|r) at z, (C, P+1, P+1). steps: evaluations of the normal equations.
-        stationarity: largest cosine between the residual and a column of the Jacobian.
+        offset: Bates and Watts' relative offset at z, :func:`relative_offset`.
         converged: whether the solver met its tolerance.
     """
 
@@ -64,7 +66,7 @@ class Solution:
     cost: float
     normal: np.ndarray
     steps: int
-    stationarity: float
+    offset: float
     converged: bool
 
 
@@ -86,15 +88,16 @@ class _Affine(eqx.Module):
         return self.value + self.slope @ (z - self.at)
 
 
-def compress(z: Array, normal: Array) -> _Affine:
+def compress(z: Array, normal: Array, pull: Array) -> _Affine:
     """P + 1 residuals that stand for all: same cost, gradient and Gauss-Newton matrix at ``z``.
 
     Args:
         normal: per-channel (J|r)^T W (J|r), shape (C, P+1, P+1); J of the prediction, r = measured - predicted.
+        pull: weight of z^2, added to the cost.
     """
     sign = jnp.ones(len(z) + 1).at[-1].set(-1.0)  # the residual's derivative is minus that of the prediction
-    pull = jnp.concatenate([jnp.eye(len(z)), z[:, None]], 1) * jnp.sqrt(RIDGE)
-    r = _factor((jnp.sum(normal, 0) * sign * sign[:, None] + pull.T @ pull) * RESIDUAL_SCALE**2)
+    leash = jnp.concatenate([jnp.eye(len(z)), z[:, None]], 1)
+    r = _factor((jnp.sum(normal, 0) * sign * sign[:, None] + pull * leash.T @ leash) * RESIDUAL_SCALE**2)
     r = jnp.where(jnp.all(jnp.isfinite(r)), r, jnp.eye(len(r)) * NON_FINITE_COST)
     return _Affine(z, r[:, -1], r[:, :-1])
 
@@ -114,38 +117,42 @@ def _machine(size: int, rtol: float) -> tuple[Any, Callable[..., Any]]:
     dynamic, static = eqx.partition(state, eqx.is_array)
 
     @jax.jit
-    def step(y: Array, dynamic: Any, z: Array, normal: Array) -> tuple[Array, Any, Array, Array]:  # noqa: ANN401
+    def step(y: Array, dynamic: Any, normal: Array, pull: Array) -> tuple[Array, Any, Array, Array, Array]:  # noqa: ANN401
         state = eqx.combine(dynamic, static)
-        y, state, _ = solver.step(affine, y, compress(z, normal), {}, state, frozenset())
+        near = compress(state.y_eval, normal, pull)
+        y, state, _ = solver.step(affine, y, near, {}, state, frozenset())
         accepted = state.num_steps_since_acceptance == 0
-        return y, eqx.filter(state, eqx.is_array), state.terminate, accepted
+        return y, eqx.filter(state, eqx.is_array), state.terminate, accepted, relative_offset(near.value)
 
     return dynamic, step
 
 
-def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> tuple[np.ndarray, np.ndarray, int, bool]:
+def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
     """Drive the stock solver, summing normal equations at every point that it asks for."""
     state, step = _machine(len(z), rtol)
     y, state = jnp.asarray(z), eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(z))
-    kept, converged, steps = None, False, 0
+    kept, pull, offset, converged, steps = None, jnp.zeros(()), float("inf"), False, 0
     while steps < limit and not converged:
         normal = evaluate(state.y_eval)
-        y, state, stop, accepted = step(y, state, state.y_eval, normal)
+        if kept is None:
+            pull = PULL * jnp.nan_to_num(normal[:, -1, -1].sum())
+        y, state, stop, accepted, trial_offset = step(y, state, normal, pull)
         steps += 1
         if kept is None or bool(accepted):
-            kept = normal
-        converged = bool(stop)
-    return np.asarray(y), np.asarray(kept), steps, converged
+            kept, offset = normal, float(trial_offset)
+        converged = bool(stop) or offset < OFFSET_TOLERANCE
+    return Solution(np.asarray(y), float(kept[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
 
 
 def _other(
     evaluate: Callable, z: np.ndarray, limit: int, rtol: float, backend: Backend
-) -> tuple[np.ndarray, np.ndarray, int, bool]:
+) -> Solution:
     """The same compressed residuals given to another library: a cross-check."""
+    pull = PULL * evaluate(jnp.asarray(z))[:, -1, -1].sum()
 
     def near(z: np.ndarray) -> _Affine:
         z = jnp.asarray(z)
-        return compress(z, evaluate(z))
+        return compress(z, evaluate(z), pull)
 
     if backend == "scipy":
         from scipy.optimize import least_squares
@@ -159,12 +166,14 @@ def _other(
             import jaxopt
 
             solver = jaxopt.LevenbergMarquardt(
-                lambda z: near(z).value, jac_fun=lambda z: near(z).slope, maxiter=limit, tol=rtol**2, jit=False
+                lambda z: near(z).value, jac_fun=lambda z: near(z).slope, maxiter=limit, xtol=rtol, gtol=rtol, jit=False
             )
             found = solver.run(jnp.asarray(z))
         end, steps = np.asarray(found.params), int(found.state.iter_num)
         converged = steps < limit
-    return end, np.asarray(evaluate(jnp.asarray(end))), steps, converged
+    normal = evaluate(jnp.asarray(end))
+    offset = float(relative_offset(compress(jnp.asarray(end), normal, pull).value))
+    return Solution(end, float(normal[:, -1, -1].sum()), np.asarray(normal), steps, offset, converged)
 
 
 def solve(
@@ -190,10 +199,17 @@ def solve(
 
     start = np.asarray(z, dtype=float)
     if backend == "optimistix":
-        end, normal, steps, converged = _optimistix(evaluate, start, max_steps, rtol)
-    else:
-        end, normal, steps, converged = _other(evaluate, start, max_steps, rtol, backend)
-    m = normal.sum(0)
-    length = np.sqrt(np.maximum(np.diag(m), 1e-300))
-    stationarity = float(np.max(np.abs(m[-1, :-1]) / length[-1] / length[:-1], initial=0.0))
-    return Solution(end, float(m[-1, -1]), normal, steps, stationarity, converged)
+        return _optimistix(evaluate, start, max_steps, rtol)
+    return _other(evaluate, start, max_steps, rtol, backend)
+
+
+def relative_offset(compressed: Array) -> Array:
+    """Bates and Watts' convergence measure: the part of the residual vector's length that the tangent space can remove.
+
+    Free of units and of the parametrisation; 0 at a stationary point, 1 where the model is locally perfect. Squared, it
+    is the relative decrease of cost that a Gauss-Newton step promises.
+
+    Args:
+        compressed: residuals of :func:`compress`, (P+1,): the last one is what no step can remove.
+    """
+    return jnp.linalg.norm(compressed[:-1]) / jnp.maximum(jnp.linalg.norm(compressed), 1e-300)

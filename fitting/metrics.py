@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 THETA_MAX_RAD = 1.4  # HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
-CORRELATION_FLOOR = 0.05  # correlations are summed until they fall below this
 SIN_FLOOR = 0.02  # of theta_i in the RMSE weight, as the reference evaluation of the published parameters has it
 
 
@@ -44,22 +43,21 @@ def errors(
 
 
 def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:
-    """Integrated correlation of a zero-mean field along one axis, in bins (1 for independent bins).
+    """Correlation length of a zero-mean field along one axis, in bins: 1 + 2 sum of squared correlations over all lags.
 
-    1 + 2 sum of correlations at growing lags, until one falls below ``CORRELATION_FLOOR``.
+    Squared, because it is the number of degrees of freedom of a sum of squares that is sought (Bartlett): sum e^2 over n
+    bins scatters as a chi-square of n / length degrees. 1 for independent bins, n for a constant field.
     """
     field, used = np.moveaxis(field, axis, 0), np.moveaxis(used, axis, 0)
     variance = np.mean(field[used] ** 2)
-    total = 1.0
-    for lag in range(1, len(field)):
+    total, lags = 1.0, len(field)
+    for lag in range(1, lags):
         pairs = used[lag:] & used[:-lag]
         count = pairs.sum()
         if count < 10 or variance == 0:
             break
         correlation = np.sum((field[lag:] * field[:-lag])[pairs]) / count / variance
-        if correlation < CORRELATION_FLOOR:
-            break
-        total += 2 * correlation
+        total += 2 * (1 - lag / lags) * min(correlation**2, 1.0)
     return float(total)
 
 

@@ -187,7 +187,7 @@ def _blurred_lobe(v: Values, s: Setting) -> Array:
     shape = jnp.broadcast_shapes(theta_h.shape, cos_over_lambda.shape)
     along = cos_over_lambda.shape[1:]
     is_grid = theta_h.ndim == len(along) and all(1 in pair for pair in zip(theta_h.shape, along, strict=True))
-    if is_grid and cos_over_lambda.size > convolution.INTERPOLATION_NODES:
+    if is_grid and cos_over_lambda.size > convolution.interpolation_nodes(s.effects.order):
         log_u = jnp.log(cos_over_lambda).ravel()
         table = convolution.convolve_grid(theta_h.ravel(), log_u, b, c, beta, p, s.effects.order)
         # (H axes, C, D axes) -> (C, H axis with D axis ...): every axis belongs to one of the two

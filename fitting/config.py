@@ -1,0 +1,123 @@
+"""Settings of a run: declared with their defaults, read from TOML, unknown keys refused by name."""
+
+import difflib
+import os
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..model.acquisition import FOOTPRINT_RAD
+from ..model.effects import Body, Diffraction, Effects
+from .levenberg_marquardt import Backend
+from .residuals import Forward
+
+
+class ConfigError(ValueError):
+    """Settings that cannot be used; the message is one line that names the key and the mend."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FitSection(_Section):
+    """[fit]: model and solver.
+
+    Attributes:
+        body: ``auto`` fits every body on the coarse grid and keeps the best by BIC.
+        diffraction, order: see :class:`merlfit.model.effects.Effects`.
+        grazing: acquisition loss at grazing angles: ``free``, ``derived`` from (beta, p), or a number in [0, 1].
+        footprint_rad: pixel footprint that ``derived`` assumes.
+        starts: how many of the screened starting points are followed on the coarse grid.
+        coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on all bins.
+        backend: solver; others than optimistix are for cross-checks.
+    """
+
+    body: Literal["auto"] | Body = "auto"
+    diffraction: Diffraction = "quadrature"
+    order: Annotated[int, Field(ge=6, le=256)] = 24
+    grazing: Literal["free", "derived"] | Annotated[float, Field(ge=0, le=1)] = "free"
+    footprint_rad: Annotated[float, Field(gt=0, lt=0.5)] = FOOTPRINT_RAD
+    starts: Annotated[int, Field(ge=1, le=32)] = 4
+    coarse_steps: Annotated[int, Field(ge=1)] = 80
+    max_steps: Annotated[int, Field(ge=1)] = 40
+    backend: Backend = "optimistix"
+
+
+class PosteriorSection(_Section):
+    """[posterior]: the sampler.
+
+    Attributes:
+        enabled: whether to sample at all. max_steps: at the most; sampling stops when the chain is long enough.
+    """
+
+    enabled: bool = True
+    max_steps: Annotated[int, Field(ge=10)] = 6000
+
+
+class Config(_Section):
+    """All settings. ``seed`` fixes the sampler's random numbers; fits use none."""
+
+    seed: int = 0
+    fit: FitSection = FitSection()
+    posterior: PosteriorSection = PosteriorSection()
+
+    def forward(self, body: Body) -> Forward:
+        """The forward model for one body."""
+        effects = Effects(body, self.fit.diffraction, self.fit.order)
+        return Forward(effects, self.fit.grazing, self.fit.footprint_rad)
+
+    def with_options(self, body: str | None, posterior: bool | None, seed: int | None) -> "Config":
+        """A copy with what the command line gave."""
+        data = self.model_dump()
+        if body is not None:
+            data["fit"]["body"] = body
+        if posterior is not None:
+            data["posterior"]["enabled"] = posterior
+        if seed is not None:
+            data["seed"] = seed
+        return parse(data, "command line")
+
+
+def load(path: str | os.PathLike[str]) -> Config:
+    """Read a TOML file; keys it leaves out keep their defaults.
+
+    Raises:
+        ConfigError: missing file, bad TOML, unknown key (the nearest known one is named), value out of range.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not TOML: {error}") from None
+    return parse(data, str(path))
+
+
+def parse(data: dict[str, Any], where: str) -> Config:
+    """Settings from plain data; raises :class:`ConfigError` naming ``where`` and the key."""
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("literal", "constrained", "float")))
+        if first["type"] == "extra_forbidden":
+            near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.3) or difflib.get_close_matches(
+                str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0
+            )
+            raise ConfigError(f"{where}: unknown key {key!r}; the nearest known one is {near[0]!r}") from None
+        raise ConfigError(f"{where}: {key}: {first['msg']}, not {first.get('input')!r}") from None
+
+
+def known_keys() -> list[str]:
+    """Every key with its section."""
+    keys = []
+    for name, field in Config.model_fields.items():
+        kind = field.annotation
+        inner = getattr(kind, "model_fields", None)
+        keys += [f"{name}.{k}" for k in inner] if inner else [name]
+        keys += [name] if inner else []
+    return keys

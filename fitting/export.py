@@ -1,0 +1,209 @@
+"""The result of one material as JSON: its schema, written atomically, and the chain beside it."""
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import IO, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+SCHEMA_VERSION = "1.0"
+PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "optimistix", "emcee")
+
+
+class ResultError(ValueError):
+    """A result file that cannot be used; the message is one line that names the file."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Source(_Part):
+    """Where the data came from."""
+
+    path: str
+    material: str
+    sha1: str
+    git_blob_sha1: str
+    genuine_merl: str | None
+    fraction_valid: float
+
+
+class Model(_Part):
+    """What was fitted."""
+
+    name: Literal["two-scale"] = "two-scale"
+    body: Literal["none", "lambert", "plastic", "subsurface"]
+    diffraction: Literal["off", "lobe", "quadrature"]
+    order: int
+    grazing: Literal["free", "derived"] | float
+    grazing_exponent: float
+    footprint_rad: float
+    channels: list[str]
+    wavelengths_um: list[float]
+
+
+class Quantiles(_Part):
+    """Posterior quantiles."""
+
+    q05: float
+    q50: float
+    q95: float
+
+
+class ParameterResult(_Part):
+    """One fitted number. ``standard_error`` is the Laplace approximation's; quantiles are null without a posterior."""
+
+    name: str
+    parameter: str
+    channel: str | None
+    meaning: str
+    unit: str
+    value: float
+    standard_error: float
+    quantiles: Quantiles | None
+    lower: float
+    upper: float
+    at_bound: Literal["no", "lower", "upper"]
+    prior: str
+    source: str
+
+
+class Candidate(_Part):
+    """One body on the coarse grid."""
+
+    body: str
+    cost: float
+    bic: float | None
+
+
+class Fit(_Part):
+    """How the fit ended. Costs are Eq. 56 relative to the measurement's weighted energy."""
+
+    status: str
+    message: str
+    succeeded: bool
+    cost: float | None
+    cost_per_channel: list[float] | None
+    folding_scatter: float | None
+    steps: int
+    relative_offset: float | None
+    bins: int
+    candidates: list[Candidate]
+
+
+class Metrics(_Part):
+    """Errors over all valid bins with both directions at theta < 1.4 rad; prediction with the acquisition's loss."""
+
+    rmse: float | None
+    smape: float | None
+
+
+class PosteriorResult(_Part):
+    """How the sampling went."""
+
+    sufficient: bool
+    message: str
+    steps: int
+    walkers: int
+    discard: int
+    acceptance: float
+    autocorrelation_steps: list[float]
+    effective_size: list[float]
+    effective_bins_per_channel: list[float]
+    thinning_shift_sd: float
+    chain_file: str
+
+
+class Result(_Part):
+    """One material."""
+
+    schema_version: Literal["1.0"] = SCHEMA_VERSION
+    source: Source
+    model: Model | None
+    parameters: list[ParameterResult]
+    fit: Fit
+    metrics: Metrics
+    posterior: PosteriorResult | None
+    seconds: dict[str, float]
+    seed: int
+    versions: dict[str, str]
+    config: dict[str, Any]
+
+    def values(self) -> dict[str, Any]:
+        """Values by parameter name, arrays for those per channel: what the model takes."""
+        grouped: dict[str, list[float]] = {}
+        for q in self.parameters:
+            grouped.setdefault(q.parameter, []).append(q.value)
+        single = {q.parameter for q in self.parameters if q.channel is None}
+        return {name: v[0] if name in single else np.array(v) for name, v in grouped.items()}
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computed the numbers."""
+    return {name: metadata.version(name) for name in PACKAGES}
+
+
+def finite(x: float) -> float | None:
+    """The number, or None (null in JSON) where it is not finite."""
+    return float(x) if math.isfinite(x) else None
+
+
+def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+    """Let ``write`` fill a file that appears under its name only when it is whole and on disk."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def write_result(path: Path, result: Result) -> None:
+    """Write JSON; numbers that are not finite are refused, since JSON has none."""
+    text = json.dumps(result.model_dump(mode="json"), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    write_atomically(path, lambda file: file.write(text.encode()) and None)
+
+
+def read_result(path: str | os.PathLike[str]) -> Result:
+    """Read and validate a result.
+
+    Raises:
+        ResultError: missing, not JSON, or not a result of a schema version this program knows.
+    """
+    path = Path(path)
+    try:
+        return Result.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise ResultError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "document"
+        raise ResultError(f"{path}: is not a merlfit result: {where}: {first['msg']}") from None
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema of a result; the package ships it as ``fitting/result.schema.json``."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"merlfit/result-{SCHEMA_VERSION}",
+        **Result.model_json_schema(mode="serialization"),
+    }
+
+
+if __name__ == "__main__":  # `make schema`
+    target = Path(__file__).with_name("result.schema.json")
+    target.write_text(json.dumps(schema(), indent=2) + "\n")

@@ -1,0 +1,181 @@
+"""MERL ``.binary`` files: three little-endian int32 dims, then three planes of float64, scaled per channel.
+
+Matusik et al. 2003: dims (90, 90, 180) are theta_h (square-root scale), theta_d and phi_d, the last one fastest; planes
+are red, green, blue; stored numbers times (1, 1.15, 1.66)/1500 are a BRDF in 1/sr. A negative number means no datum.
+"""
+
+import hashlib
+import os
+import stat
+import struct
+import tempfile
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+DIMS = (90, 90, 180)
+CHANNELS = 3
+SCALES = np.array([1.0 / 1500, 1.15 / 1500, 1.66 / 1500])
+HEADER = struct.Struct("<3i")
+FILE_BYTES = HEADER.size + CHANNELS * int(np.prod(DIMS)) * 8
+NO_DATUM = -1.0
+MAGIC = {
+    b"\x89PNG": "a PNG picture",
+    b"v/1\x01": "an OpenEXR picture",
+    b"\x89HDF": "an HDF5 file",
+    b"PK\x03\x04": "a ZIP archive",
+    b"\x1f\x8b": "gzip data",
+    b"\x93NUMP": "a NumPy array",
+    b"BZh": "bzip2 data",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"%PDF": "a PDF",
+}
+
+
+class MerlError(ValueError):
+    """A file that cannot be read or written as MERL; the message is one line that names the file and the mend."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One measured material.
+
+    Attributes:
+        path: where it was read. values: BRDF (1/sr), shape (3, 90, 90, 180), NaN where there is no datum.
+        valid: shape (90, 90, 180), False where any channel is negative or not finite.
+        negative, nan, inf: how many stored numbers were so.
+        sha1: of the whole file. blob_sha1: the same as git names its blob, by which genuine files are known.
+    """
+
+    path: Path
+    values: np.ndarray
+    valid: np.ndarray
+    negative: int
+    nan: int
+    inf: int
+    sha1: str
+    blob_sha1: str
+
+    @property
+    def name(self) -> str:
+        """Name of the material: that of the file without ``.binary``."""
+        return self.path.stem
+
+    @cached_property
+    def genuine(self) -> str | None:
+        """Name of the MERL material whose published file this is, bit by bit; None for any other file."""
+        return genuine_names().get(self.blob_sha1)
+
+
+def genuine_names() -> dict[str, str]:
+    """Material name by git blob SHA-1 for the 100 files of the MERL database."""
+    text = (resources.files(__package__) / "data" / "merl_git_blob_sha1.txt").read_text()
+    rows = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    return {row[0]: Path(row[-1]).stem for row in rows}
+
+
+def read(path: str | os.PathLike[str]) -> Measurement:
+    """Read a MERL file; holds one float64 copy of its numbers.
+
+    Raises:
+        MerlError: missing, a directory, no permission, truncated, too long, other dims, another format, no valid bin.
+    """
+    path = Path(path)
+    try:
+        info = path.stat()
+        if not stat.S_ISREG(info.st_mode):
+            kind = "a directory; name the .binary files in it" if path.is_dir() else "not a regular file"
+            raise MerlError(f"{path}: is {kind}")
+        with open(path, "rb") as file:
+            head = file.read(HEADER.size)
+            _check_header(path, head, info.st_size)
+            raw = np.memmap(file, dtype=np.uint8, mode="r")
+    except FileNotFoundError:
+        raise MerlError(f"{path}: no such file") from None
+    except PermissionError:
+        raise MerlError(f"{path}: no permission to read it; check its mode and owner") from None
+    except OSError as error:
+        raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
+    sha1, blob = hashlib.sha1(raw), hashlib.sha1(b"blob %d\0" % FILE_BYTES)
+    blob.update(raw)
+    stored = raw[HEADER.size :].view("<f8").reshape((CHANNELS, *DIMS))
+    return _measurement(path, stored, sha1.hexdigest(), blob.hexdigest())
+
+
+def _measurement(path: Path, stored: np.ndarray, sha1: str, blob_sha1: str) -> Measurement:
+    values = np.empty(stored.shape)
+    invalid = np.zeros(DIMS, bool)
+    counts = np.zeros(3, int)
+    for plane, (numbers, scale) in enumerate(zip(stored, SCALES, strict=True)):
+        negative, finite = numbers < 0, np.isfinite(numbers)
+        counts += (negative.sum(), np.isnan(numbers).sum(), np.isinf(numbers).sum())
+        invalid |= negative | ~finite
+        np.multiply(numbers, scale, out=values[plane])
+    if invalid.all():
+        raise MerlError(f"{path}: holds no valid bin (every one is negative or not finite); nothing can be fitted to it")
+    values[:, invalid] = np.nan
+    return Measurement(path, values, ~invalid, *(int(n) for n in counts), sha1, blob_sha1)
+
+
+def _check_header(path: Path, head: bytes, size: int) -> None:
+    """Refuse a header or a length that is not MERL's."""
+    for magic, what in MAGIC.items():
+        if head.startswith(magic):
+            raise MerlError(f"{path}: is {what}, not a MERL .binary file")
+    if len(head) < HEADER.size:
+        raise MerlError(f"{path}: truncated: {size} of {FILE_BYTES} bytes; download or copy it again")
+    dims = HEADER.unpack(head)
+    if dims != DIMS:
+        if struct.unpack(">3i", head) == DIMS:
+            raise MerlError(f"{path}: is big-endian; MERL files are little-endian, convert it first")
+        if any(not 0 < n < 100_000 for n in dims):
+            raise MerlError(f"{path}: not a MERL .binary file: its first 12 bytes are not three dimensions")
+        found, expected = ("x".join(map(str, d)) for d in (dims, DIMS))
+        raise MerlError(f"{path}: its dimensions are {found}, those of MERL {expected}")
+    if size < FILE_BYTES:
+        raise MerlError(f"{path}: truncated: {size} of {FILE_BYTES} bytes; download or copy it again")
+    if size > FILE_BYTES:
+        raise MerlError(f"{path}: too long: {size} bytes where MERL has {FILE_BYTES}; it was altered or joined")
+
+
+def write(path: str | os.PathLike[str], values: np.ndarray, valid: np.ndarray | None = None) -> None:
+    """Write a BRDF as a MERL file, atomically: a reader sees the old file or the whole new one.
+
+    Args:
+        values: BRDF (1/sr), shape (3, 90, 90, 180). valid: shape (90, 90, 180); bins outside it, and bins in which any
+            channel is negative or not finite, are stored as -1, MERL's mark for no datum.
+
+    A value comes back from :func:`read` to within one unit in the last place, because of the scale factors.
+
+    Raises:
+        MerlError: wrong shape, or the file cannot be written.
+    """
+    path = Path(path)
+    if values.shape != (CHANNELS, *DIMS):
+        raise MerlError(f"{path}: a MERL file holds values of shape {(CHANNELS, *DIMS)}, not {values.shape}")
+    kept = np.isfinite(values).all(0) & (np.nan_to_num(values, nan=-1.0) >= 0).all(0)
+    if valid is not None:
+        kept &= valid
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(HEADER.pack(*DIMS))
+                for plane, scale in zip(values, SCALES, strict=True):
+                    file.write(np.where(kept, plane / scale, NO_DATUM).astype("<f8").tobytes())
+            os.chmod(temporary, 0o666 & ~_umask())
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise MerlError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def _umask() -> int:
+    current = os.umask(0)
+    os.umask(current)
+    return current

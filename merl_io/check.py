@@ -1,0 +1,38 @@
+"""What a MERL file holds, in a few numbers."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .binary import DIMS, Measurement, read
+
+
+@dataclass(frozen=True)
+class FileReport:
+    """Summary of one file: dims, fraction of valid bins, counts of bad numbers, largest value per channel (1/sr)."""
+
+    path: Path
+    dims: tuple[int, int, int]
+    fraction_valid: float
+    negative: int
+    nan: int
+    inf: int
+    largest: tuple[float, float, float]
+    genuine: str | None
+    blob_sha1: str
+
+
+def summarise(measurement: Measurement) -> FileReport:
+    """The summary of a file that was read."""
+    largest = [float(np.nanmax(plane)) for plane in measurement.values]
+    return FileReport(
+        measurement.path, DIMS, float(measurement.valid.mean()), measurement.negative, measurement.nan, measurement.inf,
+        (largest[0], largest[1], largest[2]), measurement.genuine, measurement.blob_sha1,
+    )  # fmt: skip
+
+
+def inspect_file(path: str | os.PathLike[str]) -> FileReport:
+    """Read and summarise; raises :class:`merlfit.merl_io.binary.MerlError` as :func:`read` does."""
+    return summarise(read(path))
