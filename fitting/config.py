@@ -35,7 +35,7 @@ class FitSection(_Section):
         backend: solver; others than optimistix are for cross-checks.
     """
 
-    body: Literal["auto"] | Body = "auto"
+    body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
     diffraction: Diffraction = "quadrature"
     order: Annotated[int, Field(ge=6, le=256)] = 24
     grazing: Literal["free", "derived"] | Annotated[float, Field(ge=0, le=1)] = "free"
@@ -54,7 +54,7 @@ class PosteriorSection(_Section):
     """
 
     enabled: bool = True
-    max_steps: Annotated[int, Field(ge=10)] = 6000
+    max_steps: Annotated[int, Field(ge=10)] = 4000
 
 
 class Config(_Section):
@@ -103,7 +103,9 @@ def parse(data: dict[str, Any], where: str) -> Config:
         return Config.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("literal", "constrained", "float")))
+        key = ".".join(
+            str(part) for part in first["loc"] if not str(part).startswith(("literal", "constrained", "float"))
+        )
         if first["type"] == "extra_forbidden":
             near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.3) or difflib.get_close_matches(
                 str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0

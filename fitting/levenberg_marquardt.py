@@ -144,9 +144,7 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
     return Solution(np.asarray(y), float(kept[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
 
 
-def _other(
-    evaluate: Callable, z: np.ndarray, limit: int, rtol: float, backend: Backend
-) -> Solution:
+def _other(evaluate: Callable, z: np.ndarray, limit: int, rtol: float, backend: Backend) -> Solution:
     """The same compressed residuals given to another library: a cross-check."""
     pull = PULL * evaluate(jnp.asarray(z))[:, -1, -1].sum()
 

@@ -139,7 +139,9 @@ def make_problem(samples: Samples) -> Problem:
         jnp.asarray(split(samples.cos_o)),
     )
     planes = [np.moveaxis(np.stack([split(c) for c in x]), 0, 1) for x in (samples.value, samples.weight / unit)]
-    return Problem(geometry, jnp.asarray(split(log_base)), *map(jnp.asarray, planes), jnp.asarray(samples.scatter / unit))
+    return Problem(
+        geometry, jnp.asarray(split(log_base)), *map(jnp.asarray, planes), jnp.asarray(samples.scatter / unit)
+    )
 
 
 def predict(forward: Forward, values: Mapping[str, Array], problem: Problem) -> Array:

@@ -27,7 +27,7 @@ from .starts import starting_points
 from .transforms import AT_BOUND
 
 COARSE = (5, 5, 10)  # strides of the coarse grid: 18 x 18 x 9 bins
-SAMPLING = (9, 9, 45)  # of the posterior's grid: 10 x 10 x 2 bins; residuals hardly change along phi_d
+SAMPLING = (6, 6, 45)  # of the posterior's grid: 15 x 15 x 2 bins; residuals hardly change along phi_d
 SAMPLING_ORDER = 12  # of the convolution in the posterior: median error 1e-3, worst 7e-2
 TRIAL_STEPS = 25  # that a screened start is followed before the best is chosen
 LEAST_BINS = 30  # fewer valid bins than this cannot carry a dozen parameters

@@ -99,8 +99,8 @@ def read(path: str | os.PathLike[str]) -> Measurement:
         raise MerlError(f"{path}: no permission to read it; check its mode and owner") from None
     except OSError as error:
         raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
-    sha1, blob = hashlib.sha1(raw), hashlib.sha1(b"blob %d\0" % FILE_BYTES)
-    blob.update(raw)
+    sha1, blob = hashlib.sha1(raw.data), hashlib.sha1(b"blob %d\0" % FILE_BYTES)
+    blob.update(raw.data)
     stored = raw[HEADER.size :].view("<f8").reshape((CHANNELS, *DIMS))
     return _measurement(path, stored, sha1.hexdigest(), blob.hexdigest())
 
@@ -115,9 +115,11 @@ def _measurement(path: Path, stored: np.ndarray, sha1: str, blob_sha1: str) -> M
         invalid |= negative | ~finite
         np.multiply(numbers, scale, out=values[plane])
     if invalid.all():
-        raise MerlError(f"{path}: holds no valid bin (every one is negative or not finite); nothing can be fitted to it")
+        raise MerlError(
+            f"{path}: holds no valid bin (every one is negative or not finite); nothing can be fitted to it"
+        )
     values[:, invalid] = np.nan
-    return Measurement(path, values, ~invalid, *(int(n) for n in counts), sha1, blob_sha1)
+    return Measurement(path, values, ~invalid, int(counts[0]), int(counts[1]), int(counts[2]), sha1, blob_sha1)
 
 
 def _check_header(path: Path, head: bytes, size: int) -> None:

@@ -41,8 +41,8 @@ def fold(grid: MerlGrid, value: np.ndarray, weight: np.ndarray) -> Samples:
     """
     half = len(grid.phi_d) // 2
     value = np.where(weight > 0, value, 0.0)
-    w1, w2 = weight[..., :half], weight[..., :half-1:-1]
-    m1, m2 = value[..., :half], value[..., :half-1:-1]
+    w1, w2 = weight[..., :half], weight[..., : half - 1 : -1]
+    m1, m2 = value[..., :half], value[..., : half - 1 : -1]
     total = w1 + w2
     safe = np.where(total > 0, total, 1.0)
     scatter = float(np.sum(w1 * w2 / safe * (m1 - m2) ** 2))

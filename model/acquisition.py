@@ -60,5 +60,3 @@ def derived_exponent(beta: Array, p: Array, footprint_rad: float = FOOTPRINT_RAD
     loss = jnp.log(blurred_peak(jnp.asarray(FIT_ANGLES_RAD), beta, p, footprint_rad))
     loss = loss - jnp.log(blurred_peak(jnp.zeros(()), beta, p, footprint_rad))
     return jnp.clip(jnp.sum(loss * log_base) / np.sum(log_base**2), 0.0, 1.0)
-
-

@@ -39,7 +39,6 @@ def interpolation_nodes(order: int) -> int:
     return max(10, min(20, order))
 
 
-TAIL = 5.0  # log-radii covered below the smaller of beta and tan(theta_h); what is lost is below e^(-2 * 5)
 EDGE = 2.5  # start of the edge of D, in units of its own log-width
 SHARPNESS = 3  # exponent of the partition of unity
 
@@ -70,13 +69,15 @@ def _azimuth_nodes(theta_h: Array, theta_m: Array, B: Array, order: int) -> tupl
     e2 = e2[..., None]
     denominator = 1 - sin2 + e2 * sin2
     cos_psi = cos_difference[..., None] - two_sin_sin[..., None] * e2 * sin2 / denominator
-    return jnp.maximum(cos_psi, 0.0), 2 * w * jnp.sqrt(e2) * t_end[..., None] / denominator
+    return jnp.maximum(cos_psi, 0.0), jnp.asarray(2 * w) * jnp.sqrt(e2) * t_end[..., None] / denominator
 
 
 def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Nodes:
     """The two node sets for every pair (theta_h, B), last axis running over both."""
     theta_h, B = theta_h[..., None], B[..., None]
     u, w = gauss_legendre(order)
+    # log-radii covered below the smaller of beta and tan(theta_h); what is lost is e^(-2 tail), below the order's error
+    tail = min(max(3 + order / 12, 4.5), 12.0)
 
     # Set 1, around the normal: y = log(tan(theta_m)/beta) as a function of q with slope 1/steep on the edge of D,
     # where exp(-e^(2 p y)) falls, and 1 below it.
@@ -84,7 +85,7 @@ def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Node
     slack = 1 - 1 / steep
     y_high = jnp.log(34 + 3 / p) / (2 * p)
     log_tan_h = jnp.log(jnp.maximum(jnp.tan(jnp.minimum(theta_h, 1.57)), 1e-30) / beta)
-    y_low = jnp.maximum(jnp.minimum(log_tan_h, 0.0), -jnp.log1p(B * beta)) - TAIL
+    y_low = jnp.maximum(jnp.minimum(log_tan_h, 0.0), -jnp.log1p(B * beta)) - tail
     q_low = jnp.minimum(y_low - slack * EDGE, -EDGE - 2)
     q_high = y_high * steep
 

@@ -41,9 +41,7 @@ def transmitted(cos_theta: Array, n: Array, k: Array) -> Transmitted:
     c_real, c_imag = refracted_cosine(cos_theta, n, k)
     eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
     senkrecht = safe_divide(jnp.ones(()), (cos_theta + c_real) ** 2 + c_imag**2)
-    parallel = safe_divide(
-        jnp.ones(()), (eta2_real * cos_theta + c_real) ** 2 + (eta2_imag * cos_theta + c_imag) ** 2
-    )
+    parallel = safe_divide(jnp.ones(()), (eta2_real * cos_theta + c_real) ** 2 + (eta2_imag * cos_theta + c_imag) ** 2)
     return Transmitted(senkrecht, parallel, c_real, c_imag)
 
 

@@ -13,7 +13,7 @@ On a grid ``mirror`` and ``spread`` live on (theta_h, theta_d) alone, ``shadow``
 differentiates needs each factor's derivative only in the parameters it names.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -49,7 +49,9 @@ class Factor(NamedTuple):
     evaluate: Callable[[Values, Setting], Array]
 
 
-def setting(geometry: Geometry, effects: Effects, wavelengths_um: ArrayLike = WAVELENGTHS_UM) -> Setting:
+def setting(
+    geometry: Geometry, effects: Effects, wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM
+) -> Setting:
     """Directions made safe to compute with, and wavelengths with a leading axis."""
     above = (geometry.cos_i > 0) & (geometry.cos_o > 0)
     cos_i, cos_o = jnp.where(above, geometry.cos_i, 1.0), jnp.where(above, geometry.cos_o, 1.0)
@@ -88,7 +90,7 @@ def two_scale(
     params: Mapping[str, ArrayLike],
     geometry: Geometry,
     effects: Effects,
-    wavelengths_um: ArrayLike = WAVELENGTHS_UM,
+    wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
 ) -> Array:
     """BRDF (1/sr) of a two-scale material for any directions and any number of wavelengths.
 

@@ -1,0 +1,211 @@
+"""The command line: parses, calls, prints."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+app = typer.Typer(
+    name="merlfit", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    help="Fit the two-scale reflection + diffraction model to MERL BRDF files, with error bars.",
+)  # fmt: skip
+BAD_INPUT, FAILED_FIT = 2, 1
+console = Console()
+errors = Console(stderr=True)
+
+Files = Annotated[list[Path], typer.Argument(help="MERL .binary files.", show_default=False)]
+Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
+Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False)]
+
+
+def main() -> None:
+    """Entry point of the ``merlfit`` command."""
+    app()
+
+
+def _fail(message: str) -> typer.Exit:
+    errors.print(f"merlfit: {message}", style="red", highlight=False, soft_wrap=True, markup=False)
+    return typer.Exit(BAD_INPUT)
+
+
+@app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
+def check(files: Files) -> None:
+    """Print what MERL files hold: dims, valid bins, bad numbers, largest values, whether they are the genuine ones."""
+    from ..merl_io.binary import MerlError
+    from ..merl_io.check import inspect_file
+    from .report import check_table
+
+    reports, bad = [], 0
+    for path in files:
+        try:
+            reports.append(inspect_file(path))
+        except MerlError as error:
+            bad += 1
+            _fail(str(error))
+    if reports:
+        console.print(check_table(reports))
+    if bad:
+        raise typer.Exit(BAD_INPUT)
+
+
+@app.command(epilog="Example: merlfit fit nickel.binary gray-plastic.binary -o fits --no-posterior")
+def fit(
+    files: Files,
+    out: Out = Path("fits"),
+    config: Annotated[Path | None, typer.Option(help="TOML settings; see configs/default.toml.")] = None,
+    body: Annotated[str | None, typer.Option(help="auto, none (conductor), lambert, plastic or subsurface.")] = None,
+    posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
+    seed: Seed = None,
+) -> None:
+    """Fit each file and write OUT/NAME.json. Exit code 0 if all fits succeeded, 1 if one failed, 2 on bad input."""
+    settings = _settings(config, body, posterior, seed)
+    outcomes = _fit_all(files, out, settings)
+    _summarise(outcomes)
+
+
+def _settings(config: Path | None, body: str | None, posterior: bool | None, seed: int | None) -> Any:  # noqa: ANN401
+    from .config import Config, ConfigError, load
+
+    try:
+        return (load(config) if config else Config()).with_options(body, posterior, seed)
+    except ConfigError as error:
+        raise _fail(str(error)) from None
+
+
+def _fit_all(files: list[Path], out: Path, settings: Any) -> list:  # noqa: ANN401
+    from ..merl_io.binary import MerlError
+    from .compilation import use_persistent_cache
+    from .report import Outcome
+    from .run import fit_file
+
+    use_persistent_cache()
+    outcomes = []
+    with Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console, transient=True,
+        disable=not console.is_terminal,
+    ) as progress:  # fmt: skip
+        for k, path in enumerate(files, 1):
+            task = progress.add_task(path.name)
+            label = f"[{k}/{len(files)}] {path.stem}"
+            try:
+                result = fit_file(path, out, settings, _reporter(progress, task, label))
+                outcomes.append(Outcome(path, result))
+                console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s", markup=False)
+            except (MerlError, OSError) as error:
+                outcomes.append(Outcome(path, None, str(error)))
+                _fail(str(error))
+            progress.remove_task(task)
+    return outcomes
+
+
+def _reporter(progress: Progress, task: Any, label: str) -> Callable[[str], None]:  # noqa: ANN401
+    """Stages to the progress display on a terminal, to plain lines elsewhere (a new stage, not every step)."""
+    last = [""]
+
+    def report(stage: str) -> None:
+        progress.update(task, description=f"{label}: {stage}")
+        if not console.is_terminal and stage.split(":")[0] != last[0]:
+            last[0] = stage.split(":")[0]
+            console.print(f"{label}: {stage}", markup=False)
+
+    return report
+
+
+def _summarise(outcomes: list) -> None:
+    from .report import summary_table
+
+    console.print(summary_table(outcomes))
+    for o in outcomes:
+        if o.result is not None and not o.result.fit.succeeded:
+            console.print(f"{o.path.stem}: {o.result.fit.message}", markup=False)
+    if any(o.result is None for o in outcomes):
+        raise typer.Exit(BAD_INPUT)
+    if any(not o.result.fit.succeeded for o in outcomes):
+        raise typer.Exit(FAILED_FIT)
+
+
+@app.command(epilog="Example: merlfit synth nickel --source sgd -o nickel-sgd.binary")
+def synth(
+    material: Annotated[str, typer.Argument(help="Name of a published material, or a RESULT.json of a fit.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The .binary file to write.", show_default=False)],
+    source: Annotated[str, typer.Option(help="Published table: see `merlfit synth list -o -`.")] = "sgd",
+) -> None:
+    """Write a MERL file from a published parameter set or from a fit (without the acquisition's grazing loss)."""
+    from ..merl_io.binary import MerlError, write
+    from .export import ResultError
+    from .synthesis import describe_sources, from_published, from_result
+
+    if material == "list":
+        console.print(describe_sources(), markup=False)
+        return
+    try:
+        values, said = from_result(Path(material)) if material.endswith(".json") else from_published(material, source)
+        write(out, values)
+    except (MerlError, ResultError, KeyError, ValueError) as error:
+        raise _fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
+    console.print(f"{out}: {said}", markup=False, soft_wrap=True)
+
+
+@app.command(epilog="Example: merlfit inspect fits/nickel.json")
+def inspect(
+    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False)],
+    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for the pictures [default: beside it].")
+    ] = None,
+) -> None:
+    """Print a fit's parameters with intervals; write its lobe plot and the corner plot of its posterior."""
+    from .export import ResultError, read_result
+
+    try:
+        read = read_result(result)
+    except ResultError as error:
+        raise _fail(str(error)) from None
+    _show(result, read, file or Path(read.source.path), out or result.parent)
+
+
+def _show(path: Path, result: Any, file: Path, out: Path) -> None:  # noqa: ANN401
+    from ..merl_io.binary import MerlError
+    from ..merl_io.binary import read as read_merl
+    from . import plots
+    from .report import print_result
+
+    print_result(console, result)
+    out.mkdir(parents=True, exist_ok=True)
+    pictures = {"corner": plots.corner_figure(result, path.parent)}
+    try:
+        measurement = read_merl(file)
+        if measurement.sha1 != result.source.sha1:
+            raise MerlError(f"{file}: is not the file that was fitted (other SHA-1)")
+        if result.model is not None:
+            pictures["lobes"] = plots.lobe_figure(result, measurement)
+    except MerlError as error:
+        errors.print(f"merlfit: no lobe plot: {error}; name the file with --file", markup=False, soft_wrap=True)
+    for name, figure in pictures.items():
+        if figure is not None:
+            target = out / f"{result.source.material}.{name}.png"
+            plots.save(figure, target)
+            console.print(f"wrote {target}", markup=False, soft_wrap=True)
+
+
+@app.command(epilog="Example: merlfit demo -o demo-out")
+def demo(out: Out = Path("demo-out"), seed: Seed = None) -> None:
+    """Synthesise one published material as a MERL file, fit it with its posterior, and show the outcome."""
+    from ..merl_io.binary import write
+    from .synthesis import DEMO, from_published
+
+    start = time.perf_counter()
+    out.mkdir(parents=True, exist_ok=True)
+    values, said = from_published(*DEMO)
+    path = out / f"{DEMO[0]}.binary"
+    write(path, values)
+    console.print(f"{path}: {said}", markup=False, soft_wrap=True)
+    outcomes = _fit_all([path], out, _settings(None, None, None, seed))
+    if outcomes[0].result is not None:
+        _show(out / f"{DEMO[0]}.json", outcomes[0].result, path, out)
+    _summarise(outcomes)
+    console.print(f"demo done in {time.perf_counter() - start:.0f} s; results in {out}/")

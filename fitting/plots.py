@@ -1,0 +1,107 @@
+"""Pictures of a fit: lobes in the plane of incidence, and the corner plot of the posterior. They return figures."""
+
+from pathlib import Path
+
+import corner
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.interpolate import RegularGridInterpolator
+
+from ..merl_io.binary import Measurement
+from ..merl_io.grid import MerlGrid, merl_grid
+from ..model.acquisition import grazing
+from ..model.effects import Effects
+from ..model.geometry import Geometry
+from ..model.two_scale import two_scale
+from .export import Model, Result
+
+matplotlib.use("Agg")
+INCIDENCES_DEG = (0, 20, 40, 60, 80)
+CHANNEL_COLOURS = {"R": "#c0392b", "G": "#2e8b57", "B": "#2f5fb3"}
+
+
+def plane_of_incidence(theta_i: float, theta_o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors of light (at ``-x``) and viewers at signed angles, positive on the mirror's side (rad)."""
+    i = np.array([-np.sin(theta_i), 0.0, np.cos(theta_i)])
+    o = np.stack([np.sin(theta_o), np.zeros_like(theta_o), np.cos(theta_o)], -1)
+    return np.broadcast_to(i, o.shape), o
+
+
+def half_difference(i: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rusinkiewicz angles (rad) of pairs of directions in one plane with the normal: phi_d is 0 or pi there.
+
+    cos_i = cos_h cos_d - sin_h sin_d cos(phi_d), so phi_d = 0 where the light is the lower of the two.
+    """
+    h = i + o
+    theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    theta_d = np.arctan2(np.linalg.norm(i - o, axis=-1), np.linalg.norm(h, axis=-1))
+    return theta_h, theta_d, np.where(i[..., 2] < o[..., 2], 0.0, np.pi)
+
+
+def measured_lobe(
+    measurement: Measurement, grid: MerlGrid, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
+) -> np.ndarray:
+    """Measured BRDF (3, N) at some angles, linear between bin centres (for pictures only); NaN beside masked bins."""
+    axes = (grid.theta_h, grid.theta_d, grid.phi_d)
+    points = np.stack([np.clip(x, a[0], a[-1]) for x, a in zip((theta_h, theta_d, phi_d), axes, strict=True)], -1)
+    return np.stack([RegularGridInterpolator(axes, plane)(points) for plane in measurement.values])
+
+
+def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray) -> np.ndarray:
+    """What the apparatus would have measured of the fitted material, (3, N)."""
+    geometry = Geometry.from_vectors(i, o)
+    brdf = two_scale(values, geometry, Effects(model.body, model.diffraction, model.order), model.wavelengths_um)
+    return np.asarray(brdf * grazing(geometry, np.asarray(model.grazing_exponent)))
+
+
+def lobe_figure(result: Result, measurement: Measurement) -> Figure:
+    """Measured against fitted lobes in the plane of incidence, one panel an incidence, cube root scale."""
+    assert result.model is not None
+    grid, values = merl_grid(), result.values()
+    theta_o = np.radians(np.linspace(-89, 89, 357))
+    figure = Figure(figsize=(15, 3.6), layout="constrained")
+    for axis, degrees in zip(figure.subplots(1, len(INCIDENCES_DEG), sharey=True), INCIDENCES_DEG, strict=True):
+        i, o = plane_of_incidence(np.radians(degrees), theta_o)
+        measured = measured_lobe(measurement, grid, *half_difference(i, o))
+        fitted = predicted_lobe(result.model, values, i, o)
+        for name, m, f in zip(result.model.channels, measured, fitted, strict=True):
+            colour = CHANNEL_COLOURS.get(name, "black")
+            axis.plot(np.degrees(theta_o), np.cbrt(m), ".", color=colour, markersize=2.5, alpha=0.6)
+            axis.plot(np.degrees(theta_o), np.cbrt(f), "-", color=colour, linewidth=1.2, label=f"{name} fitted")
+        axis.axvline(degrees, color="gray", linewidth=0.6, linestyle=":")
+        axis.set(title=rf"$\theta_i = {degrees}^\circ$", xlabel=r"$\theta_o$ (deg), mirror side positive")
+        axis.set_xticks([-60, -30, 0, 30, 60])
+        axis.grid(alpha=0.2)
+    first = figure.axes[0]
+    first.set_ylabel(r"cube root of BRDF (sr$^{-1/3}$)")
+    first.plot([], [], ".", color="gray", label="file")
+    first.legend(fontsize=7)
+    body = "conductor" if result.model.body == "none" else f"dielectric over {result.model.body}"
+    origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
+    figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}, with the acquisition's grazing loss")
+    return figure
+
+
+def corner_figure(result: Result, folder: Path) -> Figure | None:
+    """Corner plot of the posterior, from the chain beside the result; None if it was not sampled or too short."""
+    if result.posterior is None or not result.posterior.sufficient:
+        return None
+    path = folder / Path(result.posterior.chain_file).name
+    if not path.is_file():
+        return None
+    with np.load(path, allow_pickle=False) as chain:
+        values, names = chain["values"], [str(n) for n in chain["names"]]
+    best = [q.value for q in result.parameters]
+    figure = Figure(figsize=(1.5 * len(names), 1.5 * len(names)))
+    corner.corner(
+        values[:: max(1, len(values) // 20_000)], labels=names, truths=best, quantiles=[0.05, 0.5, 0.95], fig=figure,
+        label_kwargs={"fontsize": 9}, truth_color="#c0392b", max_n_ticks=3,
+    )  # fmt: skip
+    figure.suptitle(f"{result.source.material}: posterior (lines: fitted value, 5/50/95 % quantiles)")
+    return figure
+
+
+def save(figure: Figure, path: Path, dpi: int = 110) -> None:
+    """Write a picture."""
+    figure.savefig(path, dpi=dpi)

@@ -1,0 +1,115 @@
+"""Results as tables for a terminal; rich draws them, plain text when the output is not one."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from ..merl_io.check import FileReport
+from .export import ParameterResult, Result
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One file of a batch: its result, or the one line that says why there is none."""
+
+    path: Path
+    result: Result | None
+    error: str | None = None
+
+
+def number(x: float | None, digits: int = 4) -> str:
+    """A number with a few significant digits; a dash for none."""
+    if x is None or not math.isfinite(x):
+        return "-"
+    return f"{x:.{digits}g}"
+
+
+def check_table(reports: Sequence[FileReport]) -> Table:
+    """What `merlfit check` prints."""
+    table = Table(title="MERL files (max: largest BRDF value, 1/sr; genuine: by SHA-1)", title_justify="left")
+    left = ("file", "genuine MERL")
+    for head in ("file", "dims", "valid", "negative", "NaN", "inf", "max R", "max G", "max B", "genuine MERL"):
+        table.add_column(
+            head, justify="left" if head in left else "right", overflow="fold" if head in left else "ellipsis"
+        )
+    for r in reports:
+        table.add_row(
+            r.path.name, "x".join(map(str, r.dims)), f"{r.fraction_valid:.1%}", str(r.negative), str(r.nan), str(r.inf),
+            *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no",
+        )  # fmt: skip
+    return table
+
+
+def summary_table(outcomes: Sequence[Outcome]) -> Table:
+    """One row a file of a batch."""
+    table = Table(title="Fits", title_justify="left")
+    for head in ("material", "body", "status", "cost", "RMSE (1/sr)", "sMAPE", "posterior", "seconds"):
+        table.add_column(head, justify="right" if head in ("cost", "RMSE (1/sr)", "sMAPE", "seconds") else "left")
+    for o in outcomes:
+        if o.result is None:
+            table.add_row(o.path.stem, "-", f"failed: {o.error}", "-", "-", "-", "-", "-")
+            continue
+        r = o.result
+        chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else "too short"
+        table.add_row(
+            r.source.material, r.model.body if r.model else "-", r.fit.status, number(r.fit.cost),
+            number(r.metrics.rmse), number(r.metrics.smape, 3), chain, f"{r.seconds['total']:.1f}",
+        )  # fmt: skip
+    return table
+
+
+def interval(q: ParameterResult) -> str:
+    """The 90 % interval, or the reason why there is none."""
+    if q.quantiles is None:
+        return "-"
+    return f"{number(q.quantiles.q05)} .. {number(q.quantiles.q95)}"
+
+
+def parameter_table(result: Result) -> Table:
+    """Parameters with intervals."""
+    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left")
+    for head in ("parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", "meaning"):
+        table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
+    for q in result.parameters:
+        bounds = f"[{number(q.lower)}, {number(q.upper)}]" + (f" at {q.at_bound}" if q.at_bound != "no" else "")
+        unit = "-" if q.unit == "1" else q.unit
+        table.add_row(q.name, number(q.value), number(q.standard_error, 2), interval(q), unit, bounds, q.meaning)
+    return table
+
+
+def print_result(console: Console, result: Result) -> None:
+    """Everything a person asks first of one result."""
+    s, f = result.source, result.fit
+    origin = f"genuine MERL file {s.genuine_merl}" if s.genuine_merl else "not a genuine MERL file (other SHA-1)"
+    console.print(f"{s.material}: {s.path}, {origin}, {s.fraction_valid:.1%} of bins valid")
+    if result.model is None:
+        console.print(f"{f.status}: {f.message}")
+        return
+    m = result.model
+    body = "conductor" if m.body == "none" else f"dielectric over {m.body}"
+    console.print(
+        f"two-scale, {body}, diffraction by {m.diffraction}, grazing exponent {m.grazing_exponent:.3f} ({m.grazing})"
+    )
+    console.print(parameter_table(result))
+    console.print(f"{f.status}: {f.message}")
+    console.print(
+        f"cost {number(f.cost)} of the weighted energy, RMSE {number(result.metrics.rmse)} 1/sr, "
+        f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} bins, {f.steps} full-resolution steps"
+    )
+    if len(f.candidates) > 1:
+        console.print(
+            "bodies on the coarse grid (BIC): " + ", ".join(f"{c.body} {number(c.bic)}" for c in f.candidates)
+        )
+    if result.posterior is None:
+        console.print("posterior: not sampled")
+        return
+    p = result.posterior
+    console.print(
+        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}, smallest effective size "
+        f"{min(p.effective_size):.0f}, residuals worth {', '.join(number(n, 3) for n in p.effective_bins_per_channel)} "
+        f"independent bins (R, G, B), thinning shifts the optimum by {p.thinning_shift_sd:.2f} standard deviations"
+    )

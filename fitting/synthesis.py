@@ -1,0 +1,62 @@
+"""MERL files without a measurement: tabulated from published parameter sets or from a fit."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..merl_io.grid import merl_grid
+from ..model import published
+from ..model.effects import Effects
+from ..model.geometry import Geometry
+from ..model.two_scale import two_scale
+from .export import ResultError, read_result
+
+DEMO = ("alum-bronze", "sgd")  # a metal with a wide, coloured lobe
+ROWS = 10  # of theta_h evaluated at a time
+
+
+def _tabulate(evaluate: object) -> np.ndarray:
+    """BRDF on MERL's grid, (3, 90, 90, 180), 1/sr; NaN below the horizon."""
+    grid = merl_grid()
+    compiled = jax.jit(evaluate)  # type: ignore[arg-type]
+    parts = [
+        np.asarray(compiled(Geometry.from_half_difference(
+            grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])))
+        for rows in np.split(np.arange(len(grid.theta_h)), len(grid.theta_h) // ROWS)
+    ]  # fmt: skip
+    return np.where(grid.above, np.concatenate(parts, 1), np.nan)
+
+
+def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
+    """A published parameter set, and in words what it is.
+
+    Raises:
+        KeyError: unknown material or source; the message names the nearest known one.
+    """
+    values = _tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g), -1, 0))
+    said = f"synthetic MERL file of {material}, from published parameters: {published.SOURCES[source].citation}"
+    return values, said
+
+
+def from_result(path: Path) -> tuple[np.ndarray, str]:
+    """A fitted material, without the acquisition's grazing loss.
+
+    Raises:
+        ResultError: not a result, or a failed one.
+    """
+    result = read_result(path)
+    if result.model is None:
+        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
+    m, params = result.model, result.values()
+    effects = Effects(m.body, m.diffraction, m.order)
+    values = _tabulate(lambda g: two_scale(params, g, effects, m.wavelengths_um))
+    return values, f"synthetic MERL file from the two-scale fit of {result.source.material}"
+
+
+def describe_sources() -> str:
+    """The published tables and their materials."""
+    return "\n".join(
+        f"{name}: {s.citation}\n  {', '.join(published.materials(name))}" for name, s in published.SOURCES.items()
+    )

@@ -1,0 +1,126 @@
+"""Published parameters of the rival models for the materials of MERL, and the models that they belong to."""
+
+import difflib
+import json
+from collections.abc import Callable
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from .geometry import Geometry
+from .parameters import Parameter
+from .rivals import abc_microfacet, cook_torrance, he, sgd, smooth
+
+LOEW = (
+    "Loew, Kronander, Ynnerman & Unger 2012, BRDF models for accurate and efficient rendering of glossy surfaces, "
+    "doi:10.1145/2077341.2077350 (parameters of the E2 metric)"
+)
+NGAN = "Ngan, Durand & Matusik 2005, Experimental analysis of BRDF models, doi:10.5555/2383654.2383671"
+BAGHER = (
+    "Bagher, Soler & Holzschuch 2012, Accurate fitting of measured reflectances using a Shifted Gamma micro-facet "
+    "distribution, doi:10.1111/j.1467-8659.2012.03147.x"
+)
+# Ngan's tables hold the numbers of MERL's files before the files' own factors 1, 1.15 and 1.66 for R, G and B are
+# applied: the median ratio of their diffuse albedos to Loew's is 0.98, 0.85, 0.58.
+MERL_SCALE = (1.0, 1.15, 1.66)
+
+
+class Source(NamedTuple):
+    """A published table.
+
+    Attributes:
+        citation: where the numbers were printed.
+        model: the class of its parameters.
+        evaluate: the model's BRDF (1/sr) from parameters and geometry, shape ``(..., 3)``.
+        parameters: their declarations: meaning, unit, bounds.
+        table: name of the file.
+        channel_scale: what ``rescaled`` multiplies the albedos by.
+    """
+
+    citation: str
+    model: type[eqx.Module]
+    evaluate: Callable[[Any, Geometry], Array]
+    parameters: tuple[Parameter, ...]
+    table: str
+    channel_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+SOURCES: dict[str, Source] = {
+    "sgd": Source(BAGHER, sgd.ShiftedGamma, sgd.evaluate, sgd.PARAMETERS, "bagher_sgd"),
+    "smooth": Source(LOEW, smooth.Smooth, smooth.evaluate, smooth.PARAMETERS, "low_lowsmooth_E2"),
+    "abc_microfacet": Source(
+        LOEW, abc_microfacet.ABCMicrofacet, abc_microfacet.evaluate, abc_microfacet.PARAMETERS, "low_lowmicrofacet_E2"
+    ),
+    "cook_torrance": Source(
+        LOEW, cook_torrance.CookTorrance, cook_torrance.evaluate, cook_torrance.PARAMETERS, "low_cooktorrance_E2"
+    ),
+    "cook_torrance_ngan": Source(
+        NGAN, cook_torrance.CookTorranceNgan, cook_torrance.evaluate_ngan, cook_torrance.PARAMETERS_NGAN,
+        "ngan_cooktorrance", MERL_SCALE,
+    ),
+    "he": Source(NGAN, he.He, he.evaluate, he.PARAMETERS, "ngan_he", MERL_SCALE),
+}  # fmt: skip
+
+
+@cache
+def _table(source: str) -> dict[str, dict[str, list]]:
+    name = f"published_{SOURCES[source].table}.json"
+    return json.loads((files(__name__.rpartition(".")[0]) / "data" / name).read_text(encoding="utf-8"))["materials"]
+
+
+def _known(kind: str, name: str, names: tuple[str, ...]) -> None:
+    """Raise KeyError with the nearest known name unless ``name`` is known."""
+    if name in names:
+        return
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
+    raise KeyError(f"unknown {kind} {name!r}; the nearest known one is {near[0]!r}")
+
+
+def materials(source: str = "sgd") -> tuple[str, ...]:
+    """Names of the materials that a source has parameters for, sorted. KeyError: unknown source."""
+    _known("source of published parameters", source, tuple(SOURCES))
+    return tuple(sorted(_table(source)))
+
+
+def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> Any:  # noqa: ANN401 - one class a source
+    """Published parameters of a material of MERL, as the class ``SOURCES[source].model``, in float64.
+
+    The numbers are those printed. Names follow the models: SGD's ``eta`` is ``F0`` and ``F1``, Ngan's Cook-Torrance
+    ``eta`` is ``F0``.
+
+    Args:
+        material: MERL's name, such as ``blue-metallic-paint``.
+        source: a key of ``SOURCES``.
+        rescaled: multiply both albedos by ``SOURCES[source].channel_scale``, which puts Ngan's tables on the scale of
+            MERL's reflectances and leaves the others as they are.
+
+    Raises:
+        KeyError: the material or the source is unknown; the message names the nearest known one.
+    """
+    _known(f"material in {source!r}", material, materials(source))
+    entry = {name: np.asarray(value, dtype=float) for name, value in _table(source)[material].items()}
+    if source == "sgd":
+        entry["F0"], entry["F1"] = entry.pop("eta")
+    if source == "cook_torrance_ngan":
+        entry["F0"] = entry.pop("eta")
+    if rescaled and "albedo" in entry:
+        scale = np.asarray(SOURCES[source].channel_scale)
+        entry |= {name: entry[name] * scale for name in ("diffuse_albedo", "albedo")}
+    return SOURCES[source].model(**{name: jnp.asarray(value) for name, value in entry.items()})
+
+
+_compiled = {name: jax.jit(source.evaluate) for name, source in SOURCES.items()}
+
+
+def evaluate(material: str, source: str, geometry: Geometry, *, rescaled: bool = False) -> Array:
+    """BRDF (1/sr) of a material with its published parameters, shape ``(*broadcast shape of geometry, 3)``.
+
+    Arguments and errors are those of :func:`published`; compiled once for each source and shape.
+    """
+    return _compiled[source](published(material, source, rescaled=rescaled), geometry)

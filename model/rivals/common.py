@@ -1,0 +1,47 @@
+"""What the rival models share: directions with a channel axis, V-groove masking, the Beckmann exponential."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from ..geometry import Geometry
+from ..numerics import safe_divide
+
+
+def with_channels(geometry: Geometry) -> tuple[Geometry, Array]:
+    """The geometry with a trailing channel axis, and where light and viewer are both above the surface.
+
+    Cosines of directions that are not above are replaced by 1, so that every formula stays finite there; the mask
+    has the full broadcast shape ``(..., 1)`` and :func:`visible` applies it. Other arrays keep their own shapes: what
+    depends on the half angle alone is computed once for each half angle.
+    """
+    theta_h, theta_d = jnp.asarray(geometry.theta_h)[..., None], jnp.asarray(geometry.theta_d)[..., None]
+    cos_i, cos_o = jnp.asarray(geometry.cos_i)[..., None], jnp.asarray(geometry.cos_o)[..., None]
+    shape = jnp.broadcast_shapes(theta_h.shape, theta_d.shape, cos_i.shape, cos_o.shape)
+    above = jnp.broadcast_to((cos_i > 0) & (cos_o > 0), shape)
+    lifted = Geometry(theta_h, theta_d, jnp.where(cos_i > 0, cos_i, 1.0), jnp.where(cos_o > 0, cos_o, 1.0))
+    return lifted, above
+
+
+def visible(diffuse_albedo: Array, specular: Array, above: Array) -> Array:
+    """``k_d / pi + specular`` (1/sr), shape ``(..., 3)``; 0 where light or viewer are not above the surface."""
+    return jnp.where(above, diffuse_albedo / jnp.pi + specular, 0.0)
+
+
+def projected_half_squared(geometry: Geometry) -> Array:
+    """Squared length of i + o projected on the surface, ``|i + o|^2 sin^2 theta_h = 4 cos_d^2 sin_h^2``."""
+    return (2 * geometry.cos_d * jnp.sin(geometry.theta_h)) ** 2
+
+
+def v_groove(geometry: Geometry) -> Array:
+    """Masking and shadowing in V-grooves, min(1, 2 n.h n.i / h.i, 2 n.h n.o / h.i) (Cook & Torrance 1982)."""
+    lower = jnp.minimum(geometry.cos_i, geometry.cos_o)
+    return jnp.minimum(1.0, safe_divide(2 * jnp.cos(geometry.theta_h) * lower, geometry.cos_d))
+
+
+def beckmann_shape(theta_h: Array, roughness: Array) -> Array:
+    """``exp(-tan^2(theta_h) / m^2) / (m^2 cos^4 theta_h)``: Cook & Torrance's D; divided by pi it is normalised.
+
+    0 at the horizon, where the exponential beats every power. ``m`` is the root mean square slope.
+    """
+    tan2 = jnp.tan(theta_h) ** 2
+    return jnp.exp(-tan2 / roughness**2 + 2 * jnp.log1p(tan2)) / roughness**2

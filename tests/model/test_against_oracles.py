@@ -1,0 +1,204 @@
+"""The fast formulas against the slow oracles, each with a wrong formula that the comparison rejects."""
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from merlfit.model import body, convolution, diffraction, fresnel, ndf, shadowing
+from oracles import bodies as o_bodies
+from oracles import convolution as o_convolution
+from oracles import diffraction as o_diffraction
+from oracles import fresnel as o_fresnel
+from oracles import ndf as o_ndf
+from oracles import shadowing as o_shadowing
+
+SEED = 20261121
+
+
+def worst(found, expected):
+    """Largest relative difference."""
+    found, expected = (
+        np.asarray(found, float),
+        np.array([float(x) for x in np.ravel(expected)]).reshape(np.shape(found)),
+    )
+    return np.max(np.abs(found - expected) / np.maximum(np.abs(expected), 1e-300))
+
+
+def optical_cases(count=60):
+    rng = np.random.default_rng(SEED)
+    n = np.exp(rng.uniform(np.log(0.05), np.log(6), count))
+    k = np.where(np.arange(count) % 3 == 0, 0.0, np.exp(rng.uniform(np.log(1e-3), np.log(12), count)))
+    return rng.uniform(0, np.pi / 2, count), rng.uniform(0, np.pi / 2, count), rng.uniform(0, np.pi, count), n, k
+
+
+def j(*numbers):
+    """JAX arrays of numbers."""
+    return [jnp.asarray(x, dtype=float) for x in numbers]
+
+
+def test_fresnel_to_1e_8():
+    theta, _, _, n, k = optical_cases()
+    expected = [o_fresnel.fresnel(np.cos(t), *nk) for t, *nk in zip(theta, n, k, strict=True)]
+    assert worst(fresnel.fresnel(*j(np.cos(theta), n, k)), expected) < 1e-8
+    swapped = [o_fresnel.fresnel(np.cos(t), b, a) for t, a, b in zip(theta, n, k, strict=True) if b > 0]
+    assert worst(fresnel.fresnel(*j(np.cos(theta), n, k))[k > 0], swapped) > 1e-2
+
+
+def test_diffraction_colour_to_1e_8_and_is_half_of_q():
+    i, o, phi, n, k = optical_cases()
+    dot = -np.sin(i) * np.sin(o) * np.cos(phi)  # phi is counted from the mirror direction
+    found = fresnel.diffraction_colour(jnp.cos(i), jnp.cos(o), jnp.asarray(dot), jnp.asarray(n), jnp.asarray(k))
+    q = np.array([float(o_fresnel.rayleigh_rice_q(*case)) for case in zip(i, o, phi, n, k, strict=True)])
+    assert worst(found, q / 2) < 1e-8
+    assert worst(found, q) > 0.4  # the printed Q, twice as much
+
+
+def test_diffraction_colour_is_fresnel_in_the_mirror_direction():
+    theta, _, _, n, k = optical_cases()
+    cos = jnp.cos(theta)
+    colour = fresnel.diffraction_colour(cos, cos, -(1 - cos**2), jnp.asarray(n), jnp.asarray(k))
+    np.testing.assert_allclose(colour, fresnel.fresnel(cos, *j(n, k)), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("beta", "p"), [(0.001, 0.3), (0.1, 0.2), (0.1, 1.0), (0.5, 5.0), (1.0, 0.7), (2.0, 2.0)])
+def test_epd_to_1e_8_and_normalised(beta, p):
+    theta = np.arctan(beta * np.array([0.0, 1e-3, 0.3, 1.0, 1.7]))
+    assert worst(ndf.epd(*j(theta, beta, p)), [o_ndf.epd(t, beta, p) for t in theta]) < 1e-8
+
+    def mass(density):  # over v = 2 p log(tan/beta), where it is smooth
+        v, step = np.linspace(-60 * max(p, 0.5), np.log(60.0), 6001, retstep=True)
+        tan = beta * np.exp(v / (2 * p))
+        t = np.arctan(tan)
+        return float(np.sum(density(t) * np.cos(t) * 2 * np.pi * np.sin(t) * np.cos(t) * np.sin(t) / (2 * p)) * step)
+
+    def epd(t):
+        return np.asarray(ndf.epd(*j(t, beta, p)))
+
+    assert mass(epd) == pytest.approx(1, abs=1e-8)
+    assert mass(lambda t: epd(t) * np.cos(t)) != pytest.approx(1, abs=1e-8)
+
+
+def test_smith_lambda_to_1e_8_and_beckmann():
+    rng = np.random.default_rng(SEED)
+    p = np.concatenate([np.exp(rng.uniform(np.log(0.12), np.log(5), 25)), np.ones(5)])
+    tau = np.concatenate([np.exp(rng.uniform(np.log(0.3), np.log(300), 25)), [0.3, 1.0, 3.0, 10.0, 1e3]])
+    expected = np.array([float(o_shadowing.smith_lambda(t, q)) for t, q in zip(tau, p, strict=True)])
+    large = expected > 1e-12
+    found = np.asarray(jax.vmap(shadowing.smith_lambda)(jnp.asarray(tau), jnp.asarray(p)))
+    assert worst(found[large], expected[large]) < 1e-8
+    assert worst(found[large] / 2, expected[large]) > 0.4  # the printed limits of Eq. 36 give half
+    beckmann = [o_shadowing.beckmann_lambda(t) for t in tau[25:]]
+    assert worst(found[25:], beckmann) < 1e-8
+
+
+@pytest.mark.parametrize("beta", [0.001, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("p", [0.2, 0.5, 1.0, 5.0])
+def test_masking_table_to_1e_6(beta, p):
+    cos = jnp.cos(jnp.linspace(0, np.pi / 2, 4001))
+    table, direct = shadowing.masking(cos, *j(beta, p)), shadowing.masking_direct(cos, *j(beta, p))
+    assert float(jnp.max(jnp.abs(table - direct))) < 1e-6
+    slopes = [jax.jacfwd(lambda x, f=f: f(cos, x[0], x[1]))(jnp.array([beta, p])) for f in (
+        shadowing.masking, shadowing.masking_direct)]  # fmt: skip
+    assert bool(jnp.all(jnp.isfinite(slopes[0])))
+    assert float(jnp.max(jnp.abs(slopes[0] - slopes[1]) * jnp.array([beta, p]))) < 1e-4
+
+
+def test_renormalisation_to_1e_8():
+    rng = np.random.default_rng(SEED)
+    s = np.concatenate([rng.uniform(0, 1, 30), [0.0, 1.0, 1.0, 0.999999]])
+    bl = np.concatenate([np.exp(rng.uniform(np.log(1e-3), np.log(1e4), 30)), [2.0, 1e4, 1e-3, 300.0]])
+    c = np.concatenate([1 + np.exp(rng.uniform(np.log(1e-3), np.log(7), 30)), [2.0, 1.001, 3.0, 1.5]])
+    expected = np.array([float(o_diffraction.renormalisation(*case)) for case in zip(s, bl, c, strict=True)])
+    found = diffraction.renormalisation(jnp.asarray(s), jnp.asarray(bl), jnp.asarray(c))
+    assert worst(found, expected) < 1e-8
+    centred = 1 - (1 + bl**2) ** (-(c - 1) / 2)  # as if the disc were always centred
+    assert worst(centred, expected) > 1e-2
+
+
+def test_bodies_to_1e_8():
+    rng = np.random.default_rng(SEED)
+    for _ in range(12):
+        i, o = rng.uniform(0, 1.55, 2)
+        n, albedo = rng.uniform(1.001, 3.5), rng.uniform(0.01, 0.999)
+        args = (jnp.cos(i), jnp.cos(o), jnp.asarray(n), jnp.asarray(albedo))
+        assert float(body.plastic(*args)) == pytest.approx(float(o_bodies.plastic(i, o, n, albedo)), rel=1e-8)
+        assert float(body.subsurface(*args)) == pytest.approx(float(o_bodies.subsurface(i, o, n, albedo)), rel=1e-8)
+        as_printed = float(body.plastic(*args)) * n**2
+        assert as_printed != pytest.approx(float(o_bodies.plastic(i, o, n, albedo)), rel=1e-4)
+
+
+def convolution_cases(count, seed=SEED):
+    """Parameters over all of the fit's bounds, half of the half angles near the lobe of normals."""
+    rng = np.random.default_rng(seed)
+    cases = []
+    for k in range(count):
+        beta, p = 10 ** rng.uniform(-3, 0), np.exp(rng.uniform(np.log(0.2), np.log(5)))
+        c, B = 1 + np.exp(rng.uniform(np.log(0.01), np.log(5))), 10 ** rng.uniform(-2, np.log10(900))
+        theta_h = rng.uniform(0, 1.57) if k % 2 else min(1.57, np.arctan(beta * rng.uniform(0, 4)))
+        cases.append((theta_h, B, c, beta, p))
+    return np.array(cases)
+
+
+@pytest.mark.parametrize(("order", "median", "largest"), [(24, 1e-4, 1e-2), (48, 1e-5, 1e-3), (96, 2e-6, 2e-4)])
+def test_convolution_is_within_one_percent_everywhere_in_bounds(order, median, largest):
+    cases = convolution_cases(300)
+    expected = np.array([o_convolution.convolve(*case) for case in cases])
+    found = jax.jit(jax.vmap(lambda x: convolution.convolve(x[0], x[1], x[2], x[3], x[4], order)))(cases)
+    error = np.abs(np.asarray(found) / expected - 1)
+    assert np.median(error) < median
+    assert error.max() < largest, cases[error.argmax()]
+
+
+def test_convolution_check_rejects_the_dirac_limit():
+    cases = convolution_cases(60)
+    expected = np.array([o_convolution.convolve(*case) for case in cases])
+    lobe = np.asarray(convolution.lobe(*j(cases[:, 0], cases[:, 1], cases[:, 2])))
+    assert np.median(np.abs(lobe / expected - 1)) > 1e-2
+
+
+def test_convolution_tends_to_the_lobe_for_narrow_normals():
+    theta_h = jnp.linspace(0.0, 1.4, 15)
+    wide = convolution.convolve(theta_h, *j(3.0, 2.0, 1e-4, 1.0), 48)
+    # D integrates to one with the cosine, and cos = 1 on a narrow lobe
+    np.testing.assert_allclose(wide, convolution.lobe(theta_h, *j(3.0, 2.0)), rtol=1e-3)
+
+
+def test_convolution_gradients_against_differences():
+    cases = convolution_cases(40)[:, :]
+
+    def value(x):
+        return jnp.log(convolution.convolve(x[0], jnp.exp(x[1]), 1 + jnp.exp(x[2]), jnp.exp(x[3]), jnp.exp(x[4]), 64))
+
+    x = np.column_stack([cases[:, 0], np.log(cases[:, 1]), np.log(cases[:, 2] - 1), np.log(cases[:, 3:])])
+    slope = np.asarray(jax.jit(jax.vmap(jax.jacfwd(value)))(x))
+    reverse = np.asarray(jax.jit(jax.vmap(jax.jacrev(value)))(x))
+    np.testing.assert_allclose(reverse, slope, rtol=1e-9, atol=1e-12)
+    batch = jax.jit(jax.vmap(value))
+    for k in range(1, 5):
+        h = 1e-3 * np.eye(5)[k]
+        difference = (np.asarray(batch(x + h)) - np.asarray(batch(x - h))) / 2e-3
+        scale = 1 + np.abs(difference)
+        assert np.max(np.abs(slope[:, k] - difference) / scale) < 2e-2
+        assert np.median(np.abs(slope[:, k] - difference) / scale) < 1e-4
+
+
+def test_grid_table_agrees_with_points():
+    theta_h = jnp.asarray(((np.arange(0, 90, 6) + 0.5) / 90) ** 2 * np.pi / 2)
+    cos_d = np.cos((np.arange(90) + 0.5) / 90 * np.pi / 2)
+    log_u = jnp.asarray(np.log(cos_d[:, None] / np.array([0.645, 0.526, 0.444])).ravel())
+    for b, c, beta, p in ((4.8, 2.0, 0.12, 0.5), (0.3, 1.2, 0.02, 0.3), (50.0, 3.0, 0.3, 2.0)):
+        points = convolution.convolve(theta_h[:, None], 2 * b * jnp.exp(log_u)[None], *j(c, beta, p), 24)
+        table = convolution.convolve_grid(theta_h, log_u, *j(b, c, beta, p), 24)
+        error = np.abs(np.asarray(table / points) - 1)
+        assert np.median(error) < 1e-4
+        assert error.max() < 1e-2
+
+
+def test_high_precision_fresnel_at_the_edges():
+    mp.mp.dps = 30
+    for cos in (0.0, 1e-9, 1.0):
+        for n, k in ((1.0, 0.0), (0.1, 20.0), (1.5, 0.0)):
+            found = float(fresnel.fresnel(jnp.asarray(cos), jnp.asarray(n), jnp.asarray(k)))
+            if not (cos == 0.0 and n == 1.0):
+                assert found == pytest.approx(float(o_fresnel.fresnel(cos, n, k)), abs=1e-9)

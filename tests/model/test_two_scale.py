@@ -1,0 +1,186 @@
+"""The assembled model: against the oracle, on grids and lists alike, reciprocal, differentiable, and what it reflects."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from merlfit.model.effects import BODIES, DIFFRACTIONS, Effects
+from merlfit.model.geometry import Geometry
+from merlfit.model.parameters import WAVELENGTHS_UM, parameters
+from merlfit.model.shadowing import masking
+from merlfit.model.two_scale import factors, setting, shaped, two_scale
+from oracles import bodies as o_bodies
+from oracles import two_scale as o_two_scale
+
+SEED = 20261121
+SHARED = {"beta": 0.15, "p": 0.7, "b": 3.0, "c": 1.8, "sigma_s": 0.04}
+OPTICS = {
+    "n": np.array([0.2, 0.9, 1.4]), "k": np.array([3.4, 2.3, 1.6]), "eta": np.array([1.4, 1.5, 1.6]),
+    "albedo": np.array([0.6, 0.3, 0.05]),
+}  # fmt: skip
+EVERY = [Effects(body, diffraction) for body in BODIES for diffraction in DIFFRACTIONS]
+
+
+def material(effects, **changes):
+    return {q.name: {**SHARED, **OPTICS, **changes}[q.name] for q in parameters(effects)}
+
+
+def random_directions(count, seed=SEED, highest=1.5):
+    rng = np.random.default_rng(seed)
+    theta, phi = np.arccos(rng.uniform(np.cos(highest), 1, (2, count))), rng.uniform(0, 2 * np.pi, (2, count))
+    return np.moveaxis(np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]), 0, -1)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_against_the_oracle(body):
+    effects = Effects(body, order=64)
+    i, o = random_directions(12)
+    values = material(effects)
+    found = np.asarray(two_scale(values, Geometry.from_vectors(i, o), effects))
+    for channel, wavelength in enumerate(WAVELENGTHS_UM):
+        n, k = (OPTICS["n"], OPTICS["k"]) if body == "none" else (OPTICS["eta"], np.zeros(3))
+        m = o_two_scale.Material(**SHARED, n=n[channel], k=k[channel])
+        albedo, eta = OPTICS["albedo"][channel], OPTICS["eta"][channel]
+        for a, b, value in zip(i, o, found[channel], strict=True):
+            ti, to = np.arccos(a[2]), np.arccos(b[2])
+            under = {
+                "none": lambda: 0.0,
+                "lambert": lambda: albedo / np.pi,
+                "plastic": lambda: o_bodies.plastic(ti, to, eta, albedo),
+                "subsurface": lambda: o_bodies.subsurface(ti, to, eta, albedo),
+            }[body]()
+            assert value == pytest.approx(o_two_scale.brdf(a, b, wavelength, m, float(under)), rel=3e-4)
+            printed_q = o_two_scale.brdf(a, b, wavelength, m, float(under), q_factor=1.0)
+            assert value != pytest.approx(printed_q, rel=1e-3)
+
+
+@pytest.mark.parametrize("effects", EVERY, ids=str)
+def test_lists_and_grids_are_the_same_function(effects):
+    axes = np.ix_([0.001, 0.05, 0.4, 1.1], np.linspace(0.02, 1.5, 9), [0.1, 1.5, 3.0])
+    grid = Geometry.from_half_difference(*axes)
+    flat = Geometry.from_half_difference(*(a.ravel() for a in np.broadcast_arrays(*axes)))
+    on_grid, on_list = (np.asarray(two_scale(material(effects), g, effects)) for g in (grid, flat))
+    assert on_grid.shape == (3, 4, 9, 3)
+    np.testing.assert_allclose(on_grid.reshape(3, -1), on_list, rtol=2e-3, atol=1e-12)
+    assert np.all(on_list[:, (np.asarray(flat.cos_i) <= 0) | (np.asarray(flat.cos_o) <= 0)] == 0)
+
+
+@pytest.mark.parametrize("effects", EVERY, ids=str)
+def test_reciprocity(effects):
+    i, o = random_directions(40)
+    there, back = (
+        np.asarray(two_scale(material(effects), Geometry.from_vectors(*d), effects)) for d in ((i, o), (o, i))
+    )
+    np.testing.assert_allclose(there, back, rtol=1e-9)
+
+
+@pytest.mark.parametrize("effects", EVERY, ids=str)
+def test_gradients_are_finite_at_the_edges_and_match_differences(effects):
+    up, low = np.array([0.0, 0.0, 1.0]), np.array([np.sin(1.5707), 0.0, np.cos(1.5707)])
+    mirror = low * np.array([-1, 1, 1])
+    side = np.array([0.6, 0.0, 0.8])
+    i = np.array([up, low, low, side, side, up])
+    o = np.array([up, mirror, low, side, np.array([-0.6, 0.0, 0.8]), side])
+    geometry = Geometry.from_vectors(i, o)
+    values = {name: jnp.asarray(v, dtype=float) for name, v in material(effects).items()}
+
+    def at(logs):
+        return two_scale({name: values[name] * jnp.exp(x) for name, x in logs.items()}, geometry, effects)
+
+    zero = {name: jnp.zeros_like(v) for name, v in values.items()}
+    forward, reverse = jax.jacfwd(at)(zero), jax.jacrev(at)(zero)
+    scale = np.abs(np.asarray(at(zero))) + 1e-9
+    for name, slope in forward.items():
+        assert np.all(np.isfinite(slope))
+        np.testing.assert_allclose(slope, reverse[name], rtol=1e-6, atol=1e-9)
+        whole = np.asarray(slope if np.ndim(values[name]) == 0 else slope.sum(-1))
+        h = {**zero, name: zero[name] + 1e-4}, {**zero, name: zero[name] - 1e-4}
+        difference = (np.asarray(at(h[0])) - np.asarray(at(h[1]))) / 2e-4
+        assert np.max(np.abs(whole - difference) / scale) < 5e-3
+
+
+@pytest.mark.parametrize("effects", EVERY, ids=str)
+def test_factors_depend_on_what_they_say(effects):
+    s = setting(Geometry.from_vectors(*random_directions(5)), effects)
+    v = shaped(material(effects), s)
+    for name, factor in factors(effects).items():
+        for q in v:
+            changed = {**v, q: v[q] * 1.1}
+            same = np.array_equal(factor.evaluate(v, s), factor.evaluate(changed, s))
+            assert same == (q not in factor.names), f"{name} and {q}"
+
+
+def test_missing_parameter_is_named():
+    values = material(Effects())
+    del values["sigma_s"]
+    with pytest.raises(KeyError, match="sigma_s"):
+        two_scale(values, Geometry.from_vectors(*random_directions(1)), Effects())
+
+
+def test_effects_refuse_unknown_names():
+    for wrong in ({"body": "wood"}, {"diffraction": "some"}, {"order": 2}):
+        with pytest.raises(ValueError, match=str(next(iter(wrong.values())))):
+            Effects(**wrong)
+
+
+def test_extreme_geometry_gives_finite_values():
+    edge = Geometry.from_half_difference(
+        jnp.array([0.0, np.pi / 2, 0.3, np.pi / 2]), jnp.array([0.0, 0.0, np.pi / 2, np.pi / 2]), jnp.zeros(4)
+    )
+    for effects in EVERY:
+        assert np.all(np.isfinite(two_scale(material(effects), edge, effects)))
+
+
+@given(
+    theta_h=st.floats(0, 1.5), theta_d=st.floats(0, 1.5), phi_d=st.floats(0, 3.14), beta=st.floats(1e-3, 1.0),
+    p=st.floats(0.2, 5.0), c=st.floats(1.01, 6.0), b=st.floats(0.05, 200.0), sigma_s=st.floats(0, 0.5),
+)  # fmt: skip
+@settings(derandomize=True, max_examples=60, deadline=None, database=None)
+def test_finite_and_not_negative_anywhere_in_bounds(theta_h, theta_d, phi_d, beta, p, c, b, sigma_s):
+    effects = Effects()
+    values = material(effects, beta=beta, p=p, c=c, b=b, sigma_s=sigma_s)
+    g = Geometry.from_half_difference(*(np.array([x]) for x in (theta_h, theta_d, phi_d)))
+    brdf = np.asarray(_compiled(values, g))
+    assert np.all(np.isfinite(brdf))
+    assert np.all(brdf >= 0)
+
+
+_compiled = jax.jit(lambda values, g: two_scale(values, g, Effects()))
+
+
+# --- Energy: directional albedo by quadrature over microfacet normals, which follow the lobe
+
+
+def reflected(theta_i, beta, p, masked=True):
+    """Directional albedo of the Cook-Torrance lobe at |F| = 1: Int D G /(4 cos_i) domega_o, over normals m = h."""
+    from merlfit.model.ndf import epd
+
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    v_low, v_high = -25 * max(p, 0.5) * 2, np.log(60 + 4 / p)
+    v, wv = (v_high + v_low) / 2 + (v_high - v_low) / 2 * nodes, weights * (v_high - v_low) / 2
+    tan = np.minimum(beta * np.exp(v / (2 * p)), 1e8)
+    theta_m = np.arctan(tan)[:, None]
+    phi = (np.arange(256) + 0.5) / 256 * np.pi
+    cos_d = np.cos(theta_i) * np.cos(theta_m) + np.sin(theta_i) * np.sin(theta_m) * np.cos(phi)
+    cos_o = 2 * cos_d * np.cos(theta_m) - np.cos(theta_i)
+    seen = (cos_d > 0) & (cos_o > 0)
+    g = float(masking(*(jnp.asarray(x) for x in (np.cos(theta_i), beta, p)))) if masked else 1.0
+    g_o = np.asarray(masking(*(jnp.asarray(x) for x in (np.where(seen, cos_o, 1.0), beta, p)))) if masked else 1.0
+    # domega_o = 4 cos_d domega_m and rho cos_o = D G / (4 cos_i)
+    dm = np.sin(theta_m) * (np.sin(theta_m) * np.cos(theta_m) / (2 * p)) * wv[:, None]
+    density = np.asarray(epd(jnp.asarray(theta_m), jnp.asarray(beta), jnp.asarray(p)))
+    return float(np.sum(np.where(seen, density * g * g_o * cos_d / np.cos(theta_i) * dm, 0)) * 2 * np.pi / 256)
+
+
+def test_white_furnace_of_the_cook_torrance_lobe():
+    rng = np.random.default_rng(SEED)
+    worst, unmasked = 0.0, 0.0
+    for _ in range(200):
+        beta, p = 10 ** rng.uniform(-3, 0), np.exp(rng.uniform(np.log(0.2), np.log(5)))
+        theta_i = rng.uniform(0, np.radians(89))
+        worst = max(worst, reflected(theta_i, beta, p))
+        unmasked = max(unmasked, reflected(theta_i, beta, p, masked=False))
+    assert worst <= 1 + 1e-3
+    assert unmasked > 1.1

@@ -1,0 +1,52 @@
+"""Who may import whom: data and physics do not know each other, inference knows both."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ALLOWED = {"model": {"model"}, "merl_io": {"merl_io"}, "fitting": {"model", "merl_io", "fitting"}}
+LIBRARIES = {"model": {"jax", "numpy", "equinox"}, "merl_io": {"numpy"}}
+STANDARD = {
+    "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "itertools", "json", "math",
+    "os", "pathlib", "stat", "struct", "tempfile", "types", "typing",
+}  # fmt: skip
+
+
+def imports(path, package):
+    """(own packages, libraries) that a file imports."""
+    own, other = set(), set()
+    depth = len(path.relative_to(ROOT).parts) - 1
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            if node.level <= depth:
+                own.add(package)
+            else:
+                own |= {node.module.split(".")[0]} if node.module else {a.name for a in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            other.add(node.module.split(".")[0])
+        elif isinstance(node, ast.Import):
+            other |= {a.name.split(".")[0] for a in node.names}
+    return own, other
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_arrows_of_the_architecture(package):
+    files = sorted((ROOT / package).rglob("*.py"))
+    assert files
+    for path in files:
+        own, other = imports(path, package)
+        assert own <= ALLOWED[package], f"{path} imports {own - ALLOWED[package]}"
+        assert "merlfit" not in other, f"{path} imports its own distribution absolutely"
+        if package in LIBRARIES:
+            assert other <= LIBRARIES[package] | STANDARD, f"{path} imports {other - LIBRARIES[package] - STANDARD}"
+
+
+def test_the_arrows_test_sees_a_forbidden_import(tmp_path):
+    wrong = ROOT / "model" / "binary_user.py"
+    tree = "from ..merl_io.binary import read\n"
+    node = ast.parse(tree).body[0]
+    assert node.level == 2
+    assert node.module.split(".")[0] not in ALLOWED["model"]
+    assert not wrong.exists()
