@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test lint types install clean
+.PHONY: demo test lint types install schema clean
 
 install: $(READY)
 
@@ -15,6 +15,9 @@ $(READY): pyproject.toml constraints.txt
 
 demo: install
 	$(BIN)/merlfit demo -o demo-out
+
+schema: install
+	$(BIN)/python -m merlfit.fitting.export
 
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadgroup

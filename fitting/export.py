@@ -175,7 +175,11 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
 def write_result(path: Path, result: Result) -> None:
     """Write JSON; numbers that are not finite are refused, since JSON has none."""
     text = json.dumps(result.model_dump(mode="json"), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-    write_atomically(path, lambda file: file.write(text.encode()) and None)
+
+    def write(file: IO[bytes]) -> None:
+        file.write(text.encode())
+
+    write_atomically(path, write)
 
 
 def read_result(path: str | os.PathLike[str]) -> Result:

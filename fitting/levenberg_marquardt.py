@@ -1,10 +1,10 @@
 """Levenberg-Marquardt on normal equations that are summed in blocks; optimistix is the solver.
 
 optimistix wants a residual function and differentiates it. Ours has a million residuals, so it is shown an equivalent
-one with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of squares
-as the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps of the stock solver M
-is summed at the point that it wants to see next, and the solver is given the affine function with that value and that
-Jacobian. Its step is compiled once for all models, grids and files.
+one with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of
+squares as the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps of the stock
+solver M is summed at the point that it wants to see next, and the solver is given the affine function with that value
+and that Jacobian. Its step is compiled once for all models, grids and files.
 """
 
 import warnings
@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax import Array
+from jax.typing import ArrayLike
 
 from .residuals import Forward, Problem, normal_equations
 
@@ -131,14 +132,14 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
     """Drive the stock solver, summing normal equations at every point that it asks for."""
     state, step = _machine(len(z), rtol)
     y, state = jnp.asarray(z), eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(z))
-    kept, pull, offset, converged, steps = None, jnp.zeros(()), float("inf"), False, 0
+    kept = normal = evaluate(y)
+    pull = PULL * jnp.nan_to_num(kept[:, -1, -1].sum())
+    offset, converged, steps = float("inf"), False, 0
     while steps < limit and not converged:
-        normal = evaluate(state.y_eval)
-        if kept is None:
-            pull = PULL * jnp.nan_to_num(normal[:, -1, -1].sum())
+        normal = evaluate(state.y_eval) if steps else kept
         y, state, stop, accepted, trial_offset = step(y, state, normal, pull)
         steps += 1
-        if kept is None or bool(accepted):
+        if steps == 1 or bool(accepted):
             kept, offset = normal, float(trial_offset)
         converged = bool(stop) or offset < OFFSET_TOLERANCE
     return Solution(np.asarray(y), float(kept[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
@@ -148,15 +149,19 @@ def _other(evaluate: Callable, z: np.ndarray, limit: int, rtol: float, backend: 
     """The same compressed residuals given to another library: a cross-check."""
     pull = PULL * evaluate(jnp.asarray(z))[:, -1, -1].sum()
 
-    def near(z: np.ndarray) -> _Affine:
-        z = jnp.asarray(z)
-        return compress(z, evaluate(z), pull)
+    def near(z: ArrayLike) -> _Affine:
+        point = jnp.asarray(z)
+        return compress(point, evaluate(point), pull)
 
     if backend == "scipy":
         from scipy.optimize import least_squares
 
-        found = least_squares(lambda z: np.asarray(near(z).value), z, lambda z: np.asarray(near(z).slope), method="lm",
-                              xtol=rtol, ftol=rtol**2, max_nfev=limit)  # fmt: skip
+        def slope(z: np.ndarray) -> np.ndarray:
+            return np.asarray(near(z).slope)
+
+        found = least_squares(
+            lambda z: np.asarray(near(z).value), z, slope, method="lm", xtol=rtol, ftol=rtol**2, max_nfev=limit
+        )  # pyright: ignore[reportArgumentType] - scipy's stub of `jac` knows names only
         end, steps, converged = found.x, int(found.nfev), bool(found.status > 0)
     else:
         with warnings.catch_warnings():  # jaxopt says on import that it is unmaintained

@@ -45,8 +45,8 @@ def errors(
 def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:
     """Correlation length of a zero-mean field along one axis, in bins: 1 + 2 sum of squared correlations over all lags.
 
-    Squared, because it is the number of degrees of freedom of a sum of squares that is sought (Bartlett): sum e^2 over n
-    bins scatters as a chi-square of n / length degrees. 1 for independent bins, n for a constant field.
+    Squared, because the number of degrees of freedom of a sum of squares is sought (Bartlett): sum e^2 over n bins
+    scatters as a chi-square of n / length degrees. 1 for independent bins, n for a constant field.
     """
     field, used = np.moveaxis(field, axis, 0), np.moveaxis(used, axis, 0)
     variance = np.mean(field[used] ** 2)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import corner
+import jax.numpy as jnp
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -52,7 +53,7 @@ def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray) -> 
     """What the apparatus would have measured of the fitted material, (3, N)."""
     geometry = Geometry.from_vectors(i, o)
     brdf = two_scale(values, geometry, Effects(model.body, model.diffraction, model.order), model.wavelengths_um)
-    return np.asarray(brdf * grazing(geometry, np.asarray(model.grazing_exponent)))
+    return np.asarray(brdf * grazing(geometry, jnp.asarray(model.grazing_exponent)))
 
 
 def lobe_figure(result: Result, measurement: Measurement) -> Figure:

@@ -6,14 +6,15 @@ therefore taken as N_c independent residuals of unknown scale, N_c estimated fro
 
     log L = - sum_c N_c / 2 log S_c(z),    S_c the channel's share of Eq. 56.
 
-S_c is summed over a thinned grid, which the smoothness of those residuals allows. The optimum of the thinned grid is not
-quite that of all bins: the likelihood is moved by the difference, so that its mode is the fit on all bins, and the
+S_c is summed over a thinned grid, which the smoothness of those residuals allows. The optimum of the thinned grid is
+not quite that of all bins: the likelihood is moved by the difference, so that its mode is the fit on all bins, and the
 difference, in posterior standard deviations, is reported as ``thinning_shift``.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import emcee
 import jax
@@ -30,7 +31,10 @@ BURN_IN = 5  # autocorrelation times discarded at the start
 STUDENT_DOF = 5.0  # tails of the proposal drawn from the Laplace approximation
 SHIFT_STEPS = 4  # Newton steps to the thinned grid's optimum, each of at most one standard deviation
 BOUND_PRIOR_SD = 3.0  # the logistic prior's standard deviation is pi/sqrt(3); starting spread never exceeds this
-TOO_SHORT = "chain too short: {steps} steps are {ratio:.0f} autocorrelation times, {enough} are needed; raise posterior.max_steps"
+TOO_SHORT = (
+    "chain too short: {steps} steps are {ratio:.0f} autocorrelation times, {enough} are needed; "
+    "raise posterior.max_steps"
+)
 DONE = "long enough: {steps} steps are {ratio:.0f} autocorrelation times"
 
 
@@ -159,17 +163,20 @@ def sample(
     ]
     sampler = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves)
     sampler.random_state = np.random.RandomState(seed).get_state()
-    state, times, ratio = start, np.full(size, np.inf), 0.0
+    now: Any = start
+    times, ratio = np.full(size, np.inf), 0.0
     while sampler.iteration < max_steps and ratio < ENOUGH:
-        for state in sampler.sample(state, iterations=min(CHECK_EVERY, max_steps - sampler.iteration)):
+        for now in sampler.sample(now, iterations=min(CHECK_EVERY, max_steps - sampler.iteration)):  # noqa: B007, B020
             if progress:
                 progress(sampler.iteration, max_steps)
         times, ratio = _sufficient(sampler)
     discard = int(min(BURN_IN * times.max(), sampler.iteration // 2))
     said = {"steps": sampler.iteration, "ratio": max(ratio, 0.0), "enough": ENOUGH}
     return Posterior(
-        sampler.get_chain(), sampler.get_log_prob(), discard, times, (sampler.iteration - discard) * walkers / times,
-        float(np.mean(sampler.acceptance_fraction)), ratio >= ENOUGH, (DONE if ratio >= ENOUGH else TOO_SHORT).format(**said),
+        np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob()), discard, times,
+        (sampler.iteration - discard) * walkers / times,
+        float(np.mean(sampler.acceptance_fraction)), ratio >= ENOUGH,
+        (DONE if ratio >= ENOUGH else TOO_SHORT).format(**said),
         float(np.max(np.abs(shift) / np.sqrt(np.diag(covariance)))),
     )  # fmt: skip
 

@@ -72,7 +72,7 @@ class Forward:
 
 
 class Problem(eqx.Module):
-    """Samples of one material as arrays in blocks of theta_h rows, leading axis the block; shapes depend on nothing else.
+    """Samples of one material as arrays in blocks of theta_h rows, leading axis the block; one shape for all files.
 
     Attributes:
         geometry: theta_h (N, h, 1, 1), theta_d (N, 1, D, 1), cosines (N, h, D, P).
@@ -125,7 +125,7 @@ def make_problem(samples: Samples) -> Problem:
     blocks = rows // height
 
     def split(x: np.ndarray) -> np.ndarray:
-        return x.reshape((blocks, height) + x.shape[1:])
+        return x.reshape((blocks, height, *x.shape[1:]))
 
     theta_i, theta_o = np.arccos(samples.cos_i), np.arccos(samples.cos_o)
     used = (samples.weight > 0).any(0)
@@ -138,10 +138,9 @@ def make_problem(samples: Samples) -> Problem:
         jnp.asarray(split(samples.cos_i)),
         jnp.asarray(split(samples.cos_o)),
     )
-    planes = [np.moveaxis(np.stack([split(c) for c in x]), 0, 1) for x in (samples.value, samples.weight / unit)]
-    return Problem(
-        geometry, jnp.asarray(split(log_base)), *map(jnp.asarray, planes), jnp.asarray(samples.scatter / unit)
-    )
+    value, weight = (np.moveaxis(np.stack([split(c) for c in x]), 0, 1) for x in (samples.value, samples.weight / unit))
+    scatter = jnp.asarray(samples.scatter / unit)
+    return Problem(geometry, jnp.asarray(split(log_base)), jnp.asarray(value), jnp.asarray(weight), scatter)
 
 
 def predict(forward: Forward, values: Mapping[str, Array], problem: Problem) -> Array:

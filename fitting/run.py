@@ -93,7 +93,7 @@ def fit_file(path: str | os.PathLike[str], out: Path, config: Config, report: Re
 
 def fit(samples: Samples, config: Config, report: Report, clock: _Clock) -> Fitted | None:
     """Coarse grid first for every body asked for, then all valid bins for the best; None without enough data."""
-    if int((samples.weight > 0).any(0).sum()) < LEAST_BINS:
+    if int(np.any(samples.weight > 0, axis=0).sum()) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
         bodies: tuple[Body, ...] = BODIES if config.fit.body == "auto" else (config.fit.body,)
@@ -117,7 +117,7 @@ def fit(samples: Samples, config: Config, report: Report, clock: _Clock) -> Fitt
         predicted = predict_samples(forward, solution.z, samples, whole)
     counts = counts_of(samples, predicted)
     axes = (samples.theta_h, samples.theta_d, samples.phi_d)
-    used = (samples.weight > 0).all(0)
+    used = np.all(samples.weight > 0, axis=0)
     errors = metrics.errors(samples.value, predicted, used, axes, samples.cos_i, samples.cos_o)
     return Fitted(forward, solution, counts, errors, judge(forward, solution), candidates)
 
@@ -148,7 +148,7 @@ def predict_samples(forward: Forward, z: np.ndarray, samples: Samples, problem: 
 
 def counts_of(samples: Samples, predicted: np.ndarray) -> np.ndarray:
     """Effective sample count of every channel's residuals, (C,)."""
-    used = (samples.weight > 0).all(0)
+    used = np.all(samples.weight > 0, axis=0)
     residuals = np.sqrt(samples.weight) * (samples.value - predicted)
     return np.array([metrics.effective_count(r, used) for r in residuals])
 
@@ -171,7 +171,7 @@ def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: R
     problem = make_problem(thin(samples, SAMPLING))
     return sample(
         forward, fitted.solution.z, fitted.solution.normal, fitted.counts, problem, config.posterior.max_steps,
-        config.seed, lambda done, most: report(f"posterior: {done} of at most {most} steps") if done % 50 == 0 else None,
+        config.seed, lambda done, most: report(f"posterior: {done} of at most {most} steps"),
     )  # fmt: skip
 
 
@@ -202,7 +202,7 @@ def make_result(
         git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
         fraction_valid=float(measurement.valid.mean()),
     )  # fmt: skip
-    bins = int((samples.weight > 0).any(0).sum())
+    bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {
         "source": source, "seconds": {**seconds, "total": round(sum(seconds.values()), 3)}, "seed": config.seed,
         "versions": export.versions(), "config": config.model_dump(mode="json"),

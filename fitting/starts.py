@@ -1,7 +1,7 @@
 """Deterministic starting points read off the data: lobe width, reflectance at normal incidence, dark directions.
 
-A few dozen combinations of what the data do not say at a glance (kurtosis, nano-geometry, kind of index) around what they
-do say are handed to the caller, who screens them by cost.
+A few dozen combinations of what the data do not say at a glance (kurtosis, nano-geometry, kind of index) around what
+they do say are handed to the caller, who screens them by cost.
 """
 
 from dataclasses import dataclass

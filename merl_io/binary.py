@@ -72,7 +72,7 @@ class Measurement:
 
 def genuine_names() -> dict[str, str]:
     """Material name by git blob SHA-1 for the 100 files of the MERL database."""
-    text = (resources.files(__package__) / "data" / "merl_git_blob_sha1.txt").read_text()
+    text = (resources.files(__name__.rpartition(".")[0]) / "data" / "merl_git_blob_sha1.txt").read_text()
     rows = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
     return {row[0]: Path(row[-1]).stem for row in rows}
 

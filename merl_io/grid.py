@@ -5,8 +5,8 @@ domega_i domega_o = 4 cos_d sin_d sin_h dtheta_h dtheta_d dphi_d dphi_h with phi
 
     Int 4 cos_d sin_d sin_h (cos_i / sin_i) dtheta_h dtheta_d dphi_d
 
-and Eq. 56 is a weighted sum over the stored bins: no resampling, no interpolation. The bins of phi_d in [0, pi) are half
-of all pairs, the others being these with light and viewer exchanged; all weights add up to pi, half of 2 pi.
+and Eq. 56 is a weighted sum over the stored bins: no resampling, no interpolation. The bins of phi_d in [0, pi) are
+half of all pairs, the others being these with light and viewer exchanged; all weights add up to pi, half of 2 pi.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """PHYSICS: reflectance models as pure, differentiable JAX functions; knows no file and no fit.
 
-float64 is switched on here, in this one place: every other module that computes with JAX is reached through this package.
+float64 is switched on here, in this one place: every module that computes with JAX is reached through this package.
 """
 
 import jax

@@ -13,13 +13,13 @@ from jax.scipy.special import i0e
 from .geometry import Geometry
 from .numerics import safe_pow
 
-FOOTPRINT_RAD = 0.005  # a sphere about 400 pixels across seen by MERL's camera: 1 pixel is 1/200 rad of its normal
+FOOTPRINT_RAD = 0.005  # a sphere about 400 pixels across: 1 pixel is 1/200 rad of its normal
 FIT_ANGLES_RAD = np.radians(np.arange(10.0, 81.0, 5.0))  # where the power law is matched to the loss
 LOG_RADII = np.arange(-9.0, 4.5, 0.15)  # of r / beta^..., trapezoid in log r
 
 
 def grazing_log_base(geometry: Geometry) -> Array:
-    """log of (1 - 4 theta_i^2/pi^2)(1 - 4 theta_o^2/pi^2); times the exponent, the logarithm of the loss (Eq. 59-60)."""
+    """log of (1 - 4 theta_i^2/pi^2)(1 - 4 theta_o^2/pi^2); times the exponent, the log of the loss (Eq. 59-60)."""
     base = [1 - (2 * theta / jnp.pi) ** 2 for theta in (geometry.theta_i, geometry.theta_o)]
     positive = (base[0] > 0) & (base[1] > 0)
     return jnp.where(positive, jnp.log(jnp.where(positive, base[0] * base[1], 1.0)), -jnp.inf)

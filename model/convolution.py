@@ -1,13 +1,14 @@
-"""(S * D)(theta_h): the diffraction lobe blurred by the distribution of microfacet normals (HP17 Eq. 33, 39-41, App. A).
+"""(S * D)(theta_h): the diffraction lobe blurred by the distribution of microfacet normals (HP17 Eq. 33).
 
     (S * D)(theta_h) = Int S(angle(h, m)) D(angle(n, m)) domega_m,
     S(psi) = (1 + B^2 sin^2 psi)^(-(c+1)/2) cos^2 psi for psi < pi/2, else 0;   B = 2 (b / lambda) cos_d.
 
 The amplitude of the lobe is left out. The authors' own ways, a table and zonal harmonics, fail for sharp lobes; here:
 
-**Azimuth.** On the circle of normals at angle theta_m, 1 + B^2 sin^2 psi = (R - B cos psi)(R + B cos psi), R^2 = 1 + B^2.
+**Azimuth.** On the circle of normals at angle theta_m, with R^2 = 1 + B^2, 1 + B^2 sin^2 psi is
+(R - B cos psi)(R + B cos psi).
 The first factor is X - Y cos(phi), nearly singular for narrow lobes; the Moebius map tan(phi/2) = e tan(t/2),
-e^2 = (X - Y)/(X + Y), makes it harmless: X - Y cos(phi) = (X - Y)/(cos^2(t/2) + e^2 sin^2(t/2)). Eight Gauss nodes in t up
+e^2 = (X - Y)/(X + Y), makes it harmless: X - Y cos(phi) = (X - Y)/(cos^2(t/2) + e^2 sin^2(t/2)). Eight Gauss nodes in t, up
 to the horizon of h then serve for any width.
 
 **Radius.** D has its features near the normal at the scale of beta, S near theta_m = theta_h at the scale 1/B. Two node
@@ -104,7 +105,7 @@ def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Node
     measure_2 = (t_high - t_low) * jnp.cosh(t) / B * w
 
     def share_1(theta: Array) -> Array:
-        """Part of the integrand that set 1 takes at theta: by the node densities, inside the window where it has any."""
+        """Part of the integrand that set 1 takes at theta: by node density, inside the window where it has nodes."""
         y = jnp.log(jnp.tan(theta)) - jnp.log(beta)
         slope = 1 / (1 / steep + slack * jax.nn.sigmoid(-(jnp.maximum(y * steep, -60.0) + EDGE)))
         log_density_1 = jnp.log(slope / (q_high - q_low)) - jnp.log(jnp.sin(theta) * jnp.cos(theta))
@@ -185,7 +186,9 @@ def convolve(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order: i
 
 
 @partial(convolve.defjvp, symbolic_zeros=True)
-def _convolve_jvp(order: int, primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+def _convolve_jvp(
+    order: int, primals: tuple[Array, ...], tangents: tuple[Array | SymbolicZero, ...]
+) -> tuple[Array, Array]:
     theta_h, B, c, beta, p = primals
     theta_h, B = jnp.broadcast_arrays(theta_h, B)
     at = _integrate(theta_h, B, c, beta, p, order)

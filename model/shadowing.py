@@ -7,7 +7,8 @@ integral collapses, for tau = beta tan(theta) and P22 taken at beta = 1, to
 
 With w = s tau, E = (w / tau)^(2p) = E0 + x and E0 = tau^(-2p) this is
 
-    Lambda = e^(-E0) / (pi Gamma(1/p)) Int_0^inf e^(-x) (E0 + x)^(1/p - 1) h(w) dx,   h = z - arctan z, z = sqrt(w^2 - 1),
+    Lambda = e^(-E0) / (pi Gamma(1/p)) Int_0^inf e^(-x) (E0 + x)^(1/p - 1) h(w) dx,
+    h = z - arctan z, z = sqrt(w^2 - 1),
 
 a trapezoid rule in log x, whose error falls exponentially with the number of nodes.
 """
@@ -20,9 +21,9 @@ from jax.scipy.special import gammaln
 
 from .numerics import safe_sqrt
 
-# log x runs over q in [-11, 4.7] at spacing 0.245. The integrand's narrowest peak, x^(3/(2 p)) e^(-x) at p = 0.12, has a
-# width of 0.29 in q, for which the trapezoid rule errs by exp(-2 pi^2 (0.29/0.245)^2) = 1e-12; what lies outside is below
-# 1e-9 of the integral for p in [0.12, 5].
+# log x runs over q in [-11, 4.7] at spacing 0.245. The integrand's narrowest peak, x^(3/(2 p)) e^(-x) at p = 0.12, has
+# a width of 0.29 in q, for which the trapezoid rule errs by exp(-2 pi^2 (0.29/0.245)^2) = 1e-12; what lies outside is
+# below 1e-9 of the integral for p in [0.12, 5].
 NODES = np.arange(-11.0, 4.7, 0.245)
 BEND = 3.0  # where the left tail begins to be stretched for p > 1/2
 LARGEST_EXPONENT = 650.0  # e^-650 = 1e-282: masking is 1 to the last digit long before

@@ -123,7 +123,7 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
     return {
         q.name: jnp.asarray(params[q.name], dtype=float).reshape(
-            (-1,) + s.wavelength_um.shape[1:] if q.per_channel else ()
+            (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
         )
         for q in parameters(s.effects)
     }

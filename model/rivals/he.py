@@ -16,8 +16,8 @@ Departures from the 1991 print: exp(-q^2) in Eq. 25 is added by its errata; Eq. 
 median RMSE over MERL 0.68 instead of 0.060; without G it is 0.18.
 
 Two simplifications, both exact: s and p of one direction are a basis of the plane across it, so each bracket of Eq. 76
-is |i x o|^2 and G = (v.v / v_z)^2; and z0^2 = W(y^2), W Lambert's function, y the right side of Eq. 81. Then v_z cancels
-against g, S1 absorbs 1/cos, and nothing is singular at the horizon.
+is |i x o|^2 and G = (v.v / v_z)^2; and z0^2 = W(y^2), W Lambert's function, y the right side of Eq. 81. Then v_z
+cancels against g, S1 absorbs 1/cos, and nothing is singular at the horizon.
 """
 
 import equinox as eqx

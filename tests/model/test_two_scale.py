@@ -1,4 +1,4 @@
-"""The assembled model: against the oracle, on grids and lists alike, reciprocal, differentiable, and what it reflects."""
+"""The assembled model: against the oracle, on grids and lists alike, reciprocal, differentiable, conserving."""
 
 import jax
 import jax.numpy as jnp

@@ -1,0 +1,199 @@
+"""From a file on disk to parameters: known materials are recovered, solvers agree, statuses tell the truth."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.fitting import run
+from merlfit.fitting.config import Config
+from merlfit.fitting.levenberg_marquardt import Status, solve
+from merlfit.fitting.residuals import (
+    Forward,
+    compressive_weight,
+    cos_weighted_median,
+    cost,
+    make_problem,
+    normal_equations,
+    predict,
+    weighted_samples,
+)
+from merlfit.fitting.starts import read_clues, starting_points
+from merlfit.merl_io.binary import read, write
+from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.samples import thin
+from merlfit.model.acquisition import derived_exponent, grazing
+from merlfit.model.effects import Effects
+from merlfit.model.geometry import Geometry
+from merlfit.model.two_scale import two_scale
+
+CONDUCTOR = {
+    "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "n": np.array([1.9, 1.7, 1.6]),
+    "k": np.array([3.5, 3.2, 2.4]),
+}  # fmt: skip
+PLASTIC = {
+    "beta": 0.08, "p": 0.8, "b": 1.5, "c": 1.8, "sigma_s": 0.04, "eta": np.array([1.45, 1.5, 1.55]),
+    "albedo": np.array([0.5, 0.2, 0.05]),
+}  # fmt: skip
+EXPONENT = 0.35
+
+
+def tabulate(values, effects, exponent=EXPONENT):
+    """What MERL's apparatus would have stored of a material: synthetic data."""
+    grid = merl_grid()
+    parts = []
+    compiled = jax.jit(lambda g: two_scale(values, g, effects) * grazing(g, jnp.asarray(exponent)))
+    for rows in np.split(np.arange(90), 9):
+        g = Geometry.from_half_difference(
+            grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]
+        )
+        parts.append(np.asarray(compiled(g)))
+    return np.where(grid.above, np.concatenate(parts, 1), np.nan)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("synthetic")
+    made = {}
+    for name, values, body in (("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "plastic")):
+        made[name] = folder / f"{name}.binary"
+        write(made[name], tabulate(values, Effects(body)))
+    return made
+
+
+@pytest.mark.xdist_group("fits")
+@pytest.mark.parametrize(
+    ("name", "values", "body"), [("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "plastic")]
+)
+def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, values, body):
+    config = Config().with_options(body, False, None)
+    result = run.fit_file(files[name], tmp_path, config)
+    assert result.fit.status == "CONVERGED", result.fit
+    truth = {**values, "grazing_exponent": EXPONENT}
+    for parameter, found in result.values().items():
+        np.testing.assert_allclose(found, truth[parameter], rtol=1e-3, err_msg=parameter)
+    assert result.fit.cost < 1e-6
+    assert (tmp_path / f"{name}.json").is_file()
+
+
+@pytest.fixture(scope="module")
+def coarse(files):
+    samples = weighted_samples(read(files["conductor"]))
+    thinned = thin(samples, run.COARSE)
+    return samples, thinned, make_problem(thinned)
+
+
+@pytest.mark.xdist_group("fits")
+def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
+    _, _, problem = coarse
+    for forward in (Forward(Effects("none")), Forward(Effects("plastic"), "derived"), Forward(Effects("lambert"), 0.3)):
+        z = jnp.asarray(np.random.default_rng(1).normal(size=forward.layout.size))
+
+        def residuals(z, forward=forward):
+            return predict(forward, forward.layout.values(z), problem) * jnp.sqrt(problem.weight)
+
+        jacobian = np.moveaxis(np.asarray(jax.jacfwd(residuals)(z)), 1, 0).reshape(3, -1, len(z))
+        left = np.moveaxis(np.asarray((problem.value * jnp.sqrt(problem.weight)) - residuals(z)), 1, 0).reshape(
+            3, -1, 1
+        )
+        expected = np.concatenate([jacobian, left], 2)
+        expected = np.einsum("cnk,cnl->ckl", expected, expected)
+        found = np.asarray(normal_equations(forward, z, problem))
+        scale = np.sqrt(np.einsum("ckk,cll->ckl", expected, expected)) + 1e-300
+        assert np.max(np.abs(found - expected) / scale) < 1e-9
+        np.testing.assert_allclose(np.asarray(cost(forward, z, problem)), found[:, -1, -1], rtol=1e-10)
+
+
+@pytest.mark.xdist_group("fits")
+def test_blocks_do_not_change_the_sum(coarse):
+    _, thinned, problem = coarse
+    forward = Forward(Effects("none"))
+    z = jnp.asarray(starting_points(forward, thinned)[0])
+    blocked = jax.tree.map(lambda x: x.reshape(3, 1, *x.shape[1:]) if x.ndim == 0 else x, dataclasses.replace(problem))
+    rows = [slice(0, 6), slice(6, 12), slice(12, 18)]
+    blocked = dataclasses.replace(
+        problem,
+        geometry=Geometry(
+            jnp.concatenate([problem.geometry.theta_h[:, r] for r in rows]),
+            jnp.concatenate([problem.geometry.theta_d] * 3),
+            *(jnp.concatenate([x[:, r] for r in rows]) for x in (problem.geometry.cos_i, problem.geometry.cos_o)),
+        ),
+        log_base=jnp.concatenate([problem.log_base[:, r] for r in rows]),
+        value=jnp.concatenate([problem.value[:, :, r] for r in rows]),
+        weight=jnp.concatenate([problem.weight[:, :, r] for r in rows]),
+    )
+    np.testing.assert_allclose(
+        np.asarray(normal_equations(forward, z, blocked)), np.asarray(normal_equations(forward, z, problem)), rtol=1e-9,
+        atol=1e-15,
+    )  # fmt: skip
+
+
+@pytest.mark.xdist_group("fits")
+def test_solvers_of_three_libraries_agree(coarse):
+    _, thinned, problem = coarse
+    forward = Forward(Effects("none"))
+    truth = forward.layout.free({**CONDUCTOR, "grazing_exponent": EXPONENT})
+    start = truth + 0.1
+    ends = [solve(forward, start, problem, 30, 1e-6, backend) for backend in ("optimistix", "scipy", "jaxopt")]
+    for end in ends:
+        assert end.cost < 1e-6
+        np.testing.assert_allclose(end.z, truth, atol=2e-2)
+
+
+def test_weights_and_median():
+    value = np.array([0.0, 1.0, 100.0])
+    weight = compressive_weight(value, np.asarray(1.0))
+    x = value[1:]
+    expected = (((1 - np.exp(-np.log(2) * x)) / np.log(2)) / x) ** 1.4  # HP17 Eq. 57-58
+    np.testing.assert_allclose(weight[1:], expected)
+    assert weight[0] == pytest.approx(1)
+    assert cos_weighted_median(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.1, 1.0])) == 3.0
+
+
+def test_clues_are_read_off_a_known_lobe(files):
+    clues = read_clues(thin(weighted_samples(read(files["plastic"])), run.COARSE))
+    half = PLASTIC["beta"] * np.log(2) ** (1 / (2 * PLASTIC["p"]))
+    assert half / 2 < clues.half_height < 2 * half
+    assert np.all(np.diff(clues.dark) < 0)
+    assert clues.rise > 1.5
+
+
+def test_derived_exponent_falls_with_lobe_width():
+    k = [float(derived_exponent(jnp.asarray(b), jnp.asarray(1.0))) for b in (0.003, 0.01, 0.03, 0.3)]
+    assert all(a > b for a, b in zip(k[:-1], k[1:], strict=True))
+    assert k[0] > 0.5
+    assert k[-1] < 0.02
+    slope = jax.grad(lambda b: derived_exponent(b, jnp.asarray(1.0)))(jnp.asarray(0.02))
+    difference = (derived_exponent(jnp.asarray(0.0202), jnp.asarray(1.0)) - derived_exponent(
+        jnp.asarray(0.0198), jnp.asarray(1.0))) / 0.0004  # fmt: skip
+    assert float(slope) == pytest.approx(float(difference), rel=1e-3)
+
+
+@pytest.mark.xdist_group("fits")
+def test_a_file_with_too_few_bins_says_so(tmp_path):
+    values = np.full((3, 90, 90, 180), np.nan)
+    values[:, 0, 0, 0] = 1.0
+    path = tmp_path / "one.binary"
+    write(path, values)
+    result = run.fit_file(path, tmp_path, Config())
+    assert result.fit.status == "NO_DATA"
+    assert not result.fit.succeeded
+    assert result.parameters == []
+
+
+def test_statuses_are_sentences_that_say_what_to_do():
+    for status in Status:
+        assert len(status.value.split()) > 5
+        assert status.succeeded == status.value.startswith("converged")
+
+
+def test_data_are_not_resampled(files):
+    measurement = read(files["plastic"])
+    samples = weighted_samples(measurement)
+    h, d, p = 20, 30, 40
+    pair = measurement.values[:, h, d, [p, 179 - p]]
+    assert np.all(samples.value[:, h, d, p] >= pair.min(1) * (1 - 1e-12))
+    assert np.all(samples.value[:, h, d, p] <= pair.max(1) * (1 + 1e-12))
+    assert Path(files["plastic"]).stat().st_size == 34992012
