@@ -20,9 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax import Array
-from jax.typing import ArrayLike
 
-from .residuals import Forward, Problem, normal_equations
+from .residuals import Forward, Problem, compiled_normal_equations, normal_equations
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
 # Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
@@ -145,38 +144,49 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
     return Solution(np.asarray(y), float(kept[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
 
 
-def _other(evaluate: Callable, z: np.ndarray, limit: int, rtol: float, backend: Backend) -> Solution:
-    """The same compressed residuals given to another library: a cross-check."""
+def _scipy(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
+    """The same compressed residuals given to MINPACK: a cross-check."""
+    from scipy.optimize import least_squares
+
     pull = PULL * evaluate(jnp.asarray(z))[:, -1, -1].sum()
 
-    def near(z: ArrayLike) -> _Affine:
+    def near(z: np.ndarray) -> _Affine:
         point = jnp.asarray(z)
         return compress(point, evaluate(point), pull)
 
-    if backend == "scipy":
-        from scipy.optimize import least_squares
+    jac: Any = lambda z: np.asarray(near(z).slope)  # noqa: E731 - Any: scipy's stub knows names only
+    found = least_squares(
+        lambda z: np.asarray(near(z).value), z, jac, method="lm", xtol=rtol, ftol=rtol**2, max_nfev=limit
+    )
+    return _solution(evaluate, found.x, pull, int(found.nfev), bool(found.status > 0))
 
-        def slope(z: np.ndarray) -> np.ndarray:
-            return np.asarray(near(z).slope)
 
-        found = least_squares(
-            lambda z: np.asarray(near(z).value), z, slope, method="lm", xtol=rtol, ftol=rtol**2, max_nfev=limit
-        )  # pyright: ignore[reportArgumentType] - scipy's stub of `jac` knows names only
-        end, steps, converged = found.x, int(found.nfev), bool(found.status > 0)
-    else:
-        with warnings.catch_warnings():  # jaxopt says on import that it is unmaintained
-            warnings.simplefilter("ignore")
-            import jaxopt
+def _jaxopt(forward: Forward, evaluate: Callable, problem: Problem, z: np.ndarray, limit: int, rtol: float) -> Solution:
+    """The same compressed residuals given to jaxopt, which differentiates them itself: a cross-check."""
+    with warnings.catch_warnings():  # jaxopt says on import that it is unmaintained
+        warnings.simplefilter("ignore")
+        import jaxopt
 
-            solver = jaxopt.LevenbergMarquardt(
-                lambda z: near(z).value, jac_fun=lambda z: near(z).slope, maxiter=limit, xtol=rtol, gtol=rtol, jit=False
-            )
-            found = solver.run(jnp.asarray(z))
-        end, steps = np.asarray(found.params), int(found.state.iter_num)
-        converged = steps < limit
-    normal = evaluate(jnp.asarray(end))
-    offset = float(relative_offset(compress(jnp.asarray(end), normal, pull).value))
-    return Solution(end, float(normal[:, -1, -1].sum()), np.asarray(normal), steps, offset, converged)
+    pull = PULL * evaluate(jnp.asarray(z))[:, -1, -1].sum()
+
+    @jax.custom_jvp
+    def residual(z: Array) -> Array:
+        return compress(z, normal_equations(forward, z, problem), pull).value
+
+    @residual.defjvp
+    def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+        near = compress(primals[0], normal_equations(forward, primals[0], problem), pull)
+        return near.value, near.slope @ tangents[0]
+
+    found = jaxopt.LevenbergMarquardt(residual, maxiter=limit, xtol=rtol, gtol=rtol).run(jnp.asarray(z))
+    steps = int(found.state.iter_num)
+    return _solution(evaluate, np.asarray(found.params), pull, steps, steps < limit)
+
+
+def _solution(evaluate: Callable, z: np.ndarray, pull: Array, steps: int, converged: bool) -> Solution:
+    normal = evaluate(jnp.asarray(z))
+    offset = float(relative_offset(compress(jnp.asarray(z), normal, pull).value))
+    return Solution(z, float(normal[:, -1, -1].sum()), np.asarray(normal), steps, offset, converged)
 
 
 def solve(
@@ -198,12 +208,14 @@ def solve(
     """
 
     def evaluate(z: Array) -> Array:
-        return normal_equations(forward, z, problem)
+        return compiled_normal_equations(forward, z, problem)
 
     start = np.asarray(z, dtype=float)
-    if backend == "optimistix":
-        return _optimistix(evaluate, start, max_steps, rtol)
-    return _other(evaluate, start, max_steps, rtol, backend)
+    if backend == "scipy":
+        return _scipy(evaluate, start, max_steps, rtol)
+    if backend == "jaxopt":
+        return _jaxopt(forward, evaluate, problem, start, max_steps, rtol)
+    return _optimistix(evaluate, start, max_steps, rtol)
 
 
 def relative_offset(compressed: Array) -> Array:

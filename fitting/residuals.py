@@ -11,7 +11,6 @@ Nothing of the size bins x parameters is ever held: blocks of theta_h rows add u
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal, TypeVar
 
 import equinox as eqx
@@ -165,8 +164,6 @@ def cost(forward: Forward, z: Array, problem: Problem) -> Array:
     return jax.lax.scan(step, jnp.zeros(channels), problem_blocks(problem))[0]
 
 
-# XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
-@partial(jax.jit, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False})
 def normal_equations(forward: Forward, z: Array, problem: Problem) -> Array:
     """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
 
@@ -184,6 +181,12 @@ def normal_equations(forward: Forward, z: Array, problem: Problem) -> Array:
     index = np.array([*where, [layout.size] * channels]).T  # (C, groups): row of the full matrix
     full = jnp.zeros((channels, layout.size + 1, layout.size + 1))
     return full.at[np.arange(channels)[:, None, None], index[:, :, None], index[:, None, :]].set(compact)
+
+
+# XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
+compiled_normal_equations = jax.jit(
+    normal_equations, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False}
+)
 
 
 def problem_blocks(problem: Problem) -> Problem:

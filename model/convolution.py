@@ -8,8 +8,8 @@ The amplitude of the lobe is left out. The authors' own ways, a table and zonal 
 **Azimuth.** On the circle of normals at angle theta_m, with R^2 = 1 + B^2, 1 + B^2 sin^2 psi is
 (R - B cos psi)(R + B cos psi).
 The first factor is X - Y cos(phi), nearly singular for narrow lobes; the Moebius map tan(phi/2) = e tan(t/2),
-e^2 = (X - Y)/(X + Y), makes it harmless: X - Y cos(phi) = (X - Y)/(cos^2(t/2) + e^2 sin^2(t/2)). Eight Gauss nodes in t, up
-to the horizon of h then serve for any width.
+e^2 = (X - Y)/(X + Y), makes it harmless: X - Y cos(phi) = (X - Y)/(cos^2(t/2) + e^2 sin^2(t/2)). Eight Gauss nodes in
+t, up to the horizon of h, then serve for any width.
 
 **Radius.** D has its features near the normal at the scale of beta, S near theta_m = theta_h at the scale 1/B. Two node
 sets, each dense where one of them varies, share the integrand by a smooth partition of unity made of their densities.

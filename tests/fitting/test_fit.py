@@ -111,7 +111,6 @@ def test_blocks_do_not_change_the_sum(coarse):
     _, thinned, problem = coarse
     forward = Forward(Effects("none"))
     z = jnp.asarray(starting_points(forward, thinned)[0])
-    blocked = jax.tree.map(lambda x: x.reshape(3, 1, *x.shape[1:]) if x.ndim == 0 else x, dataclasses.replace(problem))
     rows = [slice(0, 6), slice(6, 12), slice(12, 18)]
     blocked = dataclasses.replace(
         problem,
@@ -132,14 +131,15 @@ def test_blocks_do_not_change_the_sum(coarse):
 
 @pytest.mark.xdist_group("fits")
 def test_solvers_of_three_libraries_agree(coarse):
-    _, thinned, problem = coarse
-    forward = Forward(Effects("none"))
-    truth = forward.layout.free({**CONDUCTOR, "grazing_exponent": EXPONENT})
-    start = truth + 0.1
-    ends = [solve(forward, start, problem, 30, 1e-6, backend) for backend in ("optimistix", "scipy", "jaxopt")]
-    for end in ends:
-        assert end.cost < 1e-6
-        np.testing.assert_allclose(end.z, truth, atol=2e-2)
+    samples = coarse[0]
+    problem = make_problem(thin(samples, (10, 10, 45)))
+    forward = Forward(Effects("none", "lobe"))
+    start = forward.layout.free({**CONDUCTOR, "grazing_exponent": EXPONENT}) + 0.1
+    ours, minpack, jaxopt = (solve(forward, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
+    assert ours.cost < solve(forward, start, problem, 1).cost / 10
+    for other in (minpack, jaxopt):
+        assert other.cost == pytest.approx(ours.cost, rel=1e-3)
+        np.testing.assert_allclose(other.z, ours.z, atol=0.05)
 
 
 def test_weights_and_median():
@@ -162,7 +162,7 @@ def test_clues_are_read_off_a_known_lobe(files):
 
 def test_derived_exponent_falls_with_lobe_width():
     k = [float(derived_exponent(jnp.asarray(b), jnp.asarray(1.0))) for b in (0.003, 0.01, 0.03, 0.3)]
-    assert all(a > b for a, b in zip(k[:-1], k[1:], strict=True))
+    assert k == sorted(k, reverse=True)
     assert k[0] > 0.5
     assert k[-1] < 0.02
     slope = jax.grad(lambda b: derived_exponent(b, jnp.asarray(1.0)))(jnp.asarray(0.02))

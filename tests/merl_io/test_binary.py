@@ -1,0 +1,206 @@
+"""MERL files: what is stored where, what is masked, and what is refused in which words."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from merlfit.merl_io import binary, check, grid
+from merlfit.merl_io.binary import DIMS, FILE_BYTES, MerlError, read, write
+from merlfit.merl_io.samples import fold, thin
+
+
+@pytest.fixture(scope="module")
+def values():
+    return np.random.default_rng(0).uniform(0.1, 5.0, (3, *DIMS))
+
+
+@pytest.fixture(scope="module")
+def path(values, tmp_path_factory):
+    target = tmp_path_factory.mktemp("merl") / "sample.binary"
+    write(target, values)
+    return target
+
+
+def test_numbers_stand_where_matusik_puts_them(path, values):
+    raw = path.read_bytes()
+    assert len(raw) == FILE_BYTES == 34992012
+    assert struct.unpack_from("<3i", raw) == DIMS
+    for channel, scale in enumerate((1 / 1500, 1.15 / 1500, 1.66 / 1500)):
+        for h, d, p in ((0, 0, 0), (3, 80, 179), (89, 1, 7)):
+            index = p + 180 * (d + 90 * (h + 90 * channel))
+            (number,) = struct.unpack_from("<d", raw, 12 + 8 * index)
+            assert number * scale == pytest.approx(values[channel, h, d, p], rel=1e-15)
+            (interleaved,) = struct.unpack_from("<d", raw, 12 + 8 * (3 * (p + 180 * (d + 90 * h)) + channel))
+            assert (h, d, p, channel) == (0, 0, 0, 0) or interleaved * scale != values[channel, h, d, p]
+
+
+def test_round_trip_to_one_unit_in_the_last_place(path, values):
+    back = read(path)
+    assert back.valid.all()
+    assert back.name == "sample"
+    np.testing.assert_array_max_ulp(back.values, values, 2)
+
+
+def test_invalid_numbers_become_a_mask_and_never_zero(tmp_path, values):
+    target = tmp_path / "bad.binary"
+    write(target, values)
+    stored = np.memmap(target, "<f8", "r+", 12, (3, *DIMS))
+    stored[0, 1, 2, 3], stored[1, 4, 5, 6], stored[2, 7, 8, 9], stored[0, 0, 0, 0] = -2.0, np.nan, np.inf, 0.0
+    stored.flush()
+    found = read(target)
+    assert (found.negative, found.nan, found.inf) == (1, 1, 1)
+    assert (~found.valid).sum() == 3
+    assert np.isnan(found.values[:, ~found.valid]).all()
+    assert found.values[0, 0, 0, 0] == 0
+    assert found.valid[0, 0, 0]
+    report = check.summarise(found)
+    assert report.fraction_valid == pytest.approx(1 - 3 / np.prod(DIMS))
+    assert report.genuine is None
+
+
+def broken(name, tmp_path, path):
+    target = tmp_path / f"{name}.binary"
+    raw = path.read_bytes()
+    match name:
+        case "missing":
+            pass
+        case "directory":
+            target.mkdir()
+        case "empty":
+            target.write_bytes(b"")
+        case "truncated":
+            target.write_bytes(raw[:-8])
+        case "too long":
+            target.write_bytes(raw + b"\0")
+        case "dims":
+            target.write_bytes(struct.pack("<3i", 90, 90, 360) + raw[12:])
+        case "big-endian":
+            target.write_bytes(struct.pack(">3i", 90, 90, 180) + raw[12:])
+        case "picture":
+            target.write_bytes(b"\x89PNG\r\n\x1a\n" + raw[8:1000])
+        case "text":
+            target.write_bytes(b"theta_h theta_d\n" * 10)
+        case "all invalid":
+            target.write_bytes(raw[:12] + np.full(3 * np.prod(DIMS), -1.0).tobytes())
+    return target
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("missing", "no such file"), ("directory", "is a directory"), ("empty", "truncated"), ("truncated", "truncated"),
+        ("too long", "too long"), ("dims", "90x90x360"), ("big-endian", "big-endian"), ("picture", "PNG picture"),
+        ("text", "not a MERL"), ("all invalid", "no valid bin"),
+    ],
+)  # fmt: skip
+def test_bad_files_get_one_line_that_names_them(name, words, tmp_path, path):
+    target = broken(name, tmp_path, path)
+    with pytest.raises(MerlError) as error:
+        read(target)
+    assert words in str(error.value)
+    assert str(target) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_no_permission_is_said(path, monkeypatch):
+    def refuse(*args, **kwargs):
+        raise PermissionError
+
+    monkeypatch.setattr(binary, "open", refuse, raising=False)
+    with pytest.raises(MerlError, match="no permission"):
+        read(path)
+
+
+@given(header=st.binary(min_size=12, max_size=12))
+@settings(derandomize=True, max_examples=100, deadline=None, database=None)
+def test_no_other_header_is_accepted(header):
+    if struct.unpack("<3i", header) != DIMS:
+        with pytest.raises(MerlError):
+            binary._check_header("x", header, FILE_BYTES)
+
+
+def test_write_is_atomic(tmp_path, values, monkeypatch):
+    target = tmp_path / "kept.binary"
+    target.write_bytes(b"old")
+
+    def fail(*args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(binary.os, "replace", fail)
+    with pytest.raises(MerlError, match="No space left"):
+        write(target, values)
+    assert target.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["kept.binary"]
+
+
+def test_the_hundred_genuine_files_are_known():
+    names = binary.genuine_names()
+    assert len(names) == 100
+    assert "nickel" in names.values()
+    assert all(len(key) == 40 for key in names)
+
+
+# --- the grid
+
+
+def test_angles_against_explicit_vectors():
+    g = grid.merl_grid()
+    rng = np.random.default_rng(0)
+    for h, d, p in rng.integers(0, (90, 90, 180), (50, 3)):
+        th, td, pd = g.theta_h[h], g.theta_d[d], g.phi_d[p]
+        half = np.array([np.sin(th), 0, np.cos(th)])
+        diff = np.array([np.sin(td) * np.cos(pd), np.sin(td) * np.sin(pd), np.cos(td)])
+        light = np.array(
+            [np.cos(th) * diff[0] + np.sin(th) * diff[2], diff[1], np.cos(th) * diff[2] - np.sin(th) * diff[0]]
+        )
+        viewer = 2 * (light @ half) * half - light
+        assert g.cos_i[h, d, p] == pytest.approx(light[2], abs=1e-14)
+        assert g.cos_o[h, d, p] == pytest.approx(viewer[2], abs=1e-14)
+        azimuth = np.arctan2(*viewer[1::-1]) - np.arctan2(*light[1::-1])
+        assert np.cos(g.azimuth[h, d, p]) == pytest.approx(np.cos(azimuth), abs=1e-6)
+
+
+def test_weights_add_up_to_the_measure_of_the_hemispheres():
+    g = grid.merl_grid()
+    # Int domega_o Int cos_i dtheta_i = 2 pi over both halves of phi_d
+    assert g.weight.sum() == pytest.approx(np.pi, rel=2e-4)
+    without_cos_d = g.weight / np.maximum(np.cos(g.theta_d)[None, :, None], 1e-9)
+    assert without_cos_d.sum() != pytest.approx(np.pi, rel=1e-2)
+
+
+def test_weights_of_single_bins_against_many_subcells():
+    g = grid.merl_grid()
+    rng = np.random.default_rng(1)
+    inside = np.argwhere((np.minimum(g.cos_i, g.cos_o) > 0.1) & (g.weight > 0))
+    bins = inside[rng.integers(len(inside), size=400)]
+    error = np.abs(g.weight[tuple(bins.T)] / grid._integrate(g.edges, bins, 16) - 1)
+    assert np.median(error) < 1e-3
+    assert error.max() < 5e-3
+    centre = grid.bin_volume(g.edges) * np.maximum(g.cos_i, 0) / np.sqrt(np.maximum(1 - g.cos_i**2, 1e-24))
+    near = np.argwhere(g.cos_i > np.cos(0.03))[:200]
+    assert np.max(np.abs(centre[tuple(near.T)] / grid._integrate(g.edges, near, 16) - 1)) > 0.05
+
+
+def test_folding_keeps_the_sum_of_squares():
+    g = grid.merl_grid()
+    rng = np.random.default_rng(2)
+    value, weight = rng.uniform(0, 1, (2, 3, *DIMS))
+    weight[rng.uniform(size=weight.shape) < 0.3] = 0
+    folded = fold(g, value, weight)
+    prediction = rng.uniform(0, 1, folded.value.shape)
+    whole = np.concatenate([prediction, prediction[..., ::-1]], -1)
+    expected = np.sum(weight * (value - whole) ** 2)
+    found = np.sum(folded.weight * (folded.value - prediction) ** 2) + folded.scatter
+    assert found == pytest.approx(expected, rel=1e-12)
+    assert found - folded.scatter != pytest.approx(expected, rel=1e-2)
+    np.testing.assert_allclose(g.cos_i[..., :90], g.cos_o[..., :89:-1], atol=1e-14)
+
+
+def test_thinning_refuses_strides_that_do_not_divide():
+    g = grid.merl_grid()
+    ones = np.ones((3, *DIMS))
+    assert thin(fold(g, ones, ones), (5, 5, 10)).value.shape == (3, 18, 18, 9)
+    with pytest.raises(ValueError, match="must divide"):
+        thin(fold(g, ones, ones), (7, 5, 10))
