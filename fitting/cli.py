@@ -15,6 +15,8 @@ app = typer.Typer(
 )  # fmt: skip
 BAD_INPUT, FAILED_FIT = 2, 1
 console = Console()
+if not console.is_terminal:
+    console = Console(width=140)  # tables in logs and pipes are not squeezed to 80 columns
 errors = Console(stderr=True)
 
 Files = Annotated[list[Path], typer.Argument(help="MERL .binary files.", show_default=False)]

@@ -60,7 +60,11 @@ def _cotangent(cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
 
 @cache
 def merl_grid() -> MerlGrid:
-    """The grid, made once a process. Weights are exact to 1e-3 a bin, save slivers at the horizon (see tests)."""
+    """The grid, made once a process (0.6 s).
+
+    Weights: median error 2e-4, worst 1e-2 where both cosines exceed 0.1, their sum 1e-4; slivers of bins cut by the
+    horizon, which weigh next to nothing, may be off by half (``tests/merl_io/test_binary.py``).
+    """
     steps = [np.arange(n + 1) for n in DIMS]
     edges = ((steps[0] / DIMS[0]) ** 2 * np.pi / 2, steps[1] / DIMS[1] * np.pi / 2, steps[2] / DIMS[2] * np.pi)
     theta_h = ((steps[0][:-1] + 0.5) / DIMS[0]) ** 2 * np.pi / 2

@@ -123,4 +123,5 @@ def evaluate(material: str, source: str, geometry: Geometry, *, rescaled: bool =
 
     Arguments and errors are those of :func:`published`; compiled once for each source and shape.
     """
-    return _compiled[source](published(material, source, rescaled=rescaled), geometry)
+    parameters = published(material, source, rescaled=rescaled)
+    return _compiled[source](parameters, geometry)

@@ -90,7 +90,8 @@ def broken(name, tmp_path, path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("missing", "no such file"), ("directory", "is a directory"), ("empty", "truncated"), ("truncated", "truncated"),
+        ("missing", "no such file"), ("directory", "is a directory"), ("empty", "truncated"),
+        ("truncated", "truncated"),
         ("too long", "too long"), ("dims", "90x90x360"), ("big-endian", "big-endian"), ("picture", "PNG picture"),
         ("text", "not a MERL"), ("all invalid", "no valid bin"),
     ],
@@ -177,7 +178,7 @@ def test_weights_of_single_bins_against_many_subcells():
     bins = inside[rng.integers(len(inside), size=400)]
     error = np.abs(g.weight[tuple(bins.T)] / grid._integrate(g.edges, bins, 16) - 1)
     assert np.median(error) < 1e-3
-    assert error.max() < 5e-3
+    assert error.max() < 1e-2
     centre = grid.bin_volume(g.edges) * np.maximum(g.cos_i, 0) / np.sqrt(np.maximum(1 - g.cos_i**2, 1e-24))
     near = np.argwhere(g.cos_i > np.cos(0.03))[:200]
     assert np.max(np.abs(centre[tuple(near.T)] / grid._integrate(g.edges, near, 16) - 1)) > 0.05

@@ -1,0 +1,181 @@
+"""The command line as a user meets it: exit codes, one-line errors, files that appear."""
+
+import json
+import math
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from merlfit.fitting import cli, export, plots
+from merlfit.fitting.config import Config, ConfigError, load, parse
+from merlfit.merl_io.binary import read, write
+from merlfit.merl_io.grid import merl_grid
+from typer.testing import CliRunner
+
+ROOT = Path(__file__).parents[1]
+runner = CliRunner()
+
+
+def call(*words):
+    return runner.invoke(cli.app, [str(w) for w in words])
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A published material synthesised, fitted with a short chain, all through the command line."""
+    folder = tmp_path_factory.mktemp("cli")
+    file = folder / "alum-bronze.binary"
+    assert call("synth", "alum-bronze", "-o", file).exit_code == 0
+    settings = folder / "short.toml"
+    settings.write_text('[fit]\nbody = "none"\nstarts = 2\n[posterior]\nmax_steps = 60\n')
+    done = call("fit", file, folder / "missing.binary", "-o", folder / "out", "--config", settings, "--seed", "3")
+    return folder, file, done
+
+
+@pytest.mark.xdist_group("cli")
+def test_a_bad_file_does_not_stop_the_others(fitted):
+    folder, _, done = fitted
+    assert done.exit_code == 2
+    assert "missing.binary: no such file" in done.stderr
+    assert (folder / "out" / "alum-bronze.json").is_file()
+
+
+@pytest.mark.xdist_group("cli")
+def test_result_obeys_the_shipped_schema(fitted):
+    folder = fitted[0]
+    data = json.loads((folder / "out" / "alum-bronze.json").read_text())
+    schema = json.loads((ROOT / "fitting" / "result.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(data, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**data, "parameters": [{"name": "beta"}]}, schema)
+    assert data["seed"] == 3
+    assert data["source"]["sha1"] == read(fitted[1]).sha1
+    assert [q["name"] for q in data["parameters"]][:2] == ["beta", "p"]
+    assert all(q["lower"] <= q["value"] <= q["upper"] and q["standard_error"] > 0 for q in data["parameters"])
+    assert all(math.isfinite(x) for x in data["seconds"].values())
+
+
+@pytest.mark.xdist_group("cli")
+def test_a_chain_too_short_says_so_and_gives_no_intervals(fitted):
+    result = export.read_result(fitted[0] / "out" / "alum-bronze.json")
+    assert result.posterior is not None
+    assert not result.posterior.sufficient
+    assert "too short" in result.posterior.message
+    assert all(q.quantiles is None for q in result.parameters)
+    with np.load(fitted[0] / "out" / result.posterior.chain_file, allow_pickle=False) as chain:
+        assert chain["chain_free"].shape == (60, 24, len(result.parameters))
+
+
+@pytest.mark.xdist_group("cli")
+def test_inspect_prints_and_draws(fitted):
+    folder = fitted[0]
+    shown = call("inspect", folder / "out" / "alum-bronze.json", "-o", folder / "pictures")
+    assert shown.exit_code == 0
+    for word in ("beta", "sigma_s", "too short", "conductor"):
+        assert word in shown.stdout
+    assert (folder / "pictures" / "alum-bronze.lobes.png").stat().st_size > 20_000
+
+
+@pytest.mark.xdist_group("cli")
+def test_a_fit_becomes_a_merl_file_again(fitted):
+    folder, file, _ = fitted
+    target = folder / "again.binary"
+    assert call("synth", folder / "out" / "alum-bronze.json", "-o", target).exit_code == 0
+    measured, again = read(file).values, read(target).values
+    inside = np.isfinite(measured[0]) & np.isfinite(again[0]) & (merl_grid().cos_i > 0.3) & (merl_grid().cos_o > 0.3)
+    ratio = np.median(again[:, inside] / measured[:, inside])
+    assert 0.5 < ratio < 2
+
+
+def test_check_prints_a_table_and_refuses_bad_files(tmp_path):
+    good = tmp_path / "good.binary"
+    write(good, np.ones((3, 90, 90, 180)))
+    shown = call("check", good)
+    assert shown.exit_code == 0
+    assert "100.0%" in shown.stdout
+    assert call("check", good, tmp_path).exit_code == 2
+
+
+def test_unknown_material_and_source_name_the_nearest(tmp_path):
+    for words, near in ((("nikel",), "'nickel'"), (("nickel", "--source", "smoth"), "'smooth'")):
+        shown = call("synth", *words, "-o", tmp_path / "x.binary")
+        assert shown.exit_code == 2
+        assert near in shown.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[fit]\nbodi = "auto"\n', "unknown key 'fit.bodi'; the nearest known one is 'fit.body'"),
+        ("sede = 1\n", "'seed'"),
+        ("[fit]\norder = 1000\n", "fit.order"),
+        ('[fit]\nbody = "wood"\n', "fit.body"),
+        ("[fit\n", "is not TOML"),
+    ],
+)
+def test_bad_settings_are_one_line_errors(tmp_path, text, words):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        load(path)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value).replace(text, "")
+    shown = call("fit", "x.binary", "--config", path)
+    assert shown.exit_code == 2
+
+
+def test_default_toml_is_the_defaults():
+    data = tomllib.loads((ROOT / "configs" / "default.toml").read_text())
+    assert parse(data, "default.toml") == Config()
+    written = {f"{s}.{k}" for s in ("fit", "posterior") for k in data[s]} | {"seed"}
+    known = {f"fit.{k}" for k in type(Config().fit).model_fields} | {"seed"}
+    assert written == known | {f"posterior.{k}" for k in type(Config().posterior).model_fields}
+
+
+def test_shipped_schema_is_the_models(tmp_path):
+    assert json.loads((ROOT / "fitting" / "result.schema.json").read_text()) == export.schema()
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"schema_version": "9.0"}', "\x00"])
+def test_bad_results_are_one_line_errors(tmp_path, text):
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    shown = call("inspect", path)
+    assert shown.exit_code == 2
+    assert "bad.json" in shown.stderr
+    assert "Traceback" not in shown.stderr
+
+
+def test_writing_is_atomic(tmp_path):
+    def fail(file):
+        file.write(b"half")
+        raise RuntimeError
+
+    target = tmp_path / "x.json"
+    target.write_text("old")
+    with pytest.raises(RuntimeError):
+        export.write_atomically(target, fail)
+    assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
+    assert target.read_text() == "old"
+
+
+def test_every_command_has_help_with_an_example():
+    for command in ("fit", "check", "synth", "inspect", "demo"):
+        shown = call(command, "--help")
+        assert shown.exit_code == 0
+        assert f"merlfit {command}" in shown.stdout.replace("\n", " ")
+
+
+def test_lobe_picture_reads_the_bins_it_should():
+    i, o = plots.plane_of_incidence(0.5, np.array([0.5, -0.2, 1.2]))
+    h, d, p = plots.half_difference(i, o)
+    np.testing.assert_allclose(h, [0.0, 0.35, 0.35], atol=1e-12)
+    np.testing.assert_allclose(d, [0.5, 0.15, 0.85], atol=1e-12)
+    g = merl_grid()
+    for theta_h, theta_d, phi, light in zip(h[1:], d[1:], p[1:], i[1:], strict=True):
+        expected = np.cos(theta_h) * np.cos(theta_d) - np.sin(theta_h) * np.sin(theta_d) * np.cos(phi)
+        assert expected == pytest.approx(light[2])
+    assert g.phi_d[0] < 0.01
