@@ -1,8 +1,8 @@
 """How much light the printed energy split gives back: `python -m tests.energy` writes results/energy.json.
 
-Directional albedo of the whole surface at F = Q/2 = 1 (a perfect reflector of every colour), Smith masking: the light that
-the mirror term and the diffraction lobe reflect together, by a product of Gauss rules over viewer directions, dense at
-the mirror direction. Parameters are drawn from the priors; sets whose quadrature is not settled are left out and counted.
+Directional albedo of the whole surface at F = Q/2 = 1 (a perfect reflector), Smith masking: the light that the mirror
+term and the diffraction lobe reflect together, by a product rule over half vectors, dense at the mirror direction.
+Parameters are drawn from the priors; cases whose quadrature is not settled are left out and counted.
 """
 
 import json

@@ -1,6 +1,7 @@
 """MERL files: what is stored where, what is masked, and what is refused in which words."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,7 +120,7 @@ def test_no_permission_is_said(path, monkeypatch):
 def test_no_other_header_is_accepted(header):
     if struct.unpack("<3i", header) != DIMS:
         with pytest.raises(MerlError):
-            binary._check_header("x", header, FILE_BYTES)
+            binary._check_header(Path("x"), header, FILE_BYTES)
 
 
 def test_write_is_atomic(tmp_path, values, monkeypatch):
