@@ -7,14 +7,15 @@ therefore taken as N_c independent residuals of unknown scale, N_c estimated fro
     log L = - sum_c N_c / 2 log S_c(z),    S_c the channel's share of Eq. 56.
 
 S_c is summed over a thinned grid, which the smoothness of those residuals allows. The optimum of the thinned grid is
-not quite that of all bins: the likelihood is moved by the difference, so that its mode is the fit on all bins, and the
-difference, in posterior standard deviations, is reported as ``thinning_shift``.
+not quite that of all bins, nor is its curvature: the thinned likelihood is evaluated at an affine image of the point
+(:class:`Transport`), so that its mode and curvature are those of all bins and only its shape farther out is the thinned
+grid's. How far the mode was moved, in posterior standard deviations, is reported as ``thinning_shift``.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import emcee
 import jax
@@ -22,14 +23,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from .residuals import Forward, Problem, cost
+from .residuals import Forward, Problem, compiled_normal_equations, cost
 from .transforms import Layout
 
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
 CHECK_EVERY = 250  # steps between looks at the autocorrelation time
 BURN_IN = 5  # autocorrelation times discarded at the start
 STUDENT_DOF = 5.0  # tails of the proposal drawn from the Laplace approximation
-SHIFT_STEPS = 4  # Newton steps to the thinned grid's optimum, each of at most one standard deviation
+NEWTON_STEPS = 5  # to the thinned grid's optimum, each of at most one standard deviation
+OPEN = 0.05  # precision added along directions that the likelihood leaves open
 BOUND_PRIOR_SD = 3.0  # the logistic prior's standard deviation is pi/sqrt(3); starting spread never exceeds this
 TOO_SHORT = (
     "chain too short: {steps} steps are {ratio:.0f} autocorrelation times, {enough} are needed; "
@@ -68,6 +70,14 @@ class Posterior:
         return np.concatenate([np.asarray(named[q.name]).reshape(len(kept), -1) for q in layout.parameters], 1)
 
 
+class Transport(NamedTuple):
+    """Affine map from the coordinates of all bins to those of the thinned grid, for which the likelihoods agree."""
+
+    centre: np.ndarray  # optimum on all bins, (P,)
+    image: np.ndarray  # optimum of the thinned likelihood, (P,)
+    matrix: np.ndarray  # (P, P), symmetric
+
+
 def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Covariance of the Gaussian approximation in free coordinates, (P, P), at an optimum.
 
@@ -78,18 +88,15 @@ def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) ->
         normal: per channel, (C, P+1, P+1). counts: effective sample counts N_c, (C,).
     """
     u = 1 / (1 + np.exp(-z))
-    precision = np.diag(2 * u * (1 - u) + 1e-3)
-    for m, n in zip(normal, counts, strict=True):
-        precision += n * m[:-1, :-1] / max(m[-1, -1], 1e-30)
-    return np.linalg.inv(precision)
+    return np.linalg.inv(np.diag(2 * u * (1 - u) + 1e-3) + likelihood_precision(normal, counts))
 
 
 @partial(jax.jit, static_argnums=0)
-def _log_prob(forward: Forward, z: Array, shift: Array, problem: Problem, counts: Array) -> Array:
+def _log_prob(forward: Forward, z: Array, transport: Transport, problem: Problem, counts: Array) -> Array:
     """Log posterior density of walkers ``z`` (W, P), all in one call; -inf where the model is not finite."""
 
     def one(z: Array) -> Array:
-        s = cost(forward, z + shift, problem)
+        s = cost(forward, transport.image + transport.matrix @ (z - transport.centre), problem)
         value = forward.layout.log_prior(z) - jnp.sum(counts / 2 * jnp.log(jnp.maximum(s, 1e-30)))
         return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
@@ -147,13 +154,14 @@ def sample(
     spread = np.minimum(1.0, BOUND_PRIOR_SD / np.sqrt(np.diag(covariance)))
     start = z + rng.multivariate_normal(np.zeros(size), covariance, size=walkers, method="eigh") * spread
     half, weights = walkers // 2, jnp.asarray(counts)
-    shift = _thinning_shift(forward, z, problem, weights, covariance)
+    transport = make_transport(forward, z, normal, counts, problem)
+    carried = jax.tree.map(jnp.asarray, transport)
 
     def log_prob(points: np.ndarray) -> np.ndarray:
         # emcee asks for half of the walkers a move and for all at the start: one compiled shape serves both
         padded = np.concatenate([points, np.repeat(points[:1], -len(points) % half, 0)])
         parts = np.split(padded, len(padded) // half)
-        done = [np.asarray(_log_prob(forward, jnp.asarray(p), jnp.asarray(shift), problem, weights)) for p in parts]
+        done = [np.asarray(_log_prob(forward, jnp.asarray(p), carried, problem, weights)) for p in parts]
         return np.concatenate(done)[: len(points)]
 
     moves = [
@@ -177,23 +185,39 @@ def sample(
         (sampler.iteration - discard) * walkers / times,
         float(np.mean(sampler.acceptance_fraction)), ratio >= ENOUGH,
         (DONE if ratio >= ENOUGH else TOO_SHORT).format(**said),
-        float(np.max(np.abs(shift) / np.sqrt(np.diag(covariance)))),
+        float(np.max(np.abs(transport.image - z) / np.sqrt(np.diag(covariance)))),
     )  # fmt: skip
 
 
-@partial(jax.jit, static_argnums=0)
-def _gradient(forward: Forward, z: Array, problem: Problem, counts: Array) -> Array:
-    return jax.jacfwd(lambda z: jnp.sum(counts / 2 * jnp.log(jnp.maximum(cost(forward, z, problem), 1e-30))))(z)
+def make_transport(
+    forward: Forward, z: np.ndarray, normal: np.ndarray, counts: np.ndarray, problem: Problem
+) -> Transport:
+    """The map that carries the Gaussian approximation on all bins to that of the thinned grid, moving points least.
+
+    The thinned optimum is found by Newton steps of at most one standard deviation; the matrix is that of optimal
+    transport between two Gaussians, A = C^(-1/2) (C^(1/2) C_t C^(1/2))^(1/2) C^(-1/2).
+    """
+    covariance = np.linalg.inv(likelihood_precision(normal, counts) + OPEN * np.eye(len(z)))
+    deviation, image, thinned = np.sqrt(np.diag(covariance)), z, normal
+    for _ in range(NEWTON_STEPS):
+        thinned = np.asarray(compiled_normal_equations(forward, jnp.asarray(image), problem))
+        inverse = np.linalg.inv(likelihood_precision(thinned, counts) + OPEN * np.eye(len(z)))
+        gradient = sum(n * m[:-1, -1] / max(m[-1, -1], 1e-30) for m, n in zip(thinned, counts, strict=True))
+        step = inverse @ (gradient - OPEN * (image - z))
+        image = image + step / max(1.0, np.max(np.abs(step) / deviation))
+    root = symmetric_root(covariance)
+    back = np.linalg.inv(root)
+    matrix = back @ symmetric_root(root @ inverse @ root) @ back
+    good = np.isfinite(image).all() and np.isfinite(matrix).all()
+    return Transport(z, image, matrix) if good else Transport(z, z, np.eye(len(z)))
 
 
-def _thinning_shift(
-    forward: Forward, z: np.ndarray, problem: Problem, counts: Array, covariance: np.ndarray
-) -> np.ndarray:
-    """Optimum on the thinned grid minus that on all bins, (P,), by Newton steps with the curvature of all bins."""
-    shift = np.zeros(len(z))
-    deviation = np.sqrt(np.diag(covariance))
-    for _ in range(SHIFT_STEPS):
-        gradient = np.asarray(_gradient(forward, jnp.asarray(z + shift), problem, counts))
-        step = -covariance @ gradient
-        shift = shift + step * min(1.0, 1.0 / np.max(np.abs(step) / deviation))
-    return shift if np.isfinite(shift).all() else np.zeros(len(z))
+def likelihood_precision(normal: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Curvature of sum_c N_c/2 log S_c at an optimum, (P, P): sum_c N_c H_c / S_c, H_c the Gauss-Newton matrix."""
+    return np.sum([n * m[:-1, :-1] / max(m[-1, -1], 1e-30) for m, n in zip(normal, counts, strict=True)], axis=0)
+
+
+def symmetric_root(matrix: np.ndarray) -> np.ndarray:
+    """Symmetric square root of a positive definite matrix."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    return (vectors * np.sqrt(np.maximum(values, 1e-30))) @ vectors.T
