@@ -73,9 +73,9 @@ class Posterior:
 class Transport(NamedTuple):
     """Affine map from the coordinates of all bins to those of the thinned grid, for which the likelihoods agree."""
 
-    centre: np.ndarray  # optimum on all bins, (P,)
-    image: np.ndarray  # optimum of the thinned likelihood, (P,)
-    matrix: np.ndarray  # (P, P), symmetric
+    centre: Any  # optimum on all bins, (P,)
+    image: Any  # optimum of the thinned likelihood, (P,)
+    matrix: Any  # (P, P), symmetric
 
 
 def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -198,7 +198,7 @@ def make_transport(
     transport between two Gaussians, A = C^(-1/2) (C^(1/2) C_t C^(1/2))^(1/2) C^(-1/2).
     """
     covariance = np.linalg.inv(likelihood_precision(normal, counts) + OPEN * np.eye(len(z)))
-    deviation, image, thinned = np.sqrt(np.diag(covariance)), z, normal
+    deviation, image, inverse = np.sqrt(np.diag(covariance)), z, covariance
     for _ in range(NEWTON_STEPS):
         thinned = np.asarray(compiled_normal_equations(forward, jnp.asarray(image), problem))
         inverse = np.linalg.inv(likelihood_precision(thinned, counts) + OPEN * np.eye(len(z)))

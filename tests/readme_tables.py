@@ -1,0 +1,38 @@
+"""Markdown tables for the README from results: `python -m tests.readme_tables FOLDER`."""
+
+import sys
+from pathlib import Path
+
+from merlfit.fitting.export import read_result
+from merlfit.fitting.report import interval, number
+
+
+def parameters(result):
+    rows = ["| parameter | value | std. error | 5 .. 95 % | unit |", "|---|---|---|---|---|"]
+    for q in result.parameters:
+        unit = "" if q.unit == "1" else q.unit
+        rows.append(f"| {q.name} | {number(q.value)} | {number(q.standard_error, 2)} | {interval(q)} | {unit} |")
+    return "\n".join(rows)
+
+
+def fits(results):
+    rows = [
+        "| material | body | status | cost | RMSE (1/sr) | sMAPE | fit (s) | posterior (s) | posterior |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for r in results:
+        t = r.seconds
+        chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else "too short, no intervals"
+        rows.append(
+            f"| {r.source.material} | {r.model.body if r.model else '-'} | {r.fit.status} | {number(r.fit.cost, 3)} "
+            f"| {number(r.metrics.rmse, 3)} | {number(r.metrics.smape, 3)} "
+            f"| {t['read'] + t['coarse'] + t['full']:.1f} | {t.get('posterior', 0):.0f} | {chain} |"
+        )
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    found = [read_result(p) for p in sorted(Path(sys.argv[1]).glob("*.json"))]
+    for one in found:
+        print(f"## {one.source.material}\n\n{parameters(one)}\n")
+    print(fits(found))
