@@ -70,7 +70,8 @@ def factors(effects: Effects) -> dict[str, Factor]:
         table["mirror"] = Factor(surface + optics, _mirror)
     else:
         table["mirror"] = Factor((*nano, *surface, *optics), _dimmed_mirror)
-        table["spread"] = Factor((*nano, *surface), _spread)
+        blurred = surface if effects.diffraction == "quadrature" else ()
+        table["spread"] = Factor((*nano, *blurred), _spread)
         table["hue"] = Factor(optics, _hue)
     if effects.body != "none":
         table["under"] = Factor(("albedo",) if effects.body == "lambert" else ("eta", "albedo"), _under)

@@ -138,7 +138,7 @@ def test_solvers_of_three_libraries_agree(coarse):
     ours, minpack, jaxopt = (solve(forward, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
     assert ours.cost < solve(forward, start, problem, 1).cost / 10
     for other in (minpack, jaxopt):
-        assert other.cost == pytest.approx(ours.cost, rel=1e-3)
+        assert other.cost == pytest.approx(ours.cost, rel=5e-3)
         np.testing.assert_allclose(other.z, ours.z, atol=0.05)
 
 
