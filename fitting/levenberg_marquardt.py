@@ -41,7 +41,6 @@ class Status(Enum):
     CONVERGED = "converged: neither the parameters nor the cost change any more"
     AT_BOUND = "converged with parameters at a bound: the data ask for more than the bound allows, see at_bound"
     STEP_LIMIT = "stopped at the step limit while the cost was still falling: raise fit.max_steps"
-    NO_DESCENT = "stopped where no step lowers the cost although the gradient is not zero: try other fit.starts"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
     NO_DATA = "failed: fewer valid bins than parameters; check the file with `merlfit check`"
 
