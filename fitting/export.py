@@ -117,7 +117,7 @@ class PosteriorResult(_Part):
     autocorrelation_steps: list[float]
     effective_size: list[float]
     effective_bins_per_channel: list[float]
-    thinning_shift_sd: float
+    thinning_error: float
     chain_file: str
 
 

@@ -6,16 +6,14 @@ therefore taken as N_c independent residuals of unknown scale, N_c estimated fro
 
     log L = - sum_c N_c / 2 log S_c(z),    S_c the channel's share of Eq. 56.
 
-S_c is summed over a thinned grid, which the smoothness of those residuals allows. The optimum of the thinned grid is
-not quite that of all bins, nor is its curvature: the thinned likelihood is evaluated at an affine image of the point
-(:class:`Transport`), so that its mode and curvature are those of all bins and only its shape farther out is the thinned
-grid's. How far the mode was moved, in posterior standard deviations, is reported as ``thinning_shift``.
+S_c is summed over a thinned grid, which the smoothness of those residuals allows. What thinning does to the likelihood
+is measured on draws from the posterior (``thinning_error``); where it is not small, no intervals are given.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import emcee
 import jax
@@ -23,21 +21,27 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from .residuals import Forward, Problem, compiled_normal_equations, cost
+from .residuals import Forward, Problem, cost
 from .transforms import Layout
 
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
 CHECK_EVERY = 250  # steps between looks at the autocorrelation time
 BURN_IN = 5  # autocorrelation times discarded at the start
-STUDENT_DOF = 5.0  # tails of the proposal drawn from the Laplace approximation
-NEWTON_STEPS = 5  # to the thinned grid's optimum, each of at most one standard deviation
-OPEN = 0.05  # precision added along directions that the likelihood leaves open
+CHECKED_DRAWS = 32  # of the posterior, on which the thinned likelihood is compared with that of all bins
+THINNING_LIMIT = 1.0  # standard deviation of that difference above which the chain is not the posterior of all bins
 BOUND_PRIOR_SD = 3.0  # the logistic prior's standard deviation is pi/sqrt(3); starting spread never exceeds this
 TOO_SHORT = (
     "chain too short: {steps} steps are {ratio:.0f} autocorrelation times, {enough} are needed; "
     "raise posterior.max_steps"
 )
+TOO_THIN = (
+    "thinned likelihood too far from that of all bins: their logarithms differ with a standard deviation of {error:.1f}, "
+    "at most {limit:.0f} is accepted"
+)
 DONE = "long enough: {steps} steps are {ratio:.0f} autocorrelation times"
+
+
+Target = tuple[Forward, Problem]  # model and samples that a likelihood is made of
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,7 @@ class Posterior:
         discard: steps to drop at the start. autocorrelation: integrated time per entry (steps).
         effective_size: independent samples per entry. acceptance: mean fraction of accepted moves.
         sufficient: whether intervals may be given. message: in a sentence.
-        thinning_shift: how far thinning moved the optimum, which was undone: the largest entry, in posterior standard
-            deviations.
+        thinning_error: standard deviation over posterior draws of log L on all bins minus log L on the thinned grid.
     """
 
     chain: np.ndarray
@@ -61,21 +64,13 @@ class Posterior:
     acceptance: float
     sufficient: bool
     message: str
-    thinning_shift: float
+    thinning_error: float
 
     def values(self, layout: Layout) -> np.ndarray:
         """Physical values of the kept samples, shape (samples, P)."""
         kept = self.chain[self.discard :].reshape(-1, self.chain.shape[-1])
         named = jax.vmap(layout.values)(jnp.asarray(kept))
         return np.concatenate([np.asarray(named[q.name]).reshape(len(kept), -1) for q in layout.parameters], 1)
-
-
-class Transport(NamedTuple):
-    """Affine map from the coordinates of all bins to those of the thinned grid, for which the likelihoods agree."""
-
-    centre: Any  # optimum on all bins, (P,)
-    image: Any  # optimum of the thinned likelihood, (P,)
-    matrix: Any  # (P, P), symmetric
 
 
 def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -91,33 +86,26 @@ def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) ->
     return np.linalg.inv(np.diag(2 * u * (1 - u) + 1e-3) + likelihood_precision(normal, counts))
 
 
+def log_likelihood(forward: Forward, z: Array, problem: Problem, counts: Array) -> Array:
+    """log L up to a constant, a scalar, at free coordinates ``z`` (P,); counts: effective sample counts N_c, (C,)."""
+    return -jnp.sum(counts / 2 * jnp.log(jnp.maximum(cost(forward, z, problem), 1e-30)))
+
+
 @partial(jax.jit, static_argnums=0)
-def _log_prob(forward: Forward, z: Array, transport: Transport, problem: Problem, counts: Array) -> Array:
+def _log_prob(forward: Forward, z: Array, problem: Problem, counts: Array) -> Array:
     """Log posterior density of walkers ``z`` (W, P), all in one call; -inf where the model is not finite."""
 
     def one(z: Array) -> Array:
-        s = cost(forward, transport.image + transport.matrix @ (z - transport.centre), problem)
-        value = forward.layout.log_prior(z) - jnp.sum(counts / 2 * jnp.log(jnp.maximum(s, 1e-30)))
+        value = forward.layout.log_prior(z) + log_likelihood(forward, z, problem, counts)
         return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
     return jax.vmap(one)(z)
 
 
-def _from_laplace(z: np.ndarray, covariance: np.ndarray) -> Callable:
-    """Independent proposals from a Student t with the Laplace approximation's place and shape, for emcee's MHMove."""
-    root = np.linalg.cholesky(covariance)
-    size = len(z)
-
-    def log_density(x: np.ndarray) -> np.ndarray:
-        whitened = np.linalg.solve(root, (x - z).T)
-        return -(STUDENT_DOF + size) / 2 * np.log1p(np.sum(whitened**2, 0) / STUDENT_DOF)
-
-    def propose(coordinates: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        scale = np.sqrt(STUDENT_DOF / rng.chisquare(STUDENT_DOF, len(coordinates)))
-        new = z + (root @ rng.standard_normal((size, len(coordinates))) * scale).T
-        return new, log_density(coordinates) - log_density(new)
-
-    return propose
+@partial(jax.jit, static_argnums=0)
+def _log_likelihoods(forward: Forward, z: Array, problem: Problem, counts: Array) -> Array:
+    """Log likelihood of points (N, P), one after the other."""
+    return jax.lax.map(lambda z: log_likelihood(forward, z, problem, counts), z)
 
 
 def _sufficient(sampler: emcee.EnsembleSampler) -> tuple[np.ndarray, float]:
@@ -128,11 +116,11 @@ def _sufficient(sampler: emcee.EnsembleSampler) -> tuple[np.ndarray, float]:
 
 
 def sample(
-    forward: Forward,
+    fitted: Target,
+    thinned: Target,
     z: np.ndarray,
     normal: np.ndarray,
     counts: np.ndarray,
-    problem: Problem,
     max_steps: int,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
@@ -140,35 +128,30 @@ def sample(
     """Run emcee until the chain spans ``ENOUGH`` autocorrelation times or ``max_steps``.
 
     Args:
-        z, normal: optimum on all bins and its normal equations. counts: effective sample counts per channel.
-        problem: thinned samples the likelihood is summed over. seed: of walkers and moves.
-        progress: called with (steps done, steps at the most).
+        fitted: model and samples that were fitted. thinned: those the likelihood of the chain is computed with.
+        z, normal: optimum and its normal equations. counts: effective sample counts per channel.
+        seed: of walkers and moves. progress: called with (steps done, steps at the most).
 
-    Walkers start from the Laplace approximation. Moves: differential evolution with and without snooker, which learn
-    the shape from the walkers, and independent proposals from the Laplace approximation.
+    Walkers start from the Laplace approximation and move by differential evolution, with and without snooker: both
+    learn the shape of the posterior from the other walkers and need no tuning.
     """
     covariance = laplace_covariance(normal, counts, z)
     size = len(z)
-    walkers = 2 * size + 2 * size % 2
+    walkers = 2 * size
     rng = np.random.default_rng(seed)
     spread = np.minimum(1.0, BOUND_PRIOR_SD / np.sqrt(np.diag(covariance)))
     start = z + rng.multivariate_normal(np.zeros(size), covariance, size=walkers, method="eigh") * spread
-    half, weights = walkers // 2, jnp.asarray(counts)
-    transport = make_transport(forward, z, normal, counts, problem)
-    carried = jax.tree.map(jnp.asarray, transport)
+    weights = jnp.asarray(counts)
 
     def log_prob(points: np.ndarray) -> np.ndarray:
-        # emcee asks for half of the walkers a move and for all at the start: one compiled shape serves both
-        padded = np.concatenate([points, np.repeat(points[:1], -len(points) % half, 0)])
-        parts = np.split(padded, len(padded) // half)
-        done = [np.asarray(_log_prob(forward, jnp.asarray(p), carried, problem, weights)) for p in parts]
+        # emcee asks for a quarter, a half or all of the walkers: two compiled shapes serve all
+        batch = -(-walkers // 4) if len(points) <= -(-walkers // 4) else size
+        padded = np.concatenate([points, np.repeat(points[:1], -len(points) % batch, 0)])
+        parts = np.split(padded, len(padded) // batch)
+        done = [np.asarray(_log_prob(thinned[0], jnp.asarray(q), thinned[1], weights)) for q in parts]
         return np.concatenate(done)[: len(points)]
 
-    moves = [
-        (emcee.moves.DEMove(), 0.4),
-        (emcee.moves.DESnookerMove(), 0.1),
-        (emcee.moves.MHMove(_from_laplace(z, covariance)), 0.5),
-    ]
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves)
     sampler.random_state = np.random.RandomState(seed).get_state()
     now: Any = start
@@ -179,45 +162,24 @@ def sample(
                 progress(sampler.iteration, max_steps)
         times, ratio = _sufficient(sampler)
     discard = int(min(BURN_IN * times.max(), sampler.iteration // 2))
-    said = {"steps": sampler.iteration, "ratio": max(ratio, 0.0), "enough": ENOUGH}
+    chain, said = np.asarray(sampler.get_chain()), {"steps": sampler.iteration, "ratio": max(ratio, 0.0)}
+    log_probs = np.asarray(sampler.get_log_prob())
+    drawn = rng.choice(len(chain[discard:]) * walkers, CHECKED_DRAWS)
+    draws = jnp.asarray(chain[discard:].reshape(-1, size)[drawn])
+    thin = log_probs[discard:].reshape(-1)[drawn] - jax.vmap(fitted[0].layout.log_prior)(draws)
+    error = float(jnp.std(_log_likelihoods(fitted[0], draws, fitted[1], weights) - thin))
+    if ratio < ENOUGH:
+        message = TOO_SHORT.format(**said, enough=ENOUGH)
+    elif not error < THINNING_LIMIT:
+        message = TOO_THIN.format(error=error, limit=THINNING_LIMIT)
+    else:
+        message = DONE.format(**said)
     return Posterior(
-        np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob()), discard, times,
-        (sampler.iteration - discard) * walkers / times,
-        float(np.mean(sampler.acceptance_fraction)), ratio >= ENOUGH,
-        (DONE if ratio >= ENOUGH else TOO_SHORT).format(**said),
-        float(np.max(np.abs(transport.image - z) / np.sqrt(np.diag(covariance)))),
+        chain, log_probs, discard, times, (sampler.iteration - discard) * walkers / times,
+        float(np.mean(sampler.acceptance_fraction)), ratio >= ENOUGH and error < THINNING_LIMIT, message, error,
     )  # fmt: skip
-
-
-def make_transport(
-    forward: Forward, z: np.ndarray, normal: np.ndarray, counts: np.ndarray, problem: Problem
-) -> Transport:
-    """The map that carries the Gaussian approximation on all bins to that of the thinned grid, moving points least.
-
-    The thinned optimum is found by Newton steps of at most one standard deviation; the matrix is that of optimal
-    transport between two Gaussians, A = C^(-1/2) (C^(1/2) C_t C^(1/2))^(1/2) C^(-1/2).
-    """
-    covariance = np.linalg.inv(likelihood_precision(normal, counts) + OPEN * np.eye(len(z)))
-    deviation, image, inverse = np.sqrt(np.diag(covariance)), z, covariance
-    for _ in range(NEWTON_STEPS):
-        thinned = np.asarray(compiled_normal_equations(forward, jnp.asarray(image), problem))
-        inverse = np.linalg.inv(likelihood_precision(thinned, counts) + OPEN * np.eye(len(z)))
-        gradient = sum(n * m[:-1, -1] / max(m[-1, -1], 1e-30) for m, n in zip(thinned, counts, strict=True))
-        step = inverse @ (gradient - OPEN * (image - z))
-        image = image + step / max(1.0, np.max(np.abs(step) / deviation))
-    root = symmetric_root(covariance)
-    back = np.linalg.inv(root)
-    matrix = back @ symmetric_root(root @ inverse @ root) @ back
-    good = np.isfinite(image).all() and np.isfinite(matrix).all()
-    return Transport(z, image, matrix) if good else Transport(z, z, np.eye(len(z)))
 
 
 def likelihood_precision(normal: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Curvature of sum_c N_c/2 log S_c at an optimum, (P, P): sum_c N_c H_c / S_c, H_c the Gauss-Newton matrix."""
     return np.sum([n * m[:-1, :-1] / max(m[-1, -1], 1e-30) for m, n in zip(normal, counts, strict=True)], axis=0)
-
-
-def symmetric_root(matrix: np.ndarray) -> np.ndarray:
-    """Symmetric square root of a positive definite matrix."""
-    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    return (vectors * np.sqrt(np.maximum(values, 1e-30))) @ vectors.T

@@ -111,5 +111,5 @@ def print_result(console: Console, result: Result) -> None:
     console.print(
         f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}, smallest effective size "
         f"{min(p.effective_size):.0f}, residuals worth {', '.join(number(n, 3) for n in p.effective_bins_per_channel)} "
-        f"independent bins (R, G, B), thinning shifts the optimum by {p.thinning_shift_sd:.2f} standard deviations"
+        f"independent bins (R, G, B), thinning changes log L by {p.thinning_error:.2f}"
     )

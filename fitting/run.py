@@ -26,9 +26,11 @@ from .selection import bic
 from .starts import starting_points
 from .transforms import AT_BOUND
 
-COARSE = (5, 5, 10)  # strides of the coarse grid: 18 x 18 x 9 bins
-SAMPLING = (6, 6, 45)  # of the posterior's grid: 15 x 15 x 2 bins; residuals hardly change along phi_d
-SAMPLING_ORDER = 12  # of the convolution in the posterior: median error 1e-3, worst 7e-2
+# Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
+# every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
+COARSE = ((1, 1, 3, *(5,) * 17), 5, 10)  # 20 x 18 x 9 bins
+SAMPLING = ((1, 1, 1, 2, 3, 4, 6, 6, 6, *(10,) * 6), 6, 30)  # 15 x 15 x 3 bins, for the posterior
+SAMPLING_ORDER = 16  # of the convolution in the posterior: median error 2e-4
 TRIAL_STEPS = 25  # that a screened start is followed before the best is chosen
 LEAST_BINS = 30  # fewer valid bins than this cannot carry a dozen parameters
 Report = Callable[[str], None]
@@ -168,10 +170,10 @@ def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: R
     """The posterior on the sampling grid."""
     cheap = replace(fitted.forward.effects, order=min(SAMPLING_ORDER, fitted.forward.effects.order))
     forward = replace(fitted.forward, effects=cheap)
-    problem = make_problem(thin(samples, SAMPLING))
+    whole, thinned = make_problem(samples), make_problem(thin(samples, SAMPLING))
     return sample(
-        forward, fitted.solution.z, fitted.solution.normal, fitted.counts, problem, config.posterior.max_steps,
-        config.seed, lambda done, most: report(f"posterior: {done} of at most {most} steps"),
+        (fitted.forward, whole), (forward, thinned), fitted.solution.z, fitted.solution.normal, fitted.counts,
+        config.posterior.max_steps, config.seed, lambda done, most: report(f"posterior: {done} of at most {most} steps"),
     )  # fmt: skip
 
 
@@ -271,5 +273,5 @@ def _posterior_part(chain: Posterior, fitted: Fitted, name: str) -> export.Poste
         autocorrelation_steps=np.round(chain.autocorrelation, 2).tolist(),
         effective_size=np.round(chain.effective_size, 1).tolist(),
         effective_bins_per_channel=np.round(fitted.counts, 1).tolist(),
-        thinning_shift_sd=chain.thinning_shift, chain_file=f"{name}.chain.npz",
+        thinning_error=chain.thinning_error, chain_file=f"{name}.chain.npz",
     )  # fmt: skip

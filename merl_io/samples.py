@@ -1,6 +1,7 @@
 """Samples with weights on the half of MERL's bins that a reciprocal model can tell apart, and thinned sets of them."""
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -52,21 +53,29 @@ def fold(grid: MerlGrid, value: np.ndarray, weight: np.ndarray) -> Samples:
     )  # fmt: skip
 
 
-def thin(samples: Samples, every: tuple[int, int, int]) -> Samples:
-    """Every so many-th row of each axis, the middle one of each run; weights and values unchanged.
+Runs = int | tuple[int, ...]
+
+
+def thin(samples: Samples, runs: tuple[Runs, Runs, Runs]) -> Samples:
+    """One row for each run of neighbouring rows along every axis: its middle one, standing for as many as it replaces.
+
+    Values are not averaged; weights are multiplied by the lengths of the runs.
 
     Args:
-        every: strides in theta_h, theta_d, phi_d; each must divide its axis, so that shapes do not depend on the file.
+        runs: along theta_h, theta_d, phi_d: the length of all runs, or the lengths one by one. They must fill the axis,
+            so that shapes do not depend on the file.
 
     Raises:
-        ValueError: a stride does not divide its axis.
+        ValueError: the runs do not fill an axis.
     """
     shape = samples.cos_i.shape
-    if any(n % e for n, e in zip(shape, every, strict=True)):
-        raise ValueError(f"strides {every} must divide the grid {shape}")
-    h, d, p = (slice(e // 2, None, e) for e in every)
+    lengths = [(r,) * (n // r) if isinstance(r, int) else r for n, r in zip(shape, runs, strict=True)]
+    if any(sum(each) != n for n, each in zip(shape, lengths, strict=True)):
+        raise ValueError(f"runs {runs} must fill the grid {shape}")
+    h, d, p = (np.cumsum(each) - np.asarray(each) + np.asarray(each) // 2 for each in lengths)
+    rows, multiplicity = np.ix_(h, d, p), reduce(np.multiply, np.ix_(*lengths))
     return replace(
         samples, theta_h=samples.theta_h[h], theta_d=samples.theta_d[d], phi_d=samples.phi_d[p],
-        cos_i=samples.cos_i[h, d, p], cos_o=samples.cos_o[h, d, p],
-        value=samples.value[:, h, d, p], weight=samples.weight[:, h, d, p],
+        cos_i=samples.cos_i[rows], cos_o=samples.cos_o[rows],
+        value=samples.value[:, *rows], weight=samples.weight[:, *rows] * multiplicity,
     )  # fmt: skip
