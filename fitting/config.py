@@ -54,7 +54,7 @@ class PosteriorSection(_Section):
     """
 
     enabled: bool = True
-    max_steps: Annotated[int, Field(ge=10)] = 4500
+    max_steps: Annotated[int, Field(ge=10)] = 3600
 
 
 class Config(_Section):

@@ -112,7 +112,6 @@ class PosteriorResult(_Part):
     message: str
     steps: int
     walkers: int
-    discard: int
     acceptance: float
     autocorrelation_steps: list[float]
     effective_size: list[float]

@@ -13,20 +13,23 @@ is measured on draws from the posterior (``thinning_error``); where it is not sm
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import emcee
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2
 
 from .residuals import Forward, Problem, cost
 from .transforms import Layout
 
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
 CHECK_EVERY = 250  # steps between looks at the autocorrelation time
-BURN_IN = 5  # autocorrelation times discarded at the start
+TUNING = (600, 400)  # steps of the stages of tuning, discarded
+INDEPENDENT = 0.6  # share of independent proposals after tuning
+STUDENT_DOF = 10.0  # tails of the independent proposals
 CHECKED_DRAWS = 32  # of the posterior, on which the thinned likelihood is compared with that of all bins
 THINNING_LIMIT = 1.0  # standard deviation of that difference above which the chain is not the posterior of all bins
 BOUND_PRIOR_SD = 3.0  # the logistic prior's standard deviation is pi/sqrt(3); starting spread never exceeds this
@@ -49,8 +52,8 @@ class Posterior:
     """Samples of the posterior and what is known about them.
 
     Attributes:
-        chain: free coordinates, (steps, walkers, P), whole. log_prob: (steps, walkers).
-        discard: steps to drop at the start. autocorrelation: integrated time per entry (steps).
+        chain: free coordinates, (steps, walkers, P), without those of tuning. log_prob: (steps, walkers).
+        autocorrelation: integrated time per entry (steps).
         effective_size: independent samples per entry. acceptance: mean fraction of accepted moves.
         sufficient: whether intervals may be given. message: in a sentence.
         thinning_error: standard deviation over posterior draws of log L on all bins minus log L on the thinned grid.
@@ -58,7 +61,6 @@ class Posterior:
 
     chain: np.ndarray
     log_prob: np.ndarray
-    discard: int
     autocorrelation: np.ndarray
     effective_size: np.ndarray
     acceptance: float
@@ -68,8 +70,8 @@ class Posterior:
 
     def values(self, layout: Layout) -> np.ndarray:
         """Physical values of the kept samples, shape (samples, P)."""
-        kept = self.chain[self.discard :].reshape(-1, self.chain.shape[-1])
-        named = jax.vmap(layout.values)(jnp.asarray(kept))
+        kept = jnp.asarray(self.chain.reshape(-1, self.chain.shape[-1]))
+        named = jax.vmap(layout.values)(kept)
         return np.concatenate([np.asarray(named[q.name]).reshape(len(kept), -1) for q in layout.parameters], 1)
 
 
@@ -108,11 +110,28 @@ def _log_likelihoods(forward: Forward, z: Array, problem: Problem, counts: Array
     return jax.lax.map(lambda z: log_likelihood(forward, z, problem, counts), z)
 
 
-def _sufficient(sampler: emcee.EnsembleSampler) -> tuple[np.ndarray, float]:
-    """Autocorrelation times, and how many of the longest of them the chain spans after burn-in."""
-    times = np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
-    times = np.where(np.isfinite(times), times, sampler.iteration)
-    return times, float(sampler.iteration / times.max() - BURN_IN)
+def independent_proposal(samples: np.ndarray, log_prob: np.ndarray) -> Callable:
+    """Independent proposals for emcee's MHMove from a Student t with place and shape of ``samples`` (N, P).
+
+    The shape is that of the likelier half of the samples, for walkers astray must not widen it; its scale makes the
+    median distance of all samples that of a normal distribution.
+    """
+    core = samples[log_prob >= np.median(log_prob)]
+    centre, size = core.mean(0), samples.shape[1]
+    shape = np.cov(core.T) + 1e-9 * np.eye(size)
+    distance = np.sum((samples - centre) * np.linalg.solve(shape, (samples - centre).T).T, 1)
+    root = np.linalg.cholesky(shape * np.median(distance) / chi2(size).ppf(0.5))
+
+    def log_density(x: np.ndarray) -> np.ndarray:
+        whitened = solve_triangular(root, (x - centre).T, lower=True)
+        return -(STUDENT_DOF + size) / 2 * np.log1p(np.sum(whitened**2, 0) / STUDENT_DOF)
+
+    def propose(coordinates: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        scale = np.sqrt(STUDENT_DOF / rng.chisquare(STUDENT_DOF, len(coordinates)))
+        new = centre + (root @ rng.standard_normal((size, len(coordinates))) * scale).T
+        return new, log_density(coordinates) - log_density(new)
+
+    return propose
 
 
 def sample(
@@ -132,8 +151,9 @@ def sample(
         z, normal: optimum and its normal equations. counts: effective sample counts per channel.
         seed: of walkers and moves. progress: called with (steps done, steps at the most).
 
-    Walkers start from the Laplace approximation and move by differential evolution, with and without snooker: both
-    learn the shape of the posterior from the other walkers and need no tuning.
+    Walkers start from the Laplace approximation and move by differential evolution, with and without snooker, which
+    learns the shape of the posterior from the other walkers. After each stage of tuning, whose steps are not kept,
+    independent proposals of the shape found so far join in.
     """
     covariance = laplace_covariance(normal, counts, z)
     size = len(z)
@@ -151,22 +171,38 @@ def sample(
         done = [np.asarray(_log_prob(thinned[0], jnp.asarray(q), thinned[1], weights)) for q in parts]
         return np.concatenate(done)[: len(points)]
 
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves)
-    sampler.random_state = np.random.RandomState(seed).get_state()
-    now: Any = start
+    def sampler_with(proposal: Callable | None, share: float, seed: int) -> emcee.EnsembleSampler:
+        moves = [(emcee.moves.DEMove(), 0.75 * (1 - share)), (emcee.moves.DESnookerMove(), 0.25 * (1 - share))]
+        independent = [(emcee.moves.MHMove(proposal), share)] if proposal else []
+        made = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves + independent)
+        made.random_state = np.random.RandomState(seed).get_state()
+        return made
+
+    def advance(sampler: emcee.EnsembleSampler, now: np.ndarray, steps: int) -> np.ndarray:
+        for _ in sampler.sample(now, iterations=steps):
+            if progress:
+                progress(before + sampler.iteration, most)
+        return np.asarray(sampler.get_last_sample().coords)
+
+    tuning = [min(steps, max_steps) for steps in TUNING]
+    before, most, now, proposal = 0, sum(tuning) + max_steps, start, None
+    for stage, steps in enumerate(tuning):
+        sampler = sampler_with(proposal, INDEPENDENT / 2, seed + 1 + stage)
+        now, before = advance(sampler, now, steps), before + steps
+        seen, log_probs = (np.asarray(x)[steps // 2 :] for x in (sampler.get_chain(), sampler.get_log_prob()))
+        proposal = independent_proposal(seen.reshape(-1, size), log_probs.ravel())
+    sampler = sampler_with(proposal, INDEPENDENT, seed)
     times, ratio = np.full(size, np.inf), 0.0
     while sampler.iteration < max_steps and ratio < ENOUGH:
-        for now in sampler.sample(now, iterations=min(CHECK_EVERY, max_steps - sampler.iteration)):  # noqa: B007, B020
-            if progress:
-                progress(sampler.iteration, max_steps)
-        times, ratio = _sufficient(sampler)
-    discard = int(min(BURN_IN * times.max(), sampler.iteration // 2))
-    chain, said = np.asarray(sampler.get_chain()), {"steps": sampler.iteration, "ratio": max(ratio, 0.0)}
+        now = advance(sampler, now, min(CHECK_EVERY, max_steps - sampler.iteration))
+        times = np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
+        times = np.where(np.isfinite(times), times, sampler.iteration)
+        ratio = float(sampler.iteration / times.max())
+    chain, said = np.asarray(sampler.get_chain()), {"steps": sampler.iteration, "ratio": ratio}
     log_probs = np.asarray(sampler.get_log_prob())
-    drawn = rng.choice(len(chain[discard:]) * walkers, CHECKED_DRAWS)
-    draws = jnp.asarray(chain[discard:].reshape(-1, size)[drawn])
-    thin = log_probs[discard:].reshape(-1)[drawn] - jax.vmap(fitted[0].layout.log_prior)(draws)
+    drawn = rng.choice(log_probs.size, CHECKED_DRAWS)
+    draws = jnp.asarray(chain.reshape(-1, size)[drawn])
+    thin = log_probs.reshape(-1)[drawn] - jax.vmap(fitted[0].layout.log_prior)(draws)
     error = float(jnp.std(_log_likelihoods(fitted[0], draws, fitted[1], weights) - thin))
     if ratio < ENOUGH:
         message = TOO_SHORT.format(**said, enough=ENOUGH)
@@ -175,7 +211,7 @@ def sample(
     else:
         message = DONE.format(**said)
     return Posterior(
-        chain, log_probs, discard, times, (sampler.iteration - discard) * walkers / times,
+        chain, log_probs, times, log_probs.size / times,
         float(np.mean(sampler.acceptance_fraction)), ratio >= ENOUGH and error < THINNING_LIMIT, message, error,
     )  # fmt: skip
 

@@ -173,7 +173,8 @@ def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: R
     whole, thinned = make_problem(samples), make_problem(thin(samples, SAMPLING))
     return sample(
         (fitted.forward, whole), (forward, thinned), fitted.solution.z, fitted.solution.normal, fitted.counts,
-        config.posterior.max_steps, config.seed, lambda done, most: report(f"posterior: {done} of at most {most} steps"),
+        config.posterior.max_steps, config.seed,
+        lambda done, most: report(f"posterior: {done} of at most {most} steps"),
     )  # fmt: skip
 
 
@@ -184,7 +185,6 @@ def save_chain(path: Path, fitted: Fitted, chain: Posterior) -> None:
         "names": np.array(layout.names),
         "chain_free": chain.chain.astype(np.float32),
         "log_prob": chain.log_prob,
-        "discard": np.array(chain.discard),
         "values": chain.values(layout).astype(np.float32),
     }
     export.write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
@@ -269,7 +269,7 @@ def _model_part(forward: Forward, z: np.ndarray) -> export.Model:
 def _posterior_part(chain: Posterior, fitted: Fitted, name: str) -> export.PosteriorResult:
     return export.PosteriorResult(
         sufficient=chain.sufficient, message=chain.message, steps=len(chain.chain), walkers=chain.chain.shape[1],
-        discard=chain.discard, acceptance=chain.acceptance,
+        acceptance=chain.acceptance,
         autocorrelation_steps=np.round(chain.autocorrelation, 2).tolist(),
         effective_size=np.round(chain.effective_size, 1).tolist(),
         effective_bins_per_channel=np.round(fitted.counts, 1).tolist(),

@@ -45,7 +45,7 @@ SHARPNESS = 3  # exponent of the partition of unity
 
 
 class _Nodes(NamedTuple):
-    """Normals at which the integrand is taken: ring angle theta_m, azimuth as the angle psi to the half vector, weights.
+    """Normals at which the integrand is taken, ring angle theta_m and azimuth as the angle psi to h, and weights.
 
     Angles of rings are carried by sine and cosine: XLA calls the C library for every sine, tangent and arc tangent on a
     CPU (5 to 12 ns), while exponentials, logarithms and roots are vectorised (1 to 3 ns).
@@ -59,9 +59,7 @@ class _Nodes(NamedTuple):
     azimuth_weight: Array  # (..., 2 n, m): measure of the azimuth, whole circle
 
 
-def _azimuth_nodes(
-    sin_h: Array, cos_h: Array, sin_m: Array, cos_m: Array, B: Array, order: int
-) -> tuple[Array, Array]:
+def _azimuth_nodes(sin_h: Array, cos_h: Array, sin_m: Array, cos_m: Array, B: Array, order: int) -> tuple[Array, Array]:
     """cos(psi) and weights of the warped azimuth, whose half circle ends where h sees its horizon."""
     u, w = gauss_legendre(order)
     R = jnp.sqrt(1 + B * B)
@@ -125,7 +123,7 @@ def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Node
     measure_2 = (t_high - t_low) * (growth + 1 / growth) / (2 * B) * w
     y_2 = jnp.log(sin_2 / (cos_2 * beta))
 
-    # The part of the integrand that each set takes: by node density, that of set 1, inside the window where it has nodes
+    # The part of the integrand that each set takes: by node density, set 1 inside the window where it has nodes
     def join(first: Array, second: Array) -> Array:
         return jnp.concatenate([first, second], -1)
 

@@ -30,7 +30,9 @@ from .numerics import safe_sqrt
 NODES = np.arange(-11.0, 4.7, 0.245)
 BEND = 3.0  # where the left tail begins to be stretched for p > 1/2
 LARGEST_EXPONENT = 650.0  # e^-650 = 1e-282: masking is 1 to the last digit long before
-TABLE_SIZE = 129  # nodes of the interpolation table; Hermite error <= 1.5e-6 for p >= 0.2 (tests/model/test_shadowing.py)
+TABLE_SIZE = (
+    129  # nodes of the interpolation table; Hermite error <= 1.5e-6 for p >= 0.2 (tests/model/test_shadowing.py)
+)
 
 
 def _excess(w_minus_1: Array) -> Array:
