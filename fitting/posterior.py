@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.linalg import solve_triangular
 from scipy.stats import chi2
 
 from .residuals import Forward, Problem, cost
@@ -38,8 +37,8 @@ TOO_SHORT = (
     "raise posterior.max_steps"
 )
 TOO_THIN = (
-    "thinned likelihood too far from that of all bins: their logarithms differ with a standard deviation of {error:.1f}, "
-    "at most {limit:.0f} is accepted"
+    "thinned likelihood too far from that of all bins: their logarithms differ with a standard deviation of "
+    "{error:.1f}, at most {limit:.0f} is accepted"
 )
 DONE = "long enough: {steps} steps are {ratio:.0f} autocorrelation times"
 
@@ -121,10 +120,11 @@ def independent_proposal(samples: np.ndarray, log_prob: np.ndarray) -> Callable:
     shape = np.cov(core.T) + 1e-9 * np.eye(size)
     distance = np.sum((samples - centre) * np.linalg.solve(shape, (samples - centre).T).T, 1)
     root = np.linalg.cholesky(shape * np.median(distance) / chi2(size).ppf(0.5))
+    inverse = np.linalg.inv(root)  # a triangular solve wakes OpenBLAS's threads, which then contend with XLA's
 
     def log_density(x: np.ndarray) -> np.ndarray:
-        whitened = solve_triangular(root, (x - centre).T, lower=True)
-        return -(STUDENT_DOF + size) / 2 * np.log1p(np.sum(whitened**2, 0) / STUDENT_DOF)
+        whitened = (x - centre) @ inverse.T
+        return -(STUDENT_DOF + size) / 2 * np.log1p(np.sum(whitened**2, 1) / STUDENT_DOF)
 
     def propose(coordinates: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         scale = np.sqrt(STUDENT_DOF / rng.chisquare(STUDENT_DOF, len(coordinates)))
