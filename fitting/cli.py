@@ -1,6 +1,8 @@
 """The command line: parses, calls, prints."""
 
+import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -85,10 +87,14 @@ def _fit_all(files: list[Path], out: Path, settings: Any) -> list:  # noqa: ANN4
     from .run import fit_file
 
     use_persistent_cache()
+    _writable_folder(out)
+    twice = [name for name, count in Counter(path.stem for path in files).items() if count > 1]
+    if twice:
+        raise _fail(f"several files are named {twice[0]}, and each result is named after its file: fit them apart")
     outcomes = []
     with Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console, transient=True,
-        disable=not console.is_terminal,
+        SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(),
+        console=console, transient=True, disable=not console.is_terminal,
     ) as progress:  # fmt: skip
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name)
@@ -97,11 +103,25 @@ def _fit_all(files: list[Path], out: Path, settings: Any) -> list:  # noqa: ANN4
                 result = fit_file(path, out, settings, _reporter(progress, task, label))
                 outcomes.append(Outcome(path, result))
                 console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s", markup=False)
-            except (MerlError, OSError) as error:
+            except MerlError as error:
                 outcomes.append(Outcome(path, None, str(error)))
                 _fail(str(error))
+            except Exception as error:
+                said = f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
+                outcomes.append(Outcome(path, None, said))
+                _fail(said)
             progress.remove_task(task)
     return outcomes
+
+
+def _writable_folder(out: Path) -> None:
+    """Make the folder now: an hour of fits is not to end with nowhere to go."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        raise _fail(f"{out}: results cannot be written there ({error.strerror or error})") from None
 
 
 def _reporter(progress: Progress, task: Any, label: str) -> Callable[[str], None]:  # noqa: ANN401
@@ -177,8 +197,12 @@ def _show(path: Path, result: Any, file: Path, out: Path) -> None:  # noqa: ANN4
     from .report import print_result
 
     print_result(console, result)
-    out.mkdir(parents=True, exist_ok=True)
-    pictures = {"corner": plots.corner_figure(result, path.parent)}
+    _writable_folder(out)
+    pictures = {}
+    try:
+        pictures["corner"] = plots.corner_figure(result, path.parent)
+    except plots.NoPicture as error:
+        errors.print(f"merlfit: no corner plot: {error}", markup=False, soft_wrap=True)
     try:
         measurement = read_merl(file)
         if measurement.sha1 != result.source.sha1:
@@ -188,10 +212,9 @@ def _show(path: Path, result: Any, file: Path, out: Path) -> None:  # noqa: ANN4
     except MerlError as error:
         errors.print(f"merlfit: no lobe plot: {error}; name the file with --file", markup=False, soft_wrap=True)
     for name, figure in pictures.items():
-        if figure is not None:
-            target = out / f"{result.source.material}.{name}.png"
-            plots.save(figure, target)
-            console.print(f"wrote {target}", markup=False, soft_wrap=True)
+        target = out / f"{result.source.material}.{name}.png"
+        plots.save(figure, target)
+        console.print(f"wrote {target}", markup=False, soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")
@@ -201,7 +224,7 @@ def demo(out: Out = Path("demo-out"), seed: Seed = None) -> None:
     from .synthesis import DEMO, from_published
 
     start = time.perf_counter()
-    out.mkdir(parents=True, exist_ok=True)
+    _writable_folder(out)
     values, said = from_published(*DEMO)
     path = out / f"{DEMO[0]}.binary"
     write(path, values)

@@ -58,7 +58,11 @@ class Quantiles(_Part):
 
 
 class ParameterResult(_Part):
-    """One fitted number. ``standard_error`` is the Laplace approximation's; quantiles are null without a posterior."""
+    """One fitted number.
+
+    ``standard_error`` is the Laplace approximation's, null at a bound, where there is no normal distribution;
+    quantiles are null without a posterior.
+    """
 
     name: str
     parameter: str
@@ -66,7 +70,7 @@ class ParameterResult(_Part):
     meaning: str
     unit: str
     value: float
-    standard_error: float
+    standard_error: float | None
     quantiles: Quantiles | None
     lower: float
     upper: float
@@ -79,7 +83,7 @@ class Candidate(_Part):
     """One body on the coarse grid."""
 
     body: str
-    cost: float
+    cost: float | None
     bic: float | None
 
 
@@ -116,7 +120,7 @@ class PosteriorResult(_Part):
     autocorrelation_steps: list[float]
     effective_size: list[float]
     effective_bins_per_channel: list[float]
-    thinning_error: float
+    thinning_error: float | None
     chain_file: str
 
 

@@ -42,7 +42,9 @@ class Status(Enum):
     AT_BOUND = "converged with parameters at a bound: the data ask for more than the bound allows, see at_bound"
     STEP_LIMIT = "stopped at the step limit while the cost was still falling: raise fit.max_steps"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
-    NO_DATA = "failed: fewer valid bins than parameters; check the file with `merlfit check`"
+    NO_DATA = (
+        "failed: fewer than 30 valid bins that are not black, on all bins or on a thinned grid; see `merlfit check`"
+    )
 
     @property
     def succeeded(self) -> bool:

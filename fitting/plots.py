@@ -1,5 +1,6 @@
 """Pictures of a fit: lobes in the plane of incidence, and the corner plot of the posterior. They return figures."""
 
+import zipfile
 from pathlib import Path
 
 import corner
@@ -84,15 +85,28 @@ def lobe_figure(result: Result, measurement: Measurement) -> Figure:
     return figure
 
 
-def corner_figure(result: Result, folder: Path) -> Figure | None:
-    """Corner plot of the posterior, from the chain beside the result; None if it was not sampled or too short."""
-    if result.posterior is None or not result.posterior.sufficient:
-        return None
+class NoPicture(ValueError):
+    """A picture that cannot be drawn; the message says why."""
+
+
+def corner_figure(result: Result, folder: Path) -> Figure:
+    """Corner plot of the posterior, from the chain beside the result.
+
+    Raises:
+        NoPicture: it was not sampled, is not to be trusted, or its chain is missing or of another fit.
+    """
+    if result.posterior is None:
+        raise NoPicture("the posterior was not sampled")
+    if not result.posterior.sufficient:
+        raise NoPicture(result.posterior.message)
     path = folder / Path(result.posterior.chain_file).name
-    if not path.is_file():
-        return None
-    with np.load(path, allow_pickle=False) as chain:
-        values, names = chain["values"], [str(n) for n in chain["names"]]
+    try:
+        with np.load(path, allow_pickle=False) as chain:
+            values, names = chain["values"], [str(n) for n in chain["names"]]
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise NoPicture(f"{path}: cannot be read ({error})") from None
+    if names != [q.name for q in result.parameters]:
+        raise NoPicture(f"{path}: is the chain of another fit")
     best = [q.value for q in result.parameters]
     figure = Figure(figsize=(1.5 * len(names), 1.5 * len(names)))
     corner.corner(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ..merl_io.check import FileReport
@@ -38,7 +39,8 @@ def check_table(reports: Sequence[FileReport]) -> Table:
         )
     for r in reports:
         table.add_row(
-            r.path.name, "x".join(map(str, r.dims)), f"{r.fraction_valid:.1%}", str(r.negative), str(r.nan), str(r.inf),
+            escape(r.path.name), "x".join(map(str, r.dims)), f"{r.fraction_valid:.1%}",
+            str(r.negative), str(r.nan), str(r.inf),
             *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no",
         )  # fmt: skip
     return table
@@ -51,12 +53,12 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
         table.add_column(head, justify="right" if head in ("cost", "RMSE (1/sr)", "sMAPE", "seconds") else "left")
     for o in outcomes:
         if o.result is None:
-            table.add_row(o.path.stem, "-", f"failed: {o.error}", "-", "-", "-", "-", "-")
+            table.add_row(escape(o.path.stem), "-", f"failed: {escape(str(o.error))}", "-", "-", "-", "-", "-")
             continue
         r = o.result
-        chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else "too short"
+        chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
-            r.source.material, r.model.body if r.model else "-", r.fit.status, number(r.fit.cost),
+            escape(r.source.material), r.model.body if r.model else "-", r.fit.status, number(r.fit.cost),
             number(r.metrics.rmse), number(r.metrics.smape, 3), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
     return table
@@ -71,7 +73,7 @@ def interval(q: ParameterResult) -> str:
 
 def parameter_table(result: Result) -> Table:
     """Parameters with intervals."""
-    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left")
+    table = Table(title=f"{escape(result.source.material)}: fitted parameters", title_justify="left")
     for head in ("parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", "meaning"):
         table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
     for q in result.parameters:
@@ -85,7 +87,7 @@ def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
     origin = f"genuine MERL file {s.genuine_merl}" if s.genuine_merl else "not a genuine MERL file (other SHA-1)"
-    console.print(f"{s.material}: {s.path}, {origin}, {s.fraction_valid:.1%} of bins valid")
+    console.print(f"{s.material}: {s.path}, {origin}, {s.fraction_valid:.1%} of bins valid", markup=False)
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
         return
@@ -111,5 +113,5 @@ def print_result(console: Console, result: Result) -> None:
     console.print(
         f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}, smallest effective size "
         f"{min(p.effective_size):.0f}, residuals worth {', '.join(number(n, 3) for n in p.effective_bins_per_channel)} "
-        f"independent bins (R, G, B), thinning changes log L by {p.thinning_error:.2f}"
+        f"independent bins (R, G, B), thinning changes log L by {number(p.thinning_error, 2)}"
     )

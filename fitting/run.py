@@ -32,7 +32,7 @@ COARSE = ((1, 1, 3, *(5,) * 17), 5, 10)  # 20 x 18 x 9 bins
 SAMPLING = ((1, 1, 1, 2, 3, 4, 6, 6, 6, *(10,) * 6), 6, 30)  # 15 x 15 x 3 bins, for the posterior
 SAMPLING_ORDER = 16  # of the convolution in the posterior: median error 2e-4
 TRIAL_STEPS = 25  # that a screened start is followed before the best is chosen
-LEAST_BINS = 30  # fewer valid bins than this cannot carry a dozen parameters
+LEAST_BINS = 30  # fewer bins with light than this, of all or of a thinned grid, cannot carry a dozen parameters
 Report = Callable[[str], None]
 
 
@@ -54,10 +54,14 @@ class Fitted:
 
 
 class _Clock:
-    """Seconds by stage."""
+    """Seconds by stage, and of everything since the start."""
 
     def __init__(self) -> None:
+        self.start = time.perf_counter()
         self.seconds: dict[str, float] = {}
+
+    def times(self) -> dict[str, float]:
+        return {**self.seconds, "total": round(time.perf_counter() - self.start, 3)}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -81,21 +85,23 @@ def fit_file(path: str | os.PathLike[str], out: Path, config: Config, report: Re
         measurement = read(path)
         samples = weighted_samples(measurement)
     fitted = fit(samples, config, report, clock)
-    chain = None
+    result = make_result(measurement, samples, fitted, None, config, clock.times())
+    out.mkdir(parents=True, exist_ok=True)
+    target = out / f"{measurement.name}.json"
+    export.write_result(target, result)  # before the sampling, which may be interrupted
     if fitted is not None and config.posterior.enabled and fitted.status.succeeded:
         with clock.stage("posterior"):
             chain = sample_posterior(fitted, samples, config, report)
-    result = make_result(measurement, samples, fitted, chain, config, clock.seconds)
-    out.mkdir(parents=True, exist_ok=True)
-    if chain is not None and fitted is not None:
-        save_chain(out / f"{measurement.name}.chain.npz", fitted, chain)
-    export.write_result(out / f"{measurement.name}.json", result)
+            save_chain(out / f"{measurement.name}.chain.npz", fitted, chain)
+        result = make_result(measurement, samples, fitted, chain, config, clock.times())
+        export.write_result(target, result)
     return result
 
 
 def fit(samples: Samples, config: Config, report: Report, clock: _Clock) -> Fitted | None:
-    """Coarse grid first for every body asked for, then all valid bins for the best; None without enough data."""
-    if int(np.any(samples.weight > 0, axis=0).sum()) < LEAST_BINS:
+    """Coarse grid first for every body asked for, then all valid bins for the best; None without enough light."""
+    sets = [samples, *(thin(samples, runs) for runs in (COARSE, SAMPLING))]
+    if min(int(np.any((s.weight > 0) & (s.value > 0), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
         bodies: tuple[Body, ...] = BODIES if config.fit.body == "auto" else (config.fit.body,)
@@ -104,23 +110,26 @@ def fit(samples: Samples, config: Config, report: Report, clock: _Clock) -> Fitt
         problem = make_problem(coarse)
         with ThreadPoolExecutor(max_workers=2) as pool:
             found = list(pool.map(lambda body: fit_coarse(config.forward(body), coarse, problem, config), bodies))
-        lowest = int(np.argmin([s.cost for s in found]))
+        lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
         forward = config.forward(bodies[lowest])
         counts = counts_of(coarse, predict_samples(forward, found[lowest].z, coarse, problem))
         candidates = [
-            export.Candidate(body=body, cost=s.cost, bic=bic(s.normal[:, -1, -1], counts, len(s.z)))
+            export.Candidate(
+                body=body, cost=export.finite(s.cost), bic=export.finite(bic(s.normal[:, -1, -1], counts, len(s.z)))
+            )
             for body, s in zip(bodies, found, strict=True)
         ]
-        chosen = min(range(len(bodies)), key=lambda i: candidates[i].bic or np.inf)
+        chosen = min(range(len(bodies)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
     with clock.stage("full"):
         report(f"all bins: {bodies[chosen]}")
         forward, whole = config.forward(bodies[chosen]), make_problem(samples)
         solution = solve(forward, found[chosen].z, whole, config.fit.max_steps, backend=config.fit.backend)
+    with clock.stage("metrics"):
         predicted = predict_samples(forward, solution.z, samples, whole)
-    counts = counts_of(samples, predicted)
-    axes = (samples.theta_h, samples.theta_d, samples.phi_d)
-    used = np.all(samples.weight > 0, axis=0)
-    errors = metrics.errors(samples.value, predicted, used, axes, samples.cos_i, samples.cos_o)
+        counts = counts_of(samples, predicted)
+        axes = (samples.theta_h, samples.theta_d, samples.phi_d)
+        used = np.all(samples.weight > 0, axis=0)
+        errors = metrics.errors(samples.value, predicted, used, axes, samples.cos_i, samples.cos_o)
     return Fitted(forward, solution, counts, errors, judge(forward, solution), candidates)
 
 
@@ -206,7 +215,7 @@ def make_result(
     )  # fmt: skip
     bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {
-        "source": source, "seconds": {**seconds, "total": round(sum(seconds.values()), 3)}, "seed": config.seed,
+        "source": source, "seconds": seconds, "seed": config.seed,
         "versions": export.versions(), "config": config.model_dump(mode="json"),
     }  # fmt: skip
     if fitted is None or not np.isfinite(fitted.solution.cost):
@@ -246,7 +255,8 @@ def parameter_results(fitted: Fitted, chain: Posterior | None) -> list[export.Pa
     return [
         export.ParameterResult(
             name=name, parameter=q.name, channel=name.rsplit("_", 1)[-1] if q.per_channel else None, meaning=q.meaning,
-            unit=q.unit, value=float(flat[0][i]), standard_error=float(abs(flat[1][i]) * deviation[i]),
+            unit=q.unit, value=float(flat[0][i]),
+            standard_error=export.finite(abs(flat[1][i]) * deviation[i]) if AT_BOUND <= u[i] <= 1 - AT_BOUND else None,
             quantiles=None if quantiles is None else export.Quantiles(
                 q05=float(quantiles[0, i]), q50=float(quantiles[1, i]), q95=float(quantiles[2, i])),
             lower=q.lower, upper=q.upper,
@@ -273,5 +283,5 @@ def _posterior_part(chain: Posterior, fitted: Fitted, name: str) -> export.Poste
         autocorrelation_steps=np.round(chain.autocorrelation, 2).tolist(),
         effective_size=np.round(chain.effective_size, 1).tolist(),
         effective_bins_per_channel=np.round(fitted.counts, 1).tolist(),
-        thinning_error=chain.thinning_error, chain_file=f"{name}.chain.npz",
+        thinning_error=export.finite(chain.thinning_error), chain_file=f"{name}.chain.npz",
     )  # fmt: skip

@@ -35,7 +35,7 @@ def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
     Raises:
         KeyError: unknown material or source; the message names the nearest known one.
     """
-    values = _tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g), -1, 0))
+    values = _tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g, rescaled=True), -1, 0))
     said = f"synthetic MERL file of {material}, from published parameters: {published.SOURCES[source].citation}"
     return values, said
 

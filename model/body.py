@@ -10,7 +10,7 @@ from .fresnel import fresnel
 from .numerics import safe_sqrt
 from .quadrature import gauss_legendre
 
-DIFFUSE_ORDER = 64  # 1e-9 for n in [1, 4] (tests/model/test_body.py)
+DIFFUSE_ORDER = 64  # 1e-9 for n in [1, 4] (tests/model/test_against_oracles.py)
 
 
 def external_diffuse_reflectance(n: Array) -> Array:

@@ -35,7 +35,7 @@ def interpolation_nodes(order: int) -> int:
     """Chebyshev nodes in log B over the range of a grid, as many as the quadrature's own error calls for.
 
     Measured over the whole of MERL's range of cos_d and wavelength: 12 nodes, median 3e-4; 20 nodes, median 5e-6
-    (tests/model/test_convolution.py).
+    (tests/model/test_against_oracles.py).
     """
     return max(8, min(20, order * 5 // 8))
 
@@ -196,7 +196,7 @@ def convolve(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order: i
     but not to the last digit the derivative of the rounded quadrature.
 
     Accuracy, relative, over beta in [1e-3, 1], p in [0.2, 5], c in [1.01, 6], B in [0.01, 900], all theta_h
-    (``tests/model/test_convolution.py``): order 16 median 2e-4, worst 4e-2; 24: 5e-5, 7e-3; 48: 1e-6, 6e-4.
+    (``tests/model/test_against_oracles.py``): order 16 median 2e-4, worst 4e-2; 24: 5e-5, 7e-3; 48: 1e-6, 6e-4.
     """
     theta_h, B = jnp.broadcast_arrays(theta_h, B)
     return _integrate(theta_h, B, c, beta, p, order).value

@@ -6,7 +6,7 @@ from jax import Array
 from .numerics import safe_sqrt
 from .quadrature import gauss_legendre
 
-RENORMALISATION_ORDER = 48  # 1e-9 for b/lambda in [1e-3, 1e4] (tests/model/test_diffraction.py)
+RENORMALISATION_ORDER = 48  # 1e-9 for b/lambda in [1e-3, 1e4] (tests/model/test_against_oracles.py)
 
 
 def lobe_amplitude(b_over_lambda: Array, c: Array) -> Array:

@@ -53,7 +53,7 @@ def fresnel(cos_theta: Array, n: Array, k: Array) -> Array:
         n: real part of the index of refraction, relative to the outside.
         k: imaginary part; 0 for a dielectric.
 
-    Accuracy: 1e-12 against 30 digits (``tests/model/test_fresnel.py``).
+    Accuracy: 1e-12 against 30 digits (``tests/model/test_against_oracles.py``).
     """
     t = transmitted(cos_theta, n, k)
     eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k

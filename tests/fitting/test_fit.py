@@ -111,12 +111,12 @@ def test_blocks_do_not_change_the_sum(coarse):
     _, thinned, problem = coarse
     forward = Forward(Effects("none"))
     z = jnp.asarray(starting_points(forward, thinned)[0])
-    rows = [slice(0, 6), slice(6, 12), slice(12, 18)]
+    rows = [slice(5 * k, 5 * k + 5) for k in range(4)]
     blocked = dataclasses.replace(
         problem,
         geometry=Geometry(
             jnp.concatenate([problem.geometry.theta_h[:, r] for r in rows]),
-            jnp.concatenate([problem.geometry.theta_d] * 3),
+            jnp.concatenate([problem.geometry.theta_d] * len(rows)),
             *(jnp.concatenate([x[:, r] for r in rows]) for x in (problem.geometry.cos_i, problem.geometry.cos_o)),
         ),
         log_base=jnp.concatenate([problem.log_base[:, r] for r in rows]),

@@ -200,9 +200,17 @@ def test_folding_keeps_the_sum_of_squares():
     np.testing.assert_allclose(g.cos_i[..., :90], g.cos_o[..., :89:-1], atol=1e-14)
 
 
-def test_thinning_refuses_strides_that_do_not_divide():
+def test_thinning_keeps_middle_rows_which_stand_for_their_runs():
     g = grid.merl_grid()
     ones = np.ones((3, *DIMS))
-    assert thin(fold(g, ones, ones), (5, 5, 10)).value.shape == (3, 18, 18, 9)
-    with pytest.raises(ValueError, match="must divide"):
-        thin(fold(g, ones, ones), (7, 5, 10))
+    folded = fold(g, ones, ones)
+    assert thin(folded, (5, 5, 10)).value.shape == (3, 18, 18, 9)
+    runs = (1, 1, 3, *(5,) * 17)
+    thinned = thin(folded, (runs, 90, 45))
+    np.testing.assert_array_equal(thinned.theta_h, g.theta_h[[0, 1, 3, *range(7, 90, 5)]])
+    np.testing.assert_array_equal(thinned.cos_o[4, 0], folded.cos_o[12, 45, [22, 67]])
+    np.testing.assert_allclose(thinned.weight[:, :, 0, 0], 2 * 90 * 45 * np.broadcast_to(runs, (3, 20)))
+    with pytest.raises(ValueError, match="must fill"):
+        thin(folded, (7, 5, 10))
+    with pytest.raises(ValueError, match="must fill"):
+        thin(folded, ((30, 30, 31), 5, 10))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 from merlfit.model.effects import BODIES, DIFFRACTIONS, Effects
 from merlfit.model.geometry import Geometry
+from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM, parameters
 from merlfit.model.shadowing import masking
 from merlfit.model.two_scale import factors, setting, shaped, two_scale
@@ -186,3 +187,10 @@ def test_white_furnace_of_the_cook_torrance_lobe():
         unmasked = max(unmasked, reflected(theta_i, beta, p, masked=False))
     assert worst <= 1 + 1e-3
     assert unmasked > 1.1
+
+
+def test_fast_sine_and_softplus_are_exact():
+    x = jnp.linspace(0.0, jnp.pi / 2, 1001)
+    np.testing.assert_allclose(np.asarray(sin_quarter(x)), np.sin(np.asarray(x)), rtol=3e-16 * 2, atol=0)
+    y = jnp.linspace(-700.0, 700.0, 1001)
+    np.testing.assert_allclose(np.asarray(softplus(y)), np.logaddexp(0, np.asarray(y)), rtol=1e-15)
