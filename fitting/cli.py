@@ -152,24 +152,36 @@ def _summarise(outcomes: list) -> None:
 
 @app.command(epilog="Example: merlfit synth nickel --source sgd -o nickel-sgd.binary")
 def synth(
-    material: Annotated[str, typer.Argument(help="Name of a published material, or a RESULT.json of a fit.")],
+    material: Annotated[str, typer.Argument(help="MATERIAL of a published table, or RESULT.json of a fit.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="The .binary file to write.", show_default=False)],
-    source: Annotated[str, typer.Option(help="Published table: see `merlfit synth list -o -`.")] = "sgd",
+    source: Annotated[
+        str | None, typer.Option(help="Published table, see `merlfit materials` [default: sgd].", show_default=False)
+    ] = None,
 ) -> None:
     """Write a MERL file from a published parameter set or from a fit (without the acquisition's grazing loss)."""
     from ..merl_io.binary import MerlError, write
+    from .compilation import use_persistent_cache
     from .export import ResultError
-    from .synthesis import describe_sources, from_published, from_result
+    from .synthesis import from_published, from_result
 
-    if material == "list":
-        console.print(describe_sources(), markup=False)
-        return
+    use_persistent_cache()
+    fitted = material.endswith(".json")
+    if fitted and source is not None:
+        raise _fail(f"--source names a published table; {material} is a fit: leave it out")
     try:
-        values, said = from_result(Path(material)) if material.endswith(".json") else from_published(material, source)
+        values, said = from_result(Path(material)) if fitted else from_published(material, source or "sgd")
         write(out, values)
     except (MerlError, ResultError, KeyError, ValueError) as error:
         raise _fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
     console.print(f"{out}: {said}", markup=False, soft_wrap=True)
+
+
+@app.command(epilog="Example: merlfit materials")
+def materials() -> None:
+    """List the published tables that `merlfit synth` knows, and their materials."""
+    from .synthesis import describe_sources
+
+    console.print(describe_sources(), markup=False, soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit inspect fits/nickel.json")
@@ -194,8 +206,10 @@ def _show(path: Path, result: Any, file: Path, out: Path) -> None:  # noqa: ANN4
     from ..merl_io.binary import MerlError
     from ..merl_io.binary import read as read_merl
     from . import plots
+    from .compilation import use_persistent_cache
     from .report import print_result
 
+    use_persistent_cache()
     print_result(console, result)
     _writable_folder(out)
     pictures = {}

@@ -1,12 +1,13 @@
 """Settings of a run: declared with their defaults, read from TOML, unknown keys refused by name."""
 
 import difflib
+import importlib.util
 import os
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ..model.acquisition import FOOTPRINT_RAD
 from ..model.effects import Body, Diffraction, Effects
@@ -19,7 +20,7 @@ class ConfigError(ValueError):
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class FitSection(_Section):
@@ -44,6 +45,13 @@ class FitSection(_Section):
     coarse_steps: Annotated[int, Field(ge=1)] = 80
     max_steps: Annotated[int, Field(ge=1)] = 40
     backend: Backend = "optimistix"
+
+    @field_validator("backend")
+    @classmethod
+    def _installed(cls, backend: Backend) -> Backend:
+        if importlib.util.find_spec(backend) is None:
+            raise ValueError(f"{backend} is not installed (pip install 'merlfit[crosscheck]')")
+        return backend
 
 
 class PosteriorSection(_Section):

@@ -3,8 +3,7 @@
 import json
 import math
 import os
-import tempfile
-from collections.abc import Callable
+import platform
 from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -12,8 +11,10 @@ from typing import IO, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from ..merl_io.atomic import write_atomically
+
 SCHEMA_VERSION = "1.0"
-PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "optimistix", "emcee")
+PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee")
 
 
 class ResultError(ValueError):
@@ -66,6 +67,7 @@ class ParameterResult(_Part):
 
     name: str
     parameter: str
+    symbol: str
     channel: str | None
     meaning: str
     unit: str
@@ -90,7 +92,7 @@ class Candidate(_Part):
 class Fit(_Part):
     """How the fit ended. Costs are Eq. 56 relative to the measurement's weighted energy."""
 
-    status: str
+    status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "NON_FINITE", "NO_DATA"]
     message: str
     succeeded: bool
     cost: float | None
@@ -150,29 +152,12 @@ class Result(_Part):
 
 def versions() -> dict[str, str]:
     """Versions of what computed the numbers."""
-    return {name: metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
 
 
 def finite(x: float) -> float | None:
     """The number, or None (null in JSON) where it is not finite."""
     return float(x) if math.isfinite(x) else None
-
-
-def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
-    """Let ``write`` fill a file that appears under its name only when it is whole and on disk."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def write_result(path: Path, result: Result) -> None:

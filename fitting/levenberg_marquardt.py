@@ -21,7 +21,7 @@ import numpy as np
 import optimistix as optx
 from jax import Array
 
-from .residuals import Forward, Problem, compiled_normal_equations, normal_equations
+from .residuals import Forward, Problem, compiled_normal_equations
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
 # Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
@@ -39,7 +39,7 @@ class Status(Enum):
     """How a fit ended, in a sentence that says what to do."""
 
     CONVERGED = "converged: neither the parameters nor the cost change any more"
-    AT_BOUND = "converged with parameters at a bound: the data ask for more than the bound allows, see at_bound"
+    AT_BOUND = "converged with parameters at a bound: the data ask for a value at or beyond it, see at_bound"
     STEP_LIMIT = "stopped at the step limit while the cost was still falling: raise fit.max_steps"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
     NO_DATA = (
@@ -162,8 +162,8 @@ def _scipy(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Soluti
     return _solution(evaluate, found.x, pull, int(found.nfev), bool(found.status > 0))
 
 
-def _jaxopt(forward: Forward, evaluate: Callable, problem: Problem, z: np.ndarray, limit: int, rtol: float) -> Solution:
-    """The same compressed residuals given to jaxopt, which differentiates them itself: a cross-check."""
+def _jaxopt(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
+    """The same compressed residuals given to jaxopt: a cross-check."""
     with warnings.catch_warnings():  # jaxopt says on import that it is unmaintained
         warnings.simplefilter("ignore")
         import jaxopt
@@ -172,14 +172,18 @@ def _jaxopt(forward: Forward, evaluate: Callable, problem: Problem, z: np.ndarra
 
     @jax.custom_jvp
     def residual(z: Array) -> Array:
-        return compress(z, normal_equations(forward, z, problem), pull).value
+        return compress(z, evaluate(z), pull).value
 
     @residual.defjvp
     def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-        near = compress(primals[0], normal_equations(forward, primals[0], problem), pull)
+        near = compress(primals[0], evaluate(primals[0]), pull)
         return near.value, near.slope @ tangents[0]
 
-    found = jaxopt.LevenbergMarquardt(residual, maxiter=limit, xtol=rtol, gtol=rtol).run(jnp.asarray(z))
+    solver = jaxopt.LevenbergMarquardt(
+        residual, materialize_jac=True, solver="cholesky", maxiter=limit, xtol=rtol, gtol=rtol,
+        jit=False,  # its loop would compile the normal equations once more, several times over
+    )  # fmt: skip
+    found = solver.run(jnp.asarray(z))
     steps = int(found.state.iter_num)
     return _solution(evaluate, np.asarray(found.params), pull, steps, steps < limit)
 
@@ -215,7 +219,7 @@ def solve(
     if backend == "scipy":
         return _scipy(evaluate, start, max_steps, rtol)
     if backend == "jaxopt":
-        return _jaxopt(forward, evaluate, problem, start, max_steps, rtol)
+        return _jaxopt(evaluate, start, max_steps, rtol)
     return _optimistix(evaluate, start, max_steps, rtol)
 
 

@@ -108,9 +108,10 @@ def corner_figure(result: Result, folder: Path) -> Figure:
     if names != [q.name for q in result.parameters]:
         raise NoPicture(f"{path}: is the chain of another fit")
     best = [q.value for q in result.parameters]
+    labels = [f"${q.symbol}$" if q.channel is None else f"${q.symbol}$ {q.channel}" for q in result.parameters]
     figure = Figure(figsize=(1.5 * len(names), 1.5 * len(names)))
     corner.corner(
-        values[:: max(1, len(values) // 20_000)], labels=names, truths=best, quantiles=[0.05, 0.5, 0.95], fig=figure,
+        values[:: max(1, len(values) // 20_000)], labels=labels, truths=best, quantiles=[0.05, 0.5, 0.95], fig=figure,
         label_kwargs={"fontsize": 9}, truth_color="#c0392b", max_n_ticks=3,
     )  # fmt: skip
     figure.suptitle(f"{result.source.material}: posterior (lines: fitted value, 5/50/95 % quantiles)")

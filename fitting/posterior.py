@@ -26,6 +26,7 @@ from .transforms import Layout
 
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
 CHECK_EVERY = 250  # steps between looks at the autocorrelation time
+STEADY = 0.1  # relative change of that time between two looks: a short chain sees too short a time
 TUNING = (600, 400)  # steps of the stages of tuning, discarded
 INDEPENDENT = 0.6  # share of independent proposals after tuning
 STUDENT_DOF = 10.0  # tails of the independent proposals
@@ -117,7 +118,8 @@ def independent_proposal(samples: np.ndarray, log_prob: np.ndarray) -> Callable:
     """
     core = samples[log_prob >= np.median(log_prob)]
     centre, size = core.mean(0), samples.shape[1]
-    shape = np.cov(core.T) + 1e-9 * np.eye(size)
+    shape = np.cov(core.T)
+    shape += 1e-9 * np.diag(np.diag(shape))
     distance = np.sum((samples - centre) * np.linalg.solve(shape, (samples - centre).T).T, 1)
     root = np.linalg.cholesky(shape * np.median(distance) / chi2(size).ppf(0.5))
     inverse = np.linalg.inv(root)  # a triangular solve wakes OpenBLAS's threads, which then contend with XLA's
@@ -192,12 +194,12 @@ def sample(
         seen, log_probs = (np.asarray(x)[steps // 2 :] for x in (sampler.get_chain(), sampler.get_log_prob()))
         proposal = independent_proposal(seen.reshape(-1, size), log_probs.ravel())
     sampler = sampler_with(proposal, INDEPENDENT, seed)
-    times, ratio = np.full(size, np.inf), 0.0
-    while sampler.iteration < max_steps and ratio < ENOUGH:
+    times, ratio, steady = np.full(size, np.inf), 0.0, False
+    while sampler.iteration < max_steps and not (ratio >= ENOUGH and steady):
         now = advance(sampler, now, min(CHECK_EVERY, max_steps - sampler.iteration))
-        times = np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
+        last, times = times.max(), np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
         times = np.where(np.isfinite(times), times, sampler.iteration)
-        ratio = float(sampler.iteration / times.max())
+        ratio, steady = float(sampler.iteration / times.max()), bool(abs(times.max() - last) < STEADY * times.max())
     chain, said = np.asarray(sampler.get_chain()), {"steps": sampler.iteration, "ratio": ratio}
     log_probs = np.asarray(sampler.get_log_prob())
     drawn = rng.choice(log_probs.size, CHECKED_DRAWS)

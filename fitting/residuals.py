@@ -23,7 +23,7 @@ from ..merl_io.binary import Measurement
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples, fold
 from ..model import two_scale
-from ..model.acquisition import FOOTPRINT_RAD, derived_exponent
+from ..model.acquisition import FOOTPRINT_RAD, derived_exponent, grazing_log_base
 from ..model.effects import Effects
 from ..model.geometry import Geometry
 from ..model.parameters import GRAZING, WAVELENGTHS_UM, parameters
@@ -126,10 +126,6 @@ def make_problem(samples: Samples) -> Problem:
     def split(x: np.ndarray) -> np.ndarray:
         return x.reshape((blocks, height, *x.shape[1:]))
 
-    theta_i, theta_o = np.arccos(samples.cos_i), np.arccos(samples.cos_o)
-    used = (samples.weight > 0).any(0)
-    base = (1 - (2 * theta_i / np.pi) ** 2) * (1 - (2 * theta_o / np.pi) ** 2)
-    log_base = np.log(np.where(used, np.maximum(base, 1e-12), 1.0))
     unit = float(np.sum(samples.weight * samples.value**2)) + samples.scatter
     geometry = Geometry(
         jnp.asarray(split(samples.theta_h[:, None, None])),
@@ -138,8 +134,10 @@ def make_problem(samples: Samples) -> Problem:
         jnp.asarray(split(samples.cos_o)),
     )
     value, weight = (np.moveaxis(np.stack([split(c) for c in x]), 0, 1) for x in (samples.value, samples.weight / unit))
+    used = jnp.asarray(split(samples.weight.max(0) > 0))
+    log_base = jnp.where(used, grazing_log_base(geometry), 0.0)
     scatter = jnp.asarray(samples.scatter / unit)
-    return Problem(geometry, jnp.asarray(split(log_base)), jnp.asarray(value), jnp.asarray(weight), scatter)
+    return Problem(geometry, log_base, jnp.asarray(value), jnp.asarray(weight), scatter)
 
 
 def predict(forward: Forward, values: Mapping[str, Array], problem: Problem) -> Array:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement, read
 from ..merl_io.samples import Samples, thin
 from ..model.effects import BODIES, Body
@@ -196,7 +197,7 @@ def save_chain(path: Path, fitted: Fitted, chain: Posterior) -> None:
         "log_prob": chain.log_prob,
         "values": chain.values(layout).astype(np.float32),
     }
-    export.write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
+    write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
 
 
 def make_result(
@@ -254,8 +255,8 @@ def parameter_results(fitted: Fitted, chain: Posterior | None) -> list[export.Pa
         quantiles = np.quantile(chain.values(layout), [0.05, 0.5, 0.95], axis=0)
     return [
         export.ParameterResult(
-            name=name, parameter=q.name, channel=name.rsplit("_", 1)[-1] if q.per_channel else None, meaning=q.meaning,
-            unit=q.unit, value=float(flat[0][i]),
+            name=name, parameter=q.name, symbol=q.symbol, channel=name.rsplit("_", 1)[-1] if q.per_channel else None,
+            meaning=q.meaning, unit=q.unit, value=float(flat[0][i]),
             standard_error=export.finite(abs(flat[1][i]) * deviation[i]) if AT_BOUND <= u[i] <= 1 - AT_BOUND else None,
             quantiles=None if quantiles is None else export.Quantiles(
                 q05=float(quantiles[0, i]), q50=float(quantiles[1, i]), q95=float(quantiles[2, i])),

@@ -65,7 +65,7 @@ def read_clues(samples: Samples) -> Clues:
 def starting_points(forward: Forward, samples: Samples) -> np.ndarray:
     """Starting points in free coordinates, shape (S, P); the same for the same file, whatever the machine or seed."""
     clues = read_clues(samples)
-    shortest = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
+    middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
     points = []
     for p, (b, c), phase, (n, k, eta) in product(KURTOSES, NANO, PHASES, _indices(forward, clues)):
         points.append(
@@ -74,7 +74,7 @@ def starting_points(forward: Forward, samples: Samples) -> np.ndarray:
                 "p": p,
                 "b": b,
                 "c": c,
-                "sigma_s": np.sqrt(phase) * shortest / (4 * np.pi),
+                "sigma_s": np.sqrt(phase) * middle / (4 * np.pi),
                 "grazing_exponent": 0.5,
                 "n": n,
                 "k": k,

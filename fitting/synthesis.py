@@ -56,7 +56,10 @@ def from_result(path: Path) -> tuple[np.ndarray, str]:
 
 
 def describe_sources() -> str:
-    """The published tables and their materials."""
-    return "\n".join(
-        f"{name}: {s.citation}\n  {', '.join(published.materials(name))}" for name, s in published.SOURCES.items()
-    )
+    """The published tables and which materials they lack."""
+    every = set().union(*map(published.materials, published.SOURCES))
+    lines = [f"{len(every)} materials: {', '.join(sorted(every))}"]
+    for name, s in published.SOURCES.items():
+        missing = sorted(every - set(published.materials(name)))
+        lines.append(f"{name}: {s.citation}; " + (f"lacks {', '.join(missing)}" if missing else "all materials"))
+    return "\n".join(lines)

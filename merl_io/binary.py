@@ -8,13 +8,15 @@ import hashlib
 import os
 import stat
 import struct
-import tempfile
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
+from typing import IO
 
 import numpy as np
+
+from .atomic import write_atomically
 
 DIMS = (90, 90, 180)
 CHANNELS = 3
@@ -161,23 +163,13 @@ def write(path: str | os.PathLike[str], values: np.ndarray, valid: np.ndarray | 
     kept = np.isfinite(values).all(0) & (np.nan_to_num(values, nan=-1.0) >= 0).all(0)
     if valid is not None:
         kept &= valid
+
+    def fill(file: IO[bytes]) -> None:
+        file.write(HEADER.pack(*DIMS))
+        for plane, scale in zip(values, SCALES, strict=True):
+            file.write(np.where(kept, plane / scale, NO_DATUM).astype("<f8").tobytes())
+
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(HEADER.pack(*DIMS))
-                for plane, scale in zip(values, SCALES, strict=True):
-                    file.write(np.where(kept, plane / scale, NO_DATUM).astype("<f8").tobytes())
-            os.chmod(temporary, 0o666 & ~_umask())
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        write_atomically(path, fill)
     except OSError as error:
         raise MerlError(f"{path}: cannot be written ({error.strerror or error})") from None
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

@@ -21,7 +21,6 @@ class FileReport:
     inf: int
     largest: tuple[float, float, float]
     genuine: str | None
-    blob_sha1: str
 
 
 def summarise(measurement: Measurement) -> FileReport:
@@ -29,7 +28,7 @@ def summarise(measurement: Measurement) -> FileReport:
     largest = [float(np.nanmax(plane)) for plane in measurement.values]
     return FileReport(
         measurement.path, DIMS, float(measurement.valid.mean()), measurement.negative, measurement.nan, measurement.inf,
-        (largest[0], largest[1], largest[2]), measurement.genuine, measurement.blob_sha1,
+        (largest[0], largest[1], largest[2]), measurement.genuine,
     )  # fmt: skip
 
 

@@ -7,31 +7,30 @@ p1 = (1 - 4 theta^2/pi^2)^k, k in [0, 1] (Eq. 59-60).
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.scipy.special import i0e
 
 from .geometry import Geometry
-from .numerics import safe_pow
+from .numerics import Real, Scalar, safe_pow
 
 FOOTPRINT_RAD = 0.005  # a sphere about 400 pixels across: 1 pixel is 1/200 rad of its normal
 FIT_ANGLES_RAD = np.radians(np.arange(10.0, 81.0, 5.0))  # where the power law is matched to the loss
 LOG_RADII = np.arange(-9.0, 4.5, 0.15)  # of r / beta^..., trapezoid in log r
 
 
-def grazing_log_base(geometry: Geometry) -> Array:
+def grazing_log_base(geometry: Geometry) -> Real:
     """log of (1 - 4 theta_i^2/pi^2)(1 - 4 theta_o^2/pi^2); times the exponent, the log of the loss (Eq. 59-60)."""
     base = [1 - (2 * theta / jnp.pi) ** 2 for theta in (geometry.theta_i, geometry.theta_o)]
     positive = (base[0] > 0) & (base[1] > 0)
     return jnp.where(positive, jnp.log(jnp.where(positive, base[0] * base[1], 1.0)), -jnp.inf)
 
 
-def grazing(geometry: Geometry, exponent: Array) -> Array:
+def grazing(geometry: Geometry, exponent: Scalar) -> Real:
     """p(i, o) in [0, 1], HP17 Eq. 59-60, for an exponent k in [0, 1]."""
     base = (1 - (2 * geometry.theta_i / jnp.pi) ** 2) * (1 - (2 * geometry.theta_o / jnp.pi) ** 2)
     return safe_pow(base, exponent)
 
 
-def blurred_peak(theta: Array, beta: Array, p: Array, footprint_rad: float) -> Array:
+def blurred_peak(theta: Real, beta: Scalar, p: Scalar, footprint_rad: float) -> Real:
     """Peak of P22 under a Gaussian footprint of widths w/cos(theta) and w, relative to no blur; in (0, 1].
 
     The footprint is foreshortened along one meridian only. Integrated over rings of slope r: the mean of a Gaussian of
@@ -47,7 +46,7 @@ def blurred_peak(theta: Array, beta: Array, p: Array, footprint_rad: float) -> A
     return jnp.sum(ring * shape * r**2, -1) * step
 
 
-def derived_exponent(beta: Array, p: Array, footprint_rad: float = FOOTPRINT_RAD) -> Array:
+def derived_exponent(beta: Scalar, p: Scalar, footprint_rad: float = FOOTPRINT_RAD) -> Real:
     """The exponent k(beta, p) in [0, 1] that the footprint implies (HP17 Eq. 60).
 
     Least squares of log loss(theta) against log(1 - 4 theta^2/pi^2) over 10 to 80 degrees, the loss being that of the

@@ -4,16 +4,15 @@ All return a BRDF (1/sr) without the surface lobes. ``n`` is the real index of t
 """
 
 import jax.numpy as jnp
-from jax import Array
 
 from .fresnel import fresnel
-from .numerics import safe_sqrt
+from .numerics import Real, safe_sqrt
 from .quadrature import gauss_legendre
 
 DIFFUSE_ORDER = 64  # 1e-9 for n in [1, 4] (tests/model/test_against_oracles.py)
 
 
-def external_diffuse_reflectance(n: Array) -> Array:
+def external_diffuse_reflectance(n: Real) -> Real:
     """r_e: Fresnel reflectance of diffuse light from outside, Int F 2 cos sin dtheta (IL Eq. 10, by quadrature).
 
     The closed form of IL is 0/0 at n = 1; Gauss nodes in the square root of the cosine are not.
@@ -24,18 +23,18 @@ def external_diffuse_reflectance(n: Array) -> Array:
     return jnp.sum(reflectance * 4 * u**3 * w, -1)
 
 
-def internal_diffuse_reflectance(n: Array) -> Array:
+def internal_diffuse_reflectance(n: Real) -> Real:
     """r_i, F_dr: reflectance of diffuse light from inside, total reflection included; n^2 (1 - r_i) = 1 - r_e."""
     return 1 - (1 - external_diffuse_reflectance(n)) / n**2
 
 
-def transmittance(cos_i: Array, cos_o: Array, n: Array) -> Array:
+def transmittance(cos_i: Real, cos_o: Real, n: Real) -> Real:
     """T = (1 - F(theta_i)) (1 - F(theta_o)), HP17 Eq. 42."""
     zero = jnp.zeros(())
     return (1 - fresnel(cos_i, n, zero)) * (1 - fresnel(cos_o, n, zero))
 
 
-def lambert(albedo: Array) -> Array:
+def lambert(albedo: Real) -> Real:
     """rho_d / pi: a diffuse term that does not know of the interface, as Cook-Torrance models add it.
 
     Together with the surface lobes it may reflect more than it receives; ``plastic`` and ``subsurface`` may not.
@@ -43,7 +42,7 @@ def lambert(albedo: Array) -> Array:
     return albedo / jnp.pi
 
 
-def plastic(cos_i: Array, cos_o: Array, n: Array, albedo: Array) -> Array:
+def plastic(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
     """Diffuse base of reflectance ``albedo`` under a clear smooth layer, with all inter-reflections (HP17 Eq. 43).
 
     HP17 prints rho_d/pi inside the series and leaves out the 1/n^2 of rays leaving a denser medium; energy conservation
@@ -53,7 +52,7 @@ def plastic(cos_i: Array, cos_o: Array, n: Array, albedo: Array) -> Array:
     return transmittance(cos_i, cos_o, n) * albedo / (jnp.pi * n**2 * (1 - r_i * albedo))
 
 
-def subsurface(cos_i: Array, cos_o: Array, n: Array, albedo: Array) -> Array:
+def subsurface(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
     """Single and multiple scattering in a half space of single-scattering ``albedo`` (HP17 Eq. 44-47, Jensen 2001).
 
     HP17 Eq. 45 is printed inverted; A = (1 + F_dr)/(1 - F_dr), F_dr the internal diffuse reflectance.

@@ -22,12 +22,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.custom_derivatives import SymbolicZero
 from jax.scipy.special import digamma
+from jaxtyping import Array, Float
 
 from .ndf import log_p22_peak
-from .numerics import safe_divide, safe_sqrt, sin_quarter, softplus
+from .numerics import Real, Scalar, safe_divide, safe_sqrt, sin_quarter, softplus
 from .quadrature import gauss_legendre
 
 
@@ -51,15 +51,15 @@ class _Nodes(NamedTuple):
     CPU (5 to 12 ns), while exponentials, logarithms and roots are vectorised (1 to 3 ns).
     """
 
-    sin_m: Array  # (..., 2 n)
-    cos_m: Array
-    log_radius: Array  # log(tan(theta_m)/beta)
-    ring_weight: Array  # measure of theta_m times share of the node set
-    cos_psi: Array  # (..., 2 n, m)
-    azimuth_weight: Array  # (..., 2 n, m): measure of the azimuth, whole circle
+    sin_m: Real  # (..., 2 n)
+    cos_m: Real
+    log_radius: Real  # log(tan(theta_m)/beta)
+    ring_weight: Real  # measure of theta_m times share of the node set
+    cos_psi: Real  # (..., 2 n, m)
+    azimuth_weight: Real  # (..., 2 n, m): measure of the azimuth, whole circle
 
 
-def _azimuth_nodes(sin_h: Array, cos_h: Array, sin_m: Array, cos_m: Array, B: Array, order: int) -> tuple[Array, Array]:
+def _azimuth_nodes(sin_h: Real, cos_h: Real, sin_m: Real, cos_m: Real, B: Real, order: int) -> tuple[Real, Real]:
     """cos(psi) and weights of the warped azimuth, whose half circle ends where h sees its horizon."""
     u, w = gauss_legendre(order)
     R = jnp.sqrt(1 + B * B)
@@ -83,7 +83,7 @@ def _azimuth_nodes(sin_h: Array, cos_h: Array, sin_m: Array, cos_m: Array, B: Ar
     return jnp.maximum(cos_psi, 0.0), jnp.asarray(4 * w) * jnp.sqrt(e2) * half_end[..., None] / denominator
 
 
-def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Nodes:
+def _nodes(theta_h: Real, B: Real, beta: Scalar, p: Scalar, order: int) -> _Nodes:
     """The two node sets for every pair (theta_h, B), last axis running over both."""
     theta_h, B = theta_h[..., None], B[..., None]
     u, w = gauss_legendre(order)
@@ -100,10 +100,10 @@ def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Node
     q_low = jnp.minimum(y_low - slack * EDGE, -EDGE - 2)
     q_high = y_high * steep
 
-    def y_of(q: Array) -> Array:
+    def y_of(q: Real) -> Real:
         return q / steep - slack * softplus(-(q + EDGE))
 
-    def slope_of(q: Array) -> Array:
+    def slope_of(q: Real) -> Real:
         return 1 / steep + slack * jax.nn.sigmoid(-(q + EDGE))
 
     q = q_low + (q_high - q_low) * u
@@ -124,7 +124,7 @@ def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Node
     y_2 = jnp.log(sin_2 / (cos_2 * beta))
 
     # The part of the integrand that each set takes: by node density, set 1 inside the window where it has nodes
-    def join(first: Array, second: Array) -> Array:
+    def join(first: Real, second: Real) -> Real:
         return jnp.concatenate([first, second], -1)
 
     sin_h, cos_h = jnp.sin(theta_h), jnp.cos(theta_h)
@@ -141,16 +141,16 @@ def _nodes(theta_h: Array, B: Array, beta: Array, p: Array, order: int) -> _Node
 class _Partials(NamedTuple):
     """(S * D) and its logarithmic partial derivatives, each of the shape of the result."""
 
-    value: Array
-    by_theta_h: Array
-    by_log_B: Array
-    by_c: Array
-    by_log_beta: Array
-    by_p: Array
+    value: Real
+    by_theta_h: Real
+    by_log_B: Real
+    by_c: Real
+    by_log_beta: Real
+    by_p: Real
 
 
 @partial(jax.jit, static_argnums=5)
-def _integrate(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order: int) -> _Partials:
+def _integrate(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: int) -> _Partials:
     """Quadrature of the integrand and of its derivatives, which share every transcendental function with it."""
     nodes = _nodes(theta_h, B, beta, p, order)
     # K-correlation at the azimuth nodes
@@ -183,7 +183,7 @@ def _integrate(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(5,))
-def convolve(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order: int = 24) -> Array:
+def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: int = 24) -> Real:
     """(S * D) without the lobe's amplitude, at every point of the broadcast of ``theta_h`` and ``B``.
 
     Args:
@@ -204,8 +204,8 @@ def convolve(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order: i
 
 @partial(convolve.defjvp, symbolic_zeros=True)
 def _convolve_jvp(
-    order: int, primals: tuple[Array, ...], tangents: tuple[Array | SymbolicZero, ...]
-) -> tuple[Array, Array]:
+    order: int, primals: tuple[Real, ...], tangents: tuple[Real | SymbolicZero, ...]
+) -> tuple[Real, Real]:
     theta_h, B, c, beta, p = primals
     theta_h, B = jnp.broadcast_arrays(theta_h, B)
     at = _integrate(theta_h, B, c, beta, p, order)
@@ -214,14 +214,15 @@ def _convolve_jvp(
     return at.value, sum(moving, start=jnp.zeros_like(at.value))
 
 
-def lobe(theta_h: Array, B: Array, c: Array) -> Array:
+def lobe(theta_h: Real, B: Real, c: Scalar) -> Real:
     """S(theta_h): the plain lobe, D taken as a Dirac (the cheapest tier)."""
     return jnp.exp(-(c + 1) / 2 * jnp.log1p((B * jnp.sin(theta_h)) ** 2)) * jnp.cos(theta_h) ** 2
 
 
 def convolve_grid(
-    theta_h: Array, log_cos_over_lambda: Array, b: Array, c: Array, beta: Array, p: Array, order: int = 24
-) -> Array:
+    theta_h: Float[Array, " H"], log_cos_over_lambda: Float[Array, " U"], b: Scalar, c: Scalar, beta: Scalar, p: Scalar,
+    order: int = 24,
+) -> Float[Array, "H U"]:  # fmt: skip
     """:func:`convolve` for all pairs of half angle and cos_d/lambda, through a small table shared by all channels.
 
     (S*D) depends on theta_h and B = 2 b cos_d/lambda only, and log (S*D) is smooth in log B: it is computed at
@@ -246,7 +247,7 @@ def convolve_grid(
     return jnp.exp(values @ (to_coefficients.T @ _chebyshev(x, count)))
 
 
-def _chebyshev(x: Array, count: int) -> Array:
+def _chebyshev(x: Real, count: int) -> Real:
     """Chebyshev polynomials T_0 .. T_(count-1) at x, shape ``(count, *x.shape)``."""
     rows = [jnp.ones_like(x), x]
     for _ in range(count - 2):

@@ -1,15 +1,14 @@
 """Diffraction by nano-geometry: K-correlation lobe, its renormalisation and the energy split (HP17 Section 3.2)."""
 
 import jax.numpy as jnp
-from jax import Array
 
-from .numerics import safe_sqrt
+from .numerics import Real, safe_sqrt
 from .quadrature import gauss_legendre
 
 RENORMALISATION_ORDER = 48  # 1e-9 for b/lambda in [1e-3, 1e4] (tests/model/test_against_oracles.py)
 
 
-def lobe_amplitude(b_over_lambda: Array, c: Array) -> Array:
+def lobe_amplitude(b_over_lambda: Real, c: Real) -> Real:
     """Peak of the K-correlation lobe before renormalisation, (c-1)/(2 pi) (b/lambda)^2, in 1/sr.
 
     HP17 Eq. 16 prints sigma_s^2 and no 1/lambda^2: that is the height spectrum. As a lobe (Eq. 6, 22) it must integrate
@@ -18,12 +17,7 @@ def lobe_amplitude(b_over_lambda: Array, c: Array) -> Array:
     return (c - 1) / (2 * jnp.pi) * b_over_lambda**2
 
 
-def log_lobe_shape(b_f_squared: Array, c: Array) -> Array:
-    """Logarithm of (1 + b^2 f^2)^(-(c+1)/2), the K-correlation falloff (HP17 Eq. 16)."""
-    return -(c + 1) / 2 * jnp.log1p(b_f_squared)
-
-
-def renormalisation(sin_theta: Array, b_over_lambda: Array, c: Array) -> Array:
+def renormalisation(sin_theta: Real, b_over_lambda: Real, c: Real) -> Real:
     """sigma_rel^2 / sigma_s^2 (HP17 Eq. 17-19): the part of the lobe that falls on directions that exist, in (0, 1].
 
     The lobe lives on the plane of projected directions, centred at distance ``sin_theta`` from the centre of the unit
@@ -52,6 +46,6 @@ def renormalisation(sin_theta: Array, b_over_lambda: Array, c: Array) -> Array:
     return disc + ring
 
 
-def phase_variance(sigma_rel_squared: Array, cos_d: Array, wavelength_um: Array) -> Array:
+def phase_variance(sigma_rel_squared: Real, cos_d: Real, wavelength_um: Real) -> Real:
     """(4 pi sigma_rel cos_d / lambda)^2, variance of the phase that nano-geometry adds on reflection (HP17 Eq. 25)."""
     return sigma_rel_squared * (4 * jnp.pi * cos_d / wavelength_um) ** 2

@@ -7,21 +7,20 @@ gradients finite at ``k = 0``. ``n`` and ``k`` are the real and imaginary part o
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
 
-from .numerics import safe_divide, safe_sqrt
+from .numerics import Real, safe_divide, safe_sqrt
 
 
 class Transmitted(NamedTuple):
     """Functions of one direction that F and Q are made of (HP17 Eq. 4 and 10); ``c = sqrt(eta^2 - sin^2 theta)``."""
 
-    senkrecht: Array  # 1 / |cos + c|^2
-    parallel: Array  # 1 / |eta^2 cos + c|^2
-    c_real: Array
-    c_imag: Array
+    senkrecht: Real  # 1 / |cos + c|^2
+    parallel: Real  # 1 / |eta^2 cos + c|^2
+    c_real: Real
+    c_imag: Real
 
 
-def refracted_cosine(cos_theta: Array, n: Array, k: Array) -> tuple[Array, Array]:
+def refracted_cosine(cos_theta: Real, n: Real, k: Real) -> tuple[Real, Real]:
     """Real and imaginary part of ``c = sqrt(eta^2 - sin^2 theta)`` (principal branch), HP17 Eq. 3.
 
     The gradient is finite everywhere; at the critical angle of a real index below one it is set to zero.
@@ -36,7 +35,7 @@ def refracted_cosine(cos_theta: Array, n: Array, k: Array) -> tuple[Array, Array
     return jnp.where(outside, larger, smaller), jnp.where(outside, smaller, larger)
 
 
-def transmitted(cos_theta: Array, n: Array, k: Array) -> Transmitted:
+def transmitted(cos_theta: Real, n: Real, k: Real) -> Transmitted:
     """The one-direction factors of F and Q for an index ``n + i k``; arrays broadcast."""
     c_real, c_imag = refracted_cosine(cos_theta, n, k)
     eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
@@ -45,7 +44,7 @@ def transmitted(cos_theta: Array, n: Array, k: Array) -> Transmitted:
     return Transmitted(senkrecht, parallel, c_real, c_imag)
 
 
-def fresnel(cos_theta: Array, n: Array, k: Array) -> Array:
+def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
     """Unpolarised Fresnel reflectance in [0, 1] (HP17 Eq. 3-4), exact.
 
     Args:
@@ -62,7 +61,7 @@ def fresnel(cos_theta: Array, n: Array, k: Array) -> Array:
     return (f_s + f_p) / 2
 
 
-def diffraction_colour(cos_i: Array, cos_o: Array, projected_dot: Array, n: Array, k: Array) -> Array:
+def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k: Real) -> Real:
     """Colour of the diffraction lobe, Q/2 of Rayleigh-Rice (HP17 Eq. 10), dimensionless.
 
     HP17 prints Q, which is twice the Fresnel reflectance in the mirror direction; unpolarised light averages over two

@@ -18,10 +18,9 @@ from functools import lru_cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.scipy.special import gammaln
 
-from .numerics import safe_sqrt
+from .numerics import Real, Scalar, safe_sqrt
 
 # log x runs over q in [-11, 4.7] at spacing 0.245. The integrand's narrowest peak, x^(3/(2 p)) e^(-x) at p = 0.12, has
 # a width of 0.29 in q, for which the trapezoid rule errs by exp(-2 pi^2 (0.29/0.245)^2) = 1e-12; what lies outside is
@@ -32,7 +31,7 @@ LARGEST_EXPONENT = 650.0  # e^-650 = 1e-282: masking is 1 to the last digit long
 TABLE_SIZE = 129  # nodes of the interpolation table
 
 
-def _excess(w_minus_1: Array) -> Array:
+def _excess(w_minus_1: Real) -> Real:
     """``z - arctan z`` with ``z = sqrt(w^2 - 1)``, without cancellation for small z."""
     z = safe_sqrt(w_minus_1 * (2 + w_minus_1))
     small = z < 0.03
@@ -42,7 +41,7 @@ def _excess(w_minus_1: Array) -> Array:
     return jnp.where(small, series, z_large - jnp.arctan(z_large))
 
 
-def smith_lambda(tau: Array, p: Array) -> Array:
+def smith_lambda(tau: Real, p: Scalar) -> Real:
     """Smith's Lambda of the EPD (HP17 Eq. 36-37 with the corrected limits), >= 0.
 
     Args:
@@ -69,7 +68,7 @@ def smith_lambda(tau: Array, p: Array) -> Array:
     return jnp.where(masked, value, 0.0)
 
 
-def masking_direct(cos_theta: Array, beta: Array, p: Array) -> Array:
+def masking_direct(cos_theta: Real, beta: Scalar, p: Scalar) -> Real:
     """Smith's G1 = 1 / (1 + Lambda(beta tan theta)) (HP17 Eq. 38), by quadrature at every point."""
     above = cos_theta > 0
     cos = jnp.where(above, cos_theta, 1.0)
@@ -77,7 +76,7 @@ def masking_direct(cos_theta: Array, beta: Array, p: Array) -> Array:
     return jnp.where(above, 1 / (1 + smith_lambda(tau, p)), 0.0)
 
 
-def _masking_of_x(x: Array, p: Array) -> Array:
+def _masking_of_x(x: Real, p: Scalar) -> Real:
     """G1 as a function of x = 1 / (1 + sqrt(tau)); it starts as x^2, with slope 0."""
     inside = x > 0
     x = jnp.where(inside, x, 1.0)
@@ -95,7 +94,7 @@ def _table_rule() -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0.0, 1.0, TABLE_SIZE), slopes
 
 
-def masking(cos_theta: Array, beta: Array, p: Array) -> Array:
+def masking(cos_theta: Real, beta: Scalar, p: Scalar) -> Real:
     """Smith's G1 (HP17 Eq. 38) in [0, 1]; 0 below the horizon.
 
     Many directions share one parameter set, so beyond ``TABLE_SIZE`` of them G1 is tabulated in

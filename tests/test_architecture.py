@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ALLOWED = {"model": {"model"}, "merl_io": {"merl_io"}, "fitting": {"model", "merl_io", "fitting"}}
-LIBRARIES = {"model": {"jax", "numpy", "equinox"}, "merl_io": {"numpy"}}
+LIBRARIES = {"model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"}}
 STANDARD = {
     "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "itertools", "json", "math",
     "os", "pathlib", "stat", "struct", "tempfile", "types", "typing",

@@ -1,15 +1,19 @@
 """The command line as a user meets it: exit codes, one-line errors, files that appear."""
 
+import importlib.util
 import json
 import math
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import jsonschema
 import numpy as np
 import pytest
 from merlfit.fitting import cli, export, plots
 from merlfit.fitting.config import Config, ConfigError, load, parse
+from merlfit.fitting.levenberg_marquardt import Status
+from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from typer.testing import CliRunner
@@ -54,7 +58,9 @@ def test_result_obeys_the_shipped_schema(fitted):
     assert data["seed"] == 3
     assert data["source"]["sha1"] == read(fitted[1]).sha1
     assert [q["name"] for q in data["parameters"]][:2] == ["beta", "p"]
-    assert all(q["lower"] <= q["value"] <= q["upper"] and q["standard_error"] > 0 for q in data["parameters"])
+    assert all(q["lower"] <= q["value"] <= q["upper"] for q in data["parameters"])
+    assert all((q["standard_error"] is None) == (q["at_bound"] != "no") for q in data["parameters"])
+    assert all(q["standard_error"] > 0 for q in data["parameters"] if q["at_bound"] == "no")
     assert all(math.isfinite(x) for x in data["seconds"].values())
 
 
@@ -99,6 +105,21 @@ def test_check_prints_a_table_and_refuses_bad_files(tmp_path):
     assert call("check", good, tmp_path).exit_code == 2
 
 
+def test_materials_are_listed_with_what_the_tables_lack():
+    shown = call("materials")
+    assert shown.exit_code == 0
+    assert shown.stdout.startswith("100 materials: alum-bronze,")
+    assert "he: Ngan" in shown.stdout
+    assert "lacks" in shown.stdout
+    assert "Bagher, Soler" in shown.stdout
+
+
+def test_a_source_for_a_fit_is_refused(tmp_path):
+    shown = call("synth", "some.json", "--source", "sgd", "-o", tmp_path / "x.binary")
+    assert shown.exit_code == 2
+    assert "--source" in shown.stderr
+
+
 def test_unknown_material_and_source_name_the_nearest(tmp_path):
     for words, near in ((("nikel",), "'nickel'"), (("nickel", "--source", "smoth"), "'smooth'")):
         shown = call("synth", *words, "-o", tmp_path / "x.binary")
@@ -114,6 +135,10 @@ def test_unknown_material_and_source_name_the_nearest(tmp_path):
         ("[fit]\norder = 1000\n", "fit.order"),
         ('[fit]\nbody = "wood"\n', "fit.body"),
         ("[fit\n", "is not TOML"),
+        ('[fit]\nmax_steps = "40"\n', "fit.max_steps"),
+        ("[fit]\norder = true\n", "fit.order"),
+        ("[fit]\ngrazing = 2\n", "fit.grazing: should be 'free', 'derived' or a number in [0, 1]"),
+        ("seed = -1\n", "seed"),
     ],
 )
 def test_bad_settings_are_one_line_errors(tmp_path, text, words):
@@ -125,6 +150,16 @@ def test_bad_settings_are_one_line_errors(tmp_path, text, words):
     assert "\n" not in str(error.value).replace(text, "")
     shown = call("fit", "x.binary", "--config", path)
     assert shown.exit_code == 2
+
+
+def test_a_backend_that_is_not_installed_is_a_bad_setting(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"merlfit\[crosscheck\]"):
+        parse({"fit": {"backend": "jaxopt"}}, "here")
+
+
+def test_statuses_in_the_schema_are_those_of_the_fit():
+    assert set(get_args(export.Fit.model_fields["status"].annotation)) == {s.name for s in Status}
 
 
 def test_default_toml_is_the_defaults():
@@ -157,13 +192,13 @@ def test_writing_is_atomic(tmp_path):
     target = tmp_path / "x.json"
     target.write_text("old")
     with pytest.raises(RuntimeError):
-        export.write_atomically(target, fail)
+        write_atomically(target, fail)
     assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
     assert target.read_text() == "old"
 
 
 def test_every_command_has_help_with_an_example():
-    for command in ("fit", "check", "synth", "inspect", "demo"):
+    for command in ("fit", "check", "synth", "materials", "inspect", "demo"):
         shown = call(command, "--help")
         assert shown.exit_code == 0
         assert f"merlfit {command}" in shown.stdout.replace("\n", " ")

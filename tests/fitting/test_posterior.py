@@ -1,10 +1,18 @@
 """The sampler's parts against what is known of them in closed form."""
 
+import dataclasses
+
+import emcee
 import numpy as np
 import pytest
 from merlfit.fitting import run
-from merlfit.fitting.posterior import independent_proposal, laplace_covariance
-from scipy.stats import multivariate_t
+from merlfit.fitting.levenberg_marquardt import solve
+from merlfit.fitting.posterior import independent_proposal, laplace_covariance, sample
+from merlfit.fitting.residuals import Forward, make_problem
+from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.samples import fold, thin
+from merlfit.model.effects import Effects
+from scipy.stats import binom, multivariate_t
 
 
 def test_independent_proposals_are_the_student_t_whose_ratio_they_report():
@@ -36,7 +44,6 @@ def test_walkers_astray_do_not_widen_the_proposals():
 
 def test_the_metropolis_hastings_ratio_leaves_the_target_as_it_is():
     """A skewed target, sampled with independent proposals only: the factor must undo the proposal's density."""
-    emcee = pytest.importorskip("emcee")
     rng = np.random.default_rng(4)
     shape = 3.0  # log of a gamma variable
     samples = np.log(rng.gamma(shape, size=(20_000, 2)))
@@ -67,3 +74,56 @@ def test_thinned_grids_see_the_mirror_direction(grid):
     """A lobe narrower than the first kept row would be invisible, and any height of it a perfect fit."""
     assert grid[0][:2] == (1, 1)
     assert sum(grid[0]) == 90
+
+
+TRUTH = {
+    "beta": 0.2, "p": 0.8, "eta": np.array([1.5, 1.6, 1.7]), "albedo": np.array([0.5, 0.3, 0.1]),
+}  # fmt: skip
+SETS, NOISE = 6, 0.01
+
+
+@pytest.fixture(scope="module")
+def noisy_posteriors():
+    """Posteriors of synthetic data with independent noise of one size, for which the likelihood is the true one."""
+    forward = Forward(Effects("lambert", "off"), 0.0)
+    grid = merl_grid()
+    ones = np.ones((3, 90, 90, 180))
+    blank = thin(fold(grid, ones, np.where(grid.above, 1.0, 0.0) * ones), (10, 10, 45))
+    clean = run.predict_samples(forward, forward.layout.free(TRUTH), blank, make_problem(blank))
+    counts = (blank.weight > 0).sum((1, 2, 3)).astype(float)
+    size = NOISE * np.sqrt(np.sum(blank.weight * clean**2) / counts.sum())
+    rng = np.random.default_rng(6)
+    found = []
+    for seed in range(SETS):
+        noise = size * rng.normal(size=clean.shape) / np.sqrt(np.where(blank.weight > 0, blank.weight, np.inf))
+        samples = dataclasses.replace(blank, value=clean + noise)
+        problem = make_problem(samples)
+        best = solve(forward, forward.layout.free(TRUTH), problem)
+        assert best.converged
+        target = (forward, problem)
+        found.append((best, sample(target, target, best.z, best.normal, counts, 3000, seed), counts, forward))
+    return found
+
+
+@pytest.mark.xdist_group("fits")
+def test_intervals_hold_the_truth_as_often_as_they_say(noisy_posteriors):
+    inside = 0
+    for _, chain, _, forward in noisy_posteriors:
+        assert chain.sufficient, chain.message
+        assert chain.thinning_error < 1e-6
+        low, middle, high = np.quantile(chain.values(forward.layout), [0.05, 0.5, 0.95], axis=0)
+        assert np.all((low < middle) & (middle < high))
+        truth = np.concatenate([np.ravel(TRUTH[q.name]) for q in forward.layout.parameters])
+        inside += np.sum((low < truth) & (truth < high))
+    trials = SETS * 8
+    assert binom.ppf(0.001, trials, 0.9) <= inside <= binom.ppf(0.999, trials, 0.9)
+
+
+@pytest.mark.xdist_group("fits")
+def test_a_well_determined_posterior_is_the_laplace_approximation(noisy_posteriors):
+    for best, chain, counts, _ in noisy_posteriors:
+        free = chain.chain.reshape(-1, chain.chain.shape[-1])
+        expected = laplace_covariance(best.normal, counts, best.z)
+        np.testing.assert_allclose(free.std(0), np.sqrt(np.diag(expected)), rtol=0.2)
+        assert np.all(np.abs(free.mean(0) - best.z) < 0.5 * np.sqrt(np.diag(expected)))
+        assert chain.acceptance > 0.4

@@ -101,7 +101,7 @@ def test_masking_table_to_2e_6(beta, p):
     slopes = [jax.jacfwd(lambda x, f=f: f(cos, x[0], x[1]))(jnp.array([beta, p])) for f in (
         shadowing.masking, shadowing.masking_direct)]  # fmt: skip
     assert bool(jnp.all(jnp.isfinite(slopes[0])))
-    assert float(jnp.max(jnp.abs(slopes[0] - slopes[1]) * jnp.array([beta, p]))) < 1e-4
+    assert float(jnp.max(jnp.abs(slopes[0] - slopes[1]) * jnp.array([beta, p]))) < 2e-4
 
 
 def test_renormalisation_to_1e_8():
@@ -140,7 +140,9 @@ def convolution_cases(count, seed=SEED):
     return np.array(cases)
 
 
-@pytest.mark.parametrize(("order", "median", "largest"), [(24, 1e-4, 1e-2), (48, 1e-5, 1e-3), (96, 2e-6, 2e-4)])
+@pytest.mark.parametrize(
+    ("order", "median", "largest"), [(16, 3e-4, 5e-2), (24, 1e-4, 1e-2), (48, 1e-5, 1e-3), (96, 2e-6, 2e-4)]
+)
 def test_convolution_is_within_one_percent_everywhere_in_bounds(order, median, largest):
     cases = convolution_cases(300)
     expected = np.array([o_convolution.convolve(*case) for case in cases])
@@ -153,7 +155,7 @@ def test_convolution_is_within_one_percent_everywhere_in_bounds(order, median, l
 def test_convolution_check_rejects_the_dirac_limit():
     cases = convolution_cases(60)
     expected = np.array([o_convolution.convolve(*case) for case in cases])
-    lobe = np.asarray(convolution.lobe(*j(cases[:, 0], cases[:, 1], cases[:, 2])))
+    lobe = np.asarray(jax.vmap(convolution.lobe)(*j(cases[:, 0], cases[:, 1], cases[:, 2])))
     assert np.median(np.abs(lobe / expected - 1)) > 1e-2
 
 
