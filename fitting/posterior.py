@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.scipy.special import log_ndtr
+from scipy.special import expit, ndtri
 from scipy.stats import chi2
 
 from .residuals import Forward, Problem, cost
@@ -93,15 +95,28 @@ def log_likelihood(forward: Forward, z: Array, problem: Problem, counts: Array) 
     return -jnp.sum(counts / 2 * jnp.log(jnp.maximum(cost(forward, z, problem), 1e-30)))
 
 
-@partial(jax.jit, static_argnums=0)
-def _log_prob(forward: Forward, z: Array, problem: Problem, counts: Array) -> Array:
-    """Log posterior density of walkers ``z`` (W, P), all in one call; -inf where the model is not finite."""
+def free_of_normal(x: Array) -> Array:
+    """z = logit(Phi(x)), the free coordinates of those that are sampled, in which every prior is standard normal.
 
-    def one(z: Array) -> Array:
-        value = forward.layout.log_prior(z) + log_likelihood(forward, z, problem, counts)
+    The logistic tails of z, towards a bound or where the data leave a parameter open, would fit no elliptical proposal.
+    """
+    return log_ndtr(x) - log_ndtr(-x)
+
+
+def normal_of_free(z: np.ndarray) -> np.ndarray:
+    """Inverse of :func:`free_of_normal`."""
+    return np.where(z < 0, ndtri(expit(z)), -ndtri(expit(-z)))
+
+
+@partial(jax.jit, static_argnums=0)
+def _log_prob(forward: Forward, x: Array, problem: Problem, counts: Array) -> Array:
+    """Log posterior density of walkers ``x`` (W, P), all in one call; -inf where the model is not finite."""
+
+    def one(x: Array) -> Array:
+        value = log_likelihood(forward, free_of_normal(x), problem, counts) - jnp.sum(x * x) / 2
         return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
-    return jax.vmap(one)(z)
+    return jax.vmap(one)(x)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -162,7 +177,9 @@ def sample(
     walkers = 2 * size
     rng = np.random.default_rng(seed)
     spread = np.minimum(1.0, BOUND_PRIOR_SD / np.sqrt(np.diag(covariance)))
-    start = z + rng.multivariate_normal(np.zeros(size), covariance, size=walkers, method="eigh") * spread
+    start = normal_of_free(
+        z + rng.multivariate_normal(np.zeros(size), covariance, size=walkers, method="eigh") * spread
+    )
     weights = jnp.asarray(counts)
 
     def log_prob(points: np.ndarray) -> np.ndarray:
@@ -200,11 +217,14 @@ def sample(
         last, times = times.max(), np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
         times = np.where(np.isfinite(times), times, sampler.iteration)
         ratio, steady = float(sampler.iteration / times.max()), bool(abs(times.max() - last) < STEADY * times.max())
-    chain, said = np.asarray(sampler.get_chain()), {"steps": sampler.iteration, "ratio": ratio}
+    chain, said = (
+        np.asarray(free_of_normal(jnp.asarray(sampler.get_chain()))),
+        {"steps": sampler.iteration, "ratio": ratio},
+    )
     log_probs = np.asarray(sampler.get_log_prob())
     drawn = rng.choice(log_probs.size, CHECKED_DRAWS)
     draws = jnp.asarray(chain.reshape(-1, size)[drawn])
-    thin = log_probs.reshape(-1)[drawn] - jax.vmap(fitted[0].layout.log_prior)(draws)
+    thin = _log_likelihoods(thinned[0], draws, thinned[1], weights)
     error = float(jnp.std(_log_likelihoods(fitted[0], draws, fitted[1], weights) - thin))
     if ratio < ENOUGH:
         message = TOO_SHORT.format(**said, enough=ENOUGH)

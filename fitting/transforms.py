@@ -1,7 +1,7 @@
-"""Between the bounded parameters of a material and the free coordinates in which solvers and samplers move.
+"""Between the bounded parameters of a material and the free coordinates in which they are fitted.
 
 A parameter in [lower, upper] is placed at a position u in [0, 1], linear or logarithmic as its declaration says, and
-z = logit(u) is free. A prior uniform in u is the logistic density u (1 - u) in z.
+z = logit(u) is free, for solvers. A prior uniform in u is the logistic density u (1 - u) in z.
 """
 
 from collections.abc import Mapping
@@ -72,10 +72,6 @@ class Layout:
     def position(self, z: ArrayLike) -> np.ndarray:
         """Position of every entry between its bounds, in [0, 1]."""
         return 1 / (1 + np.exp(-np.clip(np.asarray(z), -700, 700)))
-
-    def log_prior(self, z: Array) -> Array:
-        """Log density of the priors in z, up to nothing: it integrates to one."""
-        return jnp.sum(jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z))
 
 
 def from_free(parameter: Parameter, z: Array) -> Array:
