@@ -239,12 +239,13 @@ def demo(out: Out = Path("demo-out"), seed: Seed = None) -> None:
 
     start = time.perf_counter()
     _writable_folder(out)
-    values, said = from_published(*DEMO)
-    path = out / f"{DEMO[0]}.binary"
+    material, table = DEMO
+    values, said = from_published(material, table)
+    path = out / f"{material}.binary"
     write(path, values)
     console.print(f"{path}: {said}", markup=False, soft_wrap=True)
     outcomes = _fit_all([path], out, _settings(None, None, None, seed))
     if outcomes[0].result is not None:
-        _show(out / f"{DEMO[0]}.json", outcomes[0].result, path, out)
+        _show(out / f"{material}.json", outcomes[0].result, path, out)
     _summarise(outcomes)
     console.print(f"demo done in {time.perf_counter() - start:.0f} s; results in {out}/")
