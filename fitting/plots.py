@@ -62,22 +62,23 @@ def lobe_figure(result: Result, measurement: Measurement) -> Figure:
     assert result.model is not None
     grid, values = merl_grid(), result.values()
     theta_o = np.radians(np.linspace(-89, 89, 357))
-    figure = Figure(figsize=(15, 3.6), layout="constrained")
+    figure = Figure(figsize=(15, 4.5), layout="constrained")
     for axis, degrees in zip(figure.subplots(1, len(INCIDENCES_DEG), sharey=True), INCIDENCES_DEG, strict=True):
         i, o = plane_of_incidence(np.radians(degrees), theta_o)
         measured = measured_lobe(measurement, grid, *half_difference(i, o))
         fitted = predicted_lobe(result.model, values, i, o)
-        for name, m, f in zip(result.model.channels, measured, fitted, strict=True):
-            colour = CHANNEL_COLOURS.get(name, "black")
-            axis.plot(np.degrees(theta_o), np.cbrt(m), ".", color=colour, markersize=2.5, alpha=0.6)
-            axis.plot(np.degrees(theta_o), np.cbrt(f), "-", color=colour, linewidth=1.2, label=f"{name} fitted")
+        for k, (name, m, f) in enumerate(zip(result.model.channels, measured, fitted, strict=True)):
+            style = {"color": CHANNEL_COLOURS.get(name, "black")}
+            axis.plot(np.degrees(theta_o), np.cbrt(f), "-", linewidth=1.0, label=f"{name} fitted", **style)
+            seen = slice(2 * k, None, 2 * len(measured))  # channels take turns: one does not hide another
+            axis.plot(np.degrees(theta_o[seen]), np.cbrt(m[seen]), "o", markersize=3.2, fillstyle="none", **style)
         axis.axvline(degrees, color="gray", linewidth=0.6, linestyle=":")
         axis.set(title=rf"$\theta_i = {degrees}^\circ$", xlabel=r"$\theta_o$ (deg), mirror side positive")
         axis.set_xticks([-60, -30, 0, 30, 60])
         axis.grid(alpha=0.2)
     first = figure.axes[0]
     first.set_ylabel(r"cube root of BRDF (sr$^{-1/3}$)")
-    first.plot([], [], ".", color="gray", label="file")
+    first.plot([], [], "o", color="gray", fillstyle="none", markersize=3.2, label="file")
     first.legend(fontsize=7)
     body = "conductor" if result.model.body == "none" else f"dielectric over {result.model.body}"
     origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
@@ -109,11 +110,15 @@ def corner_figure(result: Result, folder: Path) -> Figure:
         raise NoPicture(f"{path}: is the chain of another fit")
     best = [q.value for q in result.parameters]
     labels = [f"${q.symbol}$" if q.channel is None else f"${q.symbol}$ {q.channel}" for q in result.parameters]
-    figure = Figure(figsize=(1.5 * len(names), 1.5 * len(names)))
+    figure = Figure(figsize=(1.1 * len(names), 1.1 * len(names)))
     corner.corner(
         values[:: max(1, len(values) // 20_000)], labels=labels, truths=best, quantiles=[0.05, 0.5, 0.95], fig=figure,
-        label_kwargs={"fontsize": 9}, truth_color="#c0392b", max_n_ticks=3,
+        range=[0.995] * len(names), smooth=1.0, plot_datapoints=False, label_kwargs={"fontsize": 9},
+        truth_color="#c0392b", truth_kwargs={"markersize": 3, "linewidth": 0.8}, max_n_ticks=3, labelpad=0.25,
     )  # fmt: skip
+    for axis in figure.axes:
+        axis.tick_params(labelsize=6)
+    figure.subplots_adjust(left=0.08, bottom=0.08)
     figure.suptitle(f"{result.source.material}: posterior (lines: fitted value, 5/50/95 % quantiles)")
     return figure
 

@@ -26,7 +26,7 @@ def fits(results):
         rows.append(
             f"| {r.source.material} | {r.model.body if r.model else '-'} | {r.fit.status} | {number(r.fit.cost, 3)} "
             f"| {number(r.metrics.rmse, 3)} | {number(r.metrics.smape, 3)} "
-            f"| {t['read'] + t['coarse'] + t['full']:.1f} | {t.get('posterior', 0):.0f} | {chain} |"
+            f"| {t['total'] - t.get('posterior', 0):.1f} | {t.get('posterior', 0):.0f} | {chain} |"
         )
     return "\n".join(rows)
 
