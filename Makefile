@@ -20,7 +20,7 @@ schema: install
 	$(BIN)/python -m merlfit.fitting.export
 
 test: install
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: install
 	$(BIN)/ruff check .

@@ -104,7 +104,7 @@ def _fit_all(files: list[Path], out: Path, settings: Any) -> list:  # noqa: ANN4
                 outcomes.append(Outcome(path, result))
                 console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s", markup=False)
             except MerlError as error:
-                outcomes.append(Outcome(path, None, str(error)))
+                outcomes.append(Outcome(path, None, str(error), bad_input=True))
                 _fail(str(error))
             except Exception as error:
                 said = f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
@@ -144,9 +144,9 @@ def _summarise(outcomes: list) -> None:
     for o in outcomes:
         if o.result is not None and not o.result.fit.succeeded:
             console.print(f"{o.path.stem}: {o.result.fit.message}", markup=False)
-    if any(o.result is None for o in outcomes):
+    if any(o.bad_input for o in outcomes):
         raise typer.Exit(BAD_INPUT)
-    if any(not o.result.fit.succeeded for o in outcomes):
+    if any(o.result is None or not o.result.fit.succeeded for o in outcomes):
         raise typer.Exit(FAILED_FIT)
 
 
@@ -199,10 +199,12 @@ def inspect(
         read = read_result(result)
     except ResultError as error:
         raise _fail(str(error)) from None
-    _show(result, read, file or Path(read.source.path), out or result.parent)
+    if not _show(result, read, file or Path(read.source.path), out or result.parent) and file is not None:
+        raise typer.Exit(BAD_INPUT)
 
 
-def _show(path: Path, result: Any, file: Path, out: Path) -> None:  # noqa: ANN401
+def _show(path: Path, result: Any, file: Path, out: Path) -> bool:  # noqa: ANN401
+    """Print and draw; whether the MERL file was of use."""
     from ..merl_io.binary import MerlError
     from ..merl_io.binary import read as read_merl
     from . import plots
@@ -227,8 +229,12 @@ def _show(path: Path, result: Any, file: Path, out: Path) -> None:  # noqa: ANN4
         errors.print(f"merlfit: no lobe plot: {error}; name the file with --file", markup=False, soft_wrap=True)
     for name, figure in pictures.items():
         target = out / f"{result.source.material}.{name}.png"
-        plots.save(figure, target)
+        try:
+            plots.save(figure, target)
+        except OSError as error:
+            raise _fail(f"{target}: cannot be written ({error.strerror or error})") from None
         console.print(f"wrote {target}", markup=False, soft_wrap=True)
+    return "lobes" in pictures or result.model is None
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")

@@ -38,7 +38,7 @@ class FitSection(_Section):
 
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
     diffraction: Diffraction = "quadrature"
-    order: Annotated[int, Field(ge=6, le=256)] = 24
+    order: Annotated[int, Field(ge=6, le=256)] = 32
     grazing: Literal["free", "derived"] | Annotated[float, Field(ge=0, le=1)] = "free"
     footprint_rad: Annotated[float, Field(gt=0, lt=0.5)] = FOOTPRINT_RAD
     starts: Annotated[int, Field(ge=1, le=32)] = 4

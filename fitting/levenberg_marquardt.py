@@ -38,7 +38,7 @@ OFFSET_TOLERANCE = 1e-3  # of the relative offset: a further step would lower th
 class Status(Enum):
     """How a fit ended, in a sentence that says what to do."""
 
-    CONVERGED = "converged: neither the parameters nor the cost change any more"
+    CONVERGED = "converged: no further step lowers the cost noticeably"
     AT_BOUND = "converged with parameters at a bound: the data ask for a value at or beyond it, see at_bound"
     STEP_LIMIT = "stopped at the step limit while the cost was still falling: raise fit.max_steps"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
@@ -135,6 +135,8 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
     kept = normal = evaluate(y)
     pull = PULL * jnp.nan_to_num(kept[:, -1, -1].sum())
     offset, converged, steps = float("inf"), False, 0
+    if not bool(jnp.all(jnp.isfinite(kept))):
+        return Solution(np.asarray(y), float("nan"), np.asarray(kept), 1, offset, False)
     while steps < limit and not converged:
         normal = evaluate(state.y_eval) if steps else kept
         y, state, stop, accepted, trial_offset = step(y, state, normal, pull)

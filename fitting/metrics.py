@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..merl_io.grid import MerlGrid
+
 THETA_MAX_RAD = 1.4  # HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
 SIN_FLOOR = 0.02  # of theta_i in the RMSE weight, as the reference evaluation of the published parameters has it
 
@@ -16,30 +18,28 @@ class Errors:
     smape: float
 
 
-def errors(
-    measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, angles: tuple[np.ndarray, ...], cos_i: np.ndarray,
-    cos_o: np.ndarray,
-) -> Errors:  # fmt: skip
-    """RMSE and sMAPE over valid bins with both directions at theta < 1.4.
+def errors(measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, grid: MerlGrid) -> Errors:
+    """RMSE and sMAPE over all valid bins with both directions at theta < 1.4.
 
     RMSE = sqrt(sum w d^2 / C), w proportional to cos_d sin_d sin_h dtheta_h cos_i^2 / sin_i and summing to one: HP17
     Table 2 integrated over incidence. sMAPE = mean of |m - p| / (m + p) over bins and channels, unweighted.
 
     Args:
-        measured, predicted: (C, H, D, P), 1/sr. valid: (H, D, P). angles: theta_h (H,), theta_d (D,), phi_d (P,).
+        measured, predicted: (C, H, D, P), 1/sr; measured is anything where not valid. valid: (H, D, P).
+        grid: angles of these bins, phi_d over the whole of [0, pi): light and viewer do not weigh alike.
     """
-    theta_h, theta_d, _ = angles
-    inside = valid & (np.minimum(cos_i, cos_o) > np.cos(THETA_MAX_RAD))
-    measure = (np.sin(theta_h) * np.gradient(theta_h))[:, None, None] * (np.sin(theta_d) * np.cos(theta_d))[:, None]
-    sin_i = np.sqrt(np.clip(1 - cos_i**2, 0, 1))
-    weight = np.where(inside, measure * cos_i**2 / np.maximum(sin_i, SIN_FLOOR), 0.0)
+    inside = valid & (np.minimum(grid.cos_i, grid.cos_o) > np.cos(THETA_MAX_RAD))
     if not inside.any():
         return Errors(float("nan"), float("nan"))
-    difference = np.where(inside, measured - predicted, 0.0)
-    rmse = np.sqrt(np.sum(weight / weight.sum() * difference**2) / len(measured))
-    total = np.abs(measured) + np.abs(predicted)
-    share = np.where(inside & (total > 0), np.abs(difference) / np.where(total > 0, total, 1.0), 0.0)
-    return Errors(float(rmse), float(share.sum() / (inside.sum() * len(measured))))
+    measure = (np.sin(grid.theta_h) * np.gradient(grid.theta_h))[:, None, None] * np.sin(2 * grid.theta_d)[:, None]
+    sin_i = np.sqrt(np.clip(1 - grid.cos_i**2, 0, 1))
+    weight = np.where(inside, measure * grid.cos_i**2 / np.maximum(sin_i, SIN_FLOOR), 0.0)[inside]
+    squares = share = 0.0
+    for m, p in zip(measured, predicted, strict=True):
+        difference, total = np.abs(m[inside] - p[inside]), np.abs(m[inside]) + np.abs(p[inside])
+        squares += np.sum(weight * difference**2) / weight.sum()
+        share += np.mean(difference / np.where(total > 0, total, 1.0))
+    return Errors(float(np.sqrt(squares / len(measured))), float(share / len(measured)))
 
 
 def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:

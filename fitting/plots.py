@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.interpolate import RegularGridInterpolator
 
+from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement
 from ..merl_io.grid import MerlGrid, merl_grid
 from ..model.acquisition import grazing
@@ -124,5 +125,5 @@ def corner_figure(result: Result, folder: Path) -> Figure:
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write a picture."""
-    figure.savefig(path, dpi=dpi)
+    """Write a PNG, atomically; OSError if it cannot be written."""
+    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=dpi))

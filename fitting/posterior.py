@@ -39,6 +39,7 @@ TOO_SHORT = (
     "chain too short: {steps} steps are {ratio:.0f} autocorrelation times, {enough} are needed; "
     "raise posterior.max_steps"
 )
+UNSTEADY = "chain too short: after {steps} steps its autocorrelation time still changes; raise posterior.max_steps"
 TOO_THIN = (
     "thinned likelihood too far from that of all bins: their logarithms differ with a standard deviation of "
     "{error:.1f}, at most {limit:.0f} is accepted"
@@ -78,7 +79,7 @@ class Posterior:
 
 
 def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Covariance of the Gaussian approximation in free coordinates, (P, P), at an optimum.
+    """Covariance of the Gaussian approximation in free coordinates, (P, P), with the curvature at ``z``.
 
     The curvature of N_c/2 log S_c is N_c H_c / S_c with H_c the channel's Gauss-Newton matrix; the logistic prior adds
     2 u (1 - u). Directions that the data leave open are thus held by the prior, never infinite.
@@ -183,7 +184,8 @@ def sample(
     weights = jnp.asarray(counts)
 
     def log_prob(points: np.ndarray) -> np.ndarray:
-        # emcee asks for a quarter, a half or all of the walkers: two compiled shapes serve all
+        # emcee asks for a quarter, a half or all of the walkers: two compiled shapes serve all. All of them at once
+        # would be slower than two halves, whose intermediates stay in the cache (measured at order 16)
         batch = -(-walkers // 4) if len(points) <= -(-walkers // 4) else size
         padded = np.concatenate([points, np.repeat(points[:1], -len(points) % batch, 0)])
         parts = np.split(padded, len(padded) // batch)
@@ -226,15 +228,18 @@ def sample(
     draws = jnp.asarray(chain.reshape(-1, size)[drawn])
     thin = _log_likelihoods(thinned[0], draws, thinned[1], weights)
     error = float(jnp.std(_log_likelihoods(fitted[0], draws, fitted[1], weights) - thin))
+    sufficient = ratio >= ENOUGH and steady and error < THINNING_LIMIT
     if ratio < ENOUGH:
         message = TOO_SHORT.format(**said, enough=ENOUGH)
+    elif not steady:
+        message = UNSTEADY.format(**said)
     elif not error < THINNING_LIMIT:
         message = TOO_THIN.format(error=error, limit=THINNING_LIMIT)
     else:
         message = DONE.format(**said)
     return Posterior(
         chain, log_probs, times, log_probs.size / times,
-        float(np.mean(sampler.acceptance_fraction)), ratio >= ENOUGH and error < THINNING_LIMIT, message, error,
+        float(np.mean(sampler.acceptance_fraction)), sufficient, message, error,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ class Outcome:
     path: Path
     result: Result | None
     error: str | None = None
+    bad_input: bool = False
 
 
 def number(x: float | None, digits: int = 4) -> str:

@@ -106,11 +106,12 @@ def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
 def weighted_samples(measurement: Measurement) -> Samples:
     """Folded samples of a file with the weights of Eq. 56: quadrature weight of the bin times w_C of its value.
 
+    Bins that the horizon cuts with their centre below it are left out: the model is 0 there.
     Each channel is compared with its own median, so that no channel is fitted at the expense of another.
     """
     grid = merl_grid()
     weight = np.zeros(measurement.values.shape)
-    used = measurement.valid & (grid.weight > 0)
+    used = measurement.valid & grid.above & (grid.weight > 0)
     for plane, out in zip(measurement.values, weight, strict=True):
         median = max(cos_weighted_median(plane[used], np.maximum(grid.cos_i[used], 0.0)), 1e-9)
         out[used] = grid.weight[used] * compressive_weight(plane[used], np.asarray(median))

@@ -36,7 +36,9 @@ def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
         KeyError: unknown material or source; the message names the nearest known one.
     """
     values = _tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g, rescaled=True), -1, 0))
-    said = f"synthetic MERL file of {material}, from published parameters: {published.SOURCES[source].citation}"
+    table = published.SOURCES[source]
+    rescaled = f", albedos times {table.channel_scale} (R, G, B)" if set(table.channel_scale) != {1.0} else ""
+    said = f"synthetic MERL file of {material}, from published parameters: {table.citation}{rescaled}"
     return values, said
 
 

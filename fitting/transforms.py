@@ -15,7 +15,6 @@ from jax.typing import ArrayLike
 
 from ..model.parameters import CHANNELS, Parameter
 
-AT_BOUND = 0.01  # position within this of 0 or 1: the parameter is reported to be at a bound
 INSIDE = 1e-6  # starting points are moved this far inside their bounds
 
 

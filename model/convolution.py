@@ -34,8 +34,9 @@ from .quadrature import gauss_legendre
 def interpolation_nodes(order: int) -> int:
     """Chebyshev nodes in log B over the range of a grid, as many as the quadrature's own error calls for.
 
-    Measured over the whole of MERL's range of cos_d and wavelength: 12 nodes, median 3e-4; 20 nodes, median 5e-6
-    (tests/model/test_against_oracles.py).
+    Measured over all bounds of the fit and the whole of MERL's range of cos_d and wavelength, table and quadrature
+    together (``tests/model/test_against_oracles.py``): order 16 median 4e-4, worst 6e-2; 24: 5e-5, 2e-2;
+    32: 1e-5, 6e-3.
     """
     return max(8, min(20, order * 5 // 8))
 
@@ -183,7 +184,7 @@ def _integrate(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(5,))
-def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: int = 24) -> Real:
+def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: int = 32) -> Real:
     """(S * D) without the lobe's amplitude, at every point of the broadcast of ``theta_h`` and ``B``.
 
     Args:
@@ -196,7 +197,8 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: 
     but not to the last digit the derivative of the rounded quadrature.
 
     Accuracy, relative, over beta in [1e-3, 1], p in [0.2, 5], c in [1.01, 6], B in [0.01, 900], all theta_h
-    (``tests/model/test_against_oracles.py``): order 16 median 2e-4, worst 4e-2; 24: 5e-5, 7e-3; 48: 1e-6, 6e-4.
+    (``tests/model/test_against_oracles.py``): order 16 median 2e-4, worst 0.14; 24: 5e-5, 1.5e-2; 32: 1e-5, 5e-3;
+    48: 1e-6, 1e-3.
     """
     theta_h, B = jnp.broadcast_arrays(theta_h, B)
     return _integrate(theta_h, B, c, beta, p, order).value
@@ -221,7 +223,7 @@ def lobe(theta_h: Real, B: Real, c: Scalar) -> Real:
 
 def convolve_grid(
     theta_h: Float[Array, " H"], log_cos_over_lambda: Float[Array, " U"], b: Scalar, c: Scalar, beta: Scalar, p: Scalar,
-    order: int = 24,
+    order: int = 32,
 ) -> Float[Array, "H U"]:  # fmt: skip
     """:func:`convolve` for all pairs of half angle and cos_d/lambda, through a small table shared by all channels.
 

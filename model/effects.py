@@ -23,7 +23,7 @@ class Effects:
 
     body: Body = "none"
     diffraction: Diffraction = "quadrature"
-    order: int = 24
+    order: int = 32
 
     def __post_init__(self) -> None:
         """Refuse names that are not effects."""

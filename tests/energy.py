@@ -40,7 +40,7 @@ def viewers(theta_i, width, n_radial, n_azimuth):
 @jax.jit
 def white(values, i, o):
     """BRDF of the first channel's wavelength at F = Q/2 = 1."""
-    effects = Effects(order=24)
+    effects = Effects()
     s = setting(Geometry.from_vectors(i, o), effects, (0.526,))
     v = shaped(values, s)
     at = {name: f.evaluate(v, s) for name, f in factors(effects).items()}

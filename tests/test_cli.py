@@ -16,6 +16,9 @@ from merlfit.fitting.levenberg_marquardt import Status
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
+from merlfit.model.effects import Effects
+from merlfit.model.geometry import Geometry
+from merlfit.model.two_scale import two_scale
 from typer.testing import CliRunner
 
 ROOT = Path(__file__).parents[1]
@@ -30,26 +33,24 @@ def call(*words):
 def fitted(tmp_path_factory):
     """A published material synthesised, fitted with a short chain, all through the command line."""
     folder = tmp_path_factory.mktemp("cli")
-    file = folder / "alum-bronze.binary"
-    assert call("synth", "alum-bronze", "-o", file).exit_code == 0
+    file = folder / "blue-metallic-paint.binary"
+    assert call("synth", "blue-metallic-paint", "--source", "abc_microfacet", "-o", file).exit_code == 0
     settings = folder / "short.toml"
     settings.write_text('[fit]\nbody = "none"\nstarts = 2\n[posterior]\nmax_steps = 60\n')
     done = call("fit", file, folder / "missing.binary", "-o", folder / "out", "--config", settings, "--seed", "3")
     return folder, file, done
 
 
-@pytest.mark.xdist_group("cli")
 def test_a_bad_file_does_not_stop_the_others(fitted):
     folder, _, done = fitted
     assert done.exit_code == 2
     assert "missing.binary: no such file" in done.stderr
-    assert (folder / "out" / "alum-bronze.json").is_file()
+    assert (folder / "out" / "blue-metallic-paint.json").is_file()
 
 
-@pytest.mark.xdist_group("cli")
 def test_result_obeys_the_shipped_schema(fitted):
     folder = fitted[0]
-    data = json.loads((folder / "out" / "alum-bronze.json").read_text())
+    data = json.loads((folder / "out" / "blue-metallic-paint.json").read_text())
     schema = json.loads((ROOT / "fitting" / "result.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(data, schema)
@@ -64,9 +65,8 @@ def test_result_obeys_the_shipped_schema(fitted):
     assert all(math.isfinite(x) for x in data["seconds"].values())
 
 
-@pytest.mark.xdist_group("cli")
 def test_a_chain_too_short_says_so_and_gives_no_intervals(fitted):
-    result = export.read_result(fitted[0] / "out" / "alum-bronze.json")
+    result = export.read_result(fitted[0] / "out" / "blue-metallic-paint.json")
     assert result.posterior is not None
     assert not result.posterior.sufficient
     assert "too short" in result.posterior.message
@@ -75,25 +75,56 @@ def test_a_chain_too_short_says_so_and_gives_no_intervals(fitted):
         assert chain["chain_free"].shape == (60, 24, len(result.parameters))
 
 
-@pytest.mark.xdist_group("cli")
 def test_inspect_prints_and_draws(fitted):
     folder = fitted[0]
-    shown = call("inspect", folder / "out" / "alum-bronze.json", "-o", folder / "pictures")
+    shown = call("inspect", folder / "out" / "blue-metallic-paint.json", "-o", folder / "pictures")
     assert shown.exit_code == 0
     for word in ("beta", "sigma_s", "too short", "conductor"):
         assert word in shown.stdout
-    assert (folder / "pictures" / "alum-bronze.lobes.png").stat().st_size > 20_000
+    assert (folder / "pictures" / "blue-metallic-paint.lobes.png").stat().st_size > 20_000
 
 
-@pytest.mark.xdist_group("cli")
 def test_a_fit_becomes_a_merl_file_again(fitted):
-    folder, file, _ = fitted
+    folder = fitted[0]
     target = folder / "again.binary"
-    assert call("synth", folder / "out" / "alum-bronze.json", "-o", target).exit_code == 0
-    measured, again = read(file).values, read(target).values
-    inside = np.isfinite(measured[0]) & np.isfinite(again[0]) & (merl_grid().cos_i > 0.3) & (merl_grid().cos_o > 0.3)
-    ratio = np.median(again[:, inside] / measured[:, inside])
-    assert 0.5 < ratio < 2
+    assert call("synth", folder / "out" / "blue-metallic-paint.json", "-o", target).exit_code == 0
+    result, again, grid = (
+        export.read_result(folder / "out" / "blue-metallic-paint.json"),
+        read(target).values,
+        merl_grid(),
+    )
+    h, d, p = np.random.default_rng(0).integers(0, [[70], [70], [180]], (3, 50))
+    g = Geometry.from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
+    expected = np.asarray(two_scale(result.values(), g, Effects("none")))
+    above = grid.above[h, d, p]
+    assert above.sum() > 30
+    np.testing.assert_allclose(again[:, h, d, p][:, above], expected[:, above], rtol=1e-2)
+    assert np.median(np.abs(again[:, h, d, p][:, above] / expected[:, above] - 1)) < 1e-4
+
+
+def test_a_long_chain_is_drawn_and_a_chain_of_another_fit_is_not(fitted):
+    folder = fitted[0]
+    result = export.read_result(folder / "out" / "blue-metallic-paint.json")
+    result.posterior.sufficient = True
+    path = folder / "out" / "long.json"
+    export.write_result(path, result)
+    shown = call("inspect", path, "-o", folder / "pictures")
+    assert shown.exit_code == 0
+    assert (folder / "pictures" / "blue-metallic-paint.corner.png").stat().st_size > 50_000
+    with np.load(folder / "out" / result.posterior.chain_file) as chain:
+        np.savez(folder / "out" / "other.npz", names=chain["names"][:-1], values=chain["values"][:, :-1])
+    result.posterior.chain_file = "other.npz"
+    export.write_result(path, result)
+    assert "chain of another fit" in call("inspect", path, "-o", folder / "pictures").stderr
+
+
+def test_inspecting_with_another_file_is_bad_input(fitted):
+    folder = fitted[0]
+    other = folder / "other.binary"
+    write(other, np.ones((3, 90, 90, 180)))
+    shown = call("inspect", folder / "out" / "blue-metallic-paint.json", "--file", other, "-o", folder / "pictures")
+    assert shown.exit_code == 2
+    assert "not the file that was fitted" in shown.stderr
 
 
 def test_check_prints_a_table_and_refuses_bad_files(tmp_path):

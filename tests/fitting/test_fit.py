@@ -10,6 +10,8 @@ import pytest
 from merlfit.fitting import run
 from merlfit.fitting.config import Config
 from merlfit.fitting.levenberg_marquardt import Status, solve
+from merlfit.fitting.metrics import Errors
+from merlfit.fitting.outcome import Fitted
 from merlfit.fitting.residuals import (
     Forward,
     compressive_weight,
@@ -21,7 +23,7 @@ from merlfit.fitting.residuals import (
     weighted_samples,
 )
 from merlfit.fitting.starts import read_clues, starting_points
-from merlfit.merl_io.binary import read, write
+from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
 from merlfit.model.acquisition import derived_exponent, grazing
@@ -63,7 +65,6 @@ def files(tmp_path_factory):
     return made
 
 
-@pytest.mark.xdist_group("fits")
 @pytest.mark.parametrize(("name", "values", "body"), [("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "auto")])
 def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, values, body):
     config = Config().with_options(body, False, None)
@@ -80,7 +81,6 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
     assert (tmp_path / f"{name}.json").is_file()
 
 
-@pytest.mark.xdist_group("fits")
 def test_nickel_as_its_neural_reconstruction(reconstructions, tmp_path):
     """A reconstruction, not the measurement: cost and errors as they were found, which only a regression can raise."""
     reconstructions.main(tmp_path, "nickel")
@@ -98,7 +98,6 @@ def coarse(files):
     return samples, thinned, make_problem(thinned)
 
 
-@pytest.mark.xdist_group("fits")
 def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     _, _, problem = coarse
     for forward in (Forward(Effects("none")), Forward(Effects("plastic"), "derived"), Forward(Effects("lambert"), 0.3)):
@@ -119,7 +118,6 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
         np.testing.assert_allclose(np.asarray(cost(forward, z, problem)), found[:, -1, -1], rtol=1e-10)
 
 
-@pytest.mark.xdist_group("fits")
 def test_blocks_do_not_change_the_sum(coarse):
     _, thinned, problem = coarse
     forward = Forward(Effects("none"))
@@ -142,7 +140,6 @@ def test_blocks_do_not_change_the_sum(coarse):
     )  # fmt: skip
 
 
-@pytest.mark.xdist_group("fits")
 def test_solvers_of_three_libraries_agree(coarse):
     samples = coarse[0]
     problem = make_problem(thin(samples, (10, 10, 45)))
@@ -184,7 +181,6 @@ def test_derived_exponent_falls_with_lobe_width():
     assert float(slope) == pytest.approx(float(difference), rel=1e-3)
 
 
-@pytest.mark.xdist_group("fits")
 def test_a_file_with_too_few_bins_says_so(tmp_path):
     values = np.full((3, 90, 90, 180), np.nan)
     values[:, 0, 0, 0] = 1.0
@@ -194,6 +190,42 @@ def test_a_file_with_too_few_bins_says_so(tmp_path):
     assert result.fit.status == "NO_DATA"
     assert not result.fit.succeeded
     assert result.parameters == []
+
+
+def test_data_below_the_horizon_are_left_out():
+    """A file filled everywhere: bins cut by the horizon have a weight, and a model of 0 that no logarithm likes."""
+    grid = merl_grid()
+    full = Measurement(Path("full"), np.ones((3, *grid.above.shape)), np.ones_like(grid.above), 0, 0, 0, "", "")
+    samples = weighted_samples(full)
+    assert not np.any(samples.weight[:, ~grid.above[..., :90]])
+    problem = make_problem(thin(samples, (1, 3, 10)))
+    for grazing_loss in ("free", 0.0):
+        forward = Forward(Effects("lambert", "off"), grazing_loss)
+        assert np.all(np.isfinite(normal_equations(forward, jnp.zeros(forward.layout.size), problem)))
+
+
+def test_equations_that_are_not_finite_are_a_failure(coarse):
+    _, _, problem = coarse
+    spoiled = dataclasses.replace(problem, log_base=jnp.where(problem.log_base < -1, -jnp.inf, problem.log_base))
+    forward = Forward(Effects("none"))
+    solution = solve(forward, np.zeros(forward.layout.size), spoiled)
+    assert not solution.converged
+    assert np.isnan(solution.cost)
+    fitted = Fitted(forward, solution, np.ones(3), Errors(0.0, 0.0), [])
+    assert fitted.status is Status.NON_FINITE
+
+
+def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):
+    _, _, problem = coarse
+    forward = Forward(Effects("lambert", "off"), 0.0)
+    z = forward.layout.free({"beta": 0.1, "p": 1.0, "eta": np.full(3, 1.5), "albedo": np.array([0.005, 0.005, 0.2])})
+    normal = np.zeros((3, 9, 9))
+    normal[:, 8, 8] = 1.0
+    normal[:, 5, 5] = 1e3  # the first albedo is well determined, the second is not
+    solution = dataclasses.replace(solve(forward, z, problem, 1), z=z, normal=normal, cost=3.0, converged=True)
+    fitted = Fitted(forward, solution, np.full(3, 20.0), Errors(0.0, 0.0), [])
+    assert fitted.at_bound == ["no"] * 6 + ["lower", "no"]
+    assert fitted.status is Status.AT_BOUND
 
 
 def test_statuses_are_sentences_that_say_what_to_do():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from merlfit.fitting.metrics import correlation_length, effective_count, errors
 from merlfit.fitting.selection import bic
+from merlfit.merl_io.grid import merl_grid
 
 SHAPE = (60, 12, 9)
 
@@ -62,14 +63,25 @@ def test_bic_is_schwarz_with_the_scale_profiled_out():
 
 def test_errors_are_those_of_the_definitions():
     rng = np.random.default_rng(4)
-    h, d, p = np.linspace(0.05, 1.5, 6), np.linspace(0.05, 1.5, 5), np.linspace(0.1, 1.5, 4)
-    even = np.cos(h)[:, None, None] * np.cos(d)[:, None] * np.ones(4)
-    odd = np.sin(h)[:, None, None] * np.sin(d)[:, None] * np.cos(p)
-    measured = rng.uniform(0.1, 1, (3, 6, 5, 4))
-    valid = (even - odd > np.cos(1.4)) & (even + odd > np.cos(1.4))
-    found = errors(measured, measured + 0.25, valid, (h, d, p), even - odd, even + odd)
-    assert found.rmse == pytest.approx(0.25)  # its weights sum to one
-    share = 0.25 / (2 * measured + 0.25)
-    assert found.smape == pytest.approx(share[:, valid].mean())
-    nothing = errors(measured, measured, np.zeros_like(valid), (h, d, p), even - odd, even + odd)
-    assert np.isnan(nothing.rmse)
+    grid = merl_grid()
+    shape = (2, *grid.cos_i.shape)
+    measured, predicted = rng.uniform(0.1, 1, shape), rng.uniform(0.1, 1, shape)
+    predicted[..., :90] += 1  # light and viewer do not weigh alike
+    valid = rng.uniform(size=grid.cos_i.shape) < 0.5
+    found = errors(np.where(valid, measured, np.nan), predicted, valid, grid)
+    squares = weights = shares = bins = 0.0
+    widths = np.gradient(grid.theta_h)
+    for h, d in np.ndindex(90, 90):
+        for i in np.flatnonzero(valid[h, d]):
+            light, viewer = np.arccos(np.clip([grid.cos_i[h, d, i], grid.cos_o[h, d, i]], -1, 1))
+            if max(light, viewer) < 1.4:
+                w = np.cos(grid.theta_d[d]) * np.sin(grid.theta_d[d]) * np.sin(grid.theta_h[h]) * widths[h]
+                w *= np.cos(light) ** 2 / max(np.sin(light), 0.02)
+                m, p = measured[:, h, d, i], predicted[:, h, d, i]
+                squares, weights = squares + w * np.sum((m - p) ** 2), weights + 2 * w
+                shares, bins = shares + np.sum(np.abs(m - p) / (m + p)), bins + 2
+    assert found.rmse == pytest.approx(np.sqrt(squares / weights), rel=1e-9)
+    assert found.smape == pytest.approx(shares / bins, rel=1e-9)
+    swapped = errors(measured[..., ::-1], predicted[..., ::-1], valid[..., ::-1], grid)
+    assert swapped.rmse != pytest.approx(found.rmse, rel=0.05)
+    assert np.isnan(errors(measured, measured, np.zeros_like(valid), grid).rmse)

@@ -14,7 +14,7 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.effects import Effects
 from scipy.special import expit
-from scipy.stats import binom, multivariate_t, norm
+from scipy.stats import binom, kstest, multivariate_t, norm
 
 
 def test_independent_proposals_are_the_student_t_whose_ratio_they_report():
@@ -88,7 +88,7 @@ def test_thinned_grids_see_the_mirror_direction(grid):
 TRUTH = {
     "beta": 0.2, "p": 0.8, "eta": np.array([1.5, 1.6, 1.7]), "albedo": np.array([0.5, 0.3, 0.1]),
 }  # fmt: skip
-SETS, NOISE = 6, 0.01
+SETS, NOISE = 6, np.array([0.01, 0.006, 0.003])  # relative to the root mean square, per channel: scales are unknown
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def noisy_posteriors():
     blank = thin(fold(grid, ones, np.where(grid.above, 1.0, 0.0) * ones), (10, 10, 45))
     clean = run.predict_samples(forward, forward.layout.free(TRUTH), blank, make_problem(blank))
     counts = (blank.weight > 0).sum((1, 2, 3)).astype(float)
-    size = NOISE * np.sqrt(np.sum(blank.weight * clean**2) / counts.sum())
+    size = (NOISE * np.sqrt(np.sum(blank.weight * clean**2) / counts.sum()))[:, None, None, None]
     rng = np.random.default_rng(6)
     found = []
     for seed in range(SETS):
@@ -110,31 +110,41 @@ def noisy_posteriors():
         best = solve(forward, forward.layout.free(TRUTH), problem)
         assert best.converged
         target = (forward, problem)
-        found.append((best, sample(target, target, best.z, best.normal, counts, 3000, seed), counts, forward))
+        chain = sample(target, target, best.z, best.normal, counts, 3000, seed)
+        found.append((best, chain, counts, forward, problem))
     return found
 
 
-@pytest.mark.xdist_group("fits")
 def test_intervals_hold_the_truth_as_often_as_they_say(noisy_posteriors):
-    inside = 0
-    for _, chain, _, forward in noisy_posteriors:
+    ranks, inside = [], 0
+    for _, chain, _, forward, _ in noisy_posteriors:
         assert chain.sufficient, chain.message
         assert chain.thinning_error < 1e-6
-        low, middle, high = np.quantile(chain.values(forward.layout), [0.05, 0.5, 0.95], axis=0)
-        assert np.all((low < middle) & (middle < high))
+        values = chain.values(forward.layout)
         truth = np.concatenate([np.ravel(TRUTH[q.name]) for q in forward.layout.parameters])
+        ranks.append(np.mean(values < truth, 0))
+        low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
+        assert np.all((low < middle) & (middle < high))
         inside += np.sum((low < truth) & (truth < high))
-    trials = SETS * 8
-    assert binom.ppf(0.001, trials, 0.9) <= inside <= binom.ppf(0.999, trials, 0.9)
+    assert binom.ppf(0.001, SETS * 8, 0.9) <= inside
+    # ranks of the truth are uniform: neither too wide nor too narrow (width 0.289), nor shifted
+    assert kstest(np.ravel(ranks), "uniform").pvalue > 1e-3
+    assert 0.2 < np.std(ranks) < 0.36
 
 
-@pytest.mark.xdist_group("fits")
 def test_a_well_determined_posterior_is_the_laplace_approximation(noisy_posteriors):
-    for best, chain, counts, _ in noisy_posteriors:
+    """Around the optimum of channels weighed by N_c / S_c, as the likelihood weighs them; Eq. 56 weighs all alike."""
+    astray = 0.0
+    for best, chain, counts, forward, problem in noisy_posteriors:
         free = chain.chain.reshape(-1, chain.chain.shape[-1])
+        scale = counts / best.normal[:, -1, -1]
+        weighed = dataclasses.replace(problem, weight=problem.weight * (scale / scale.mean())[:, None, None, None])
+        centre = solve(forward, best.z, weighed).z
         expected = np.sqrt(np.diag(laplace_covariance(best.normal, counts, best.z)))
         narrow = expected < 0.3  # others are skewed by the bounds
         assert narrow.sum() >= 7
-        np.testing.assert_allclose(free.std(0)[narrow], expected[narrow], rtol=0.2)
-        assert np.all(np.abs(free.mean(0) - best.z) < 0.5 * expected)
+        np.testing.assert_allclose(free.std(0)[narrow], expected[narrow], rtol=0.25)
+        assert np.all(np.abs(free.mean(0) - centre) < 0.5 * expected)
+        astray = max(astray, np.max(np.abs(free.mean(0) - best.z) / expected))
         assert chain.acceptance > 0.4
+    assert astray > 1  # the comparison sees the difference between the two optima

@@ -1,5 +1,7 @@
 """The assembled model: against the oracle, on grids and lists alike, reciprocal, differentiable, conserving."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 from merlfit.model.effects import BODIES, DIFFRACTIONS, Effects
+from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM, parameters
-from merlfit.model.shadowing import masking
-from merlfit.model.two_scale import factors, setting, shaped, two_scale
+from merlfit.model.two_scale import assemble, factors, setting, shaped, two_scale
 from oracles import bodies as o_bodies
 from oracles import two_scale as o_two_scale
 
@@ -156,25 +158,32 @@ _compiled = jax.jit(lambda values, g: two_scale(values, g, Effects()))
 # --- Energy: directional albedo by quadrature over microfacet normals, which follow the lobe
 
 
-def reflected(theta_i, beta, p, masked=True):
-    """Directional albedo of the Cook-Torrance lobe at |F| = 1: Int D G /(4 cos_i) domega_o, over normals m = h."""
-    from merlfit.model.ndf import epd
+@partial(jax.jit, static_argnames="masked")
+def white(beta, p, geometry, masked):
+    """The model's own Cook-Torrance lobe with its Fresnel factor divided out (1/sr)."""
+    s = setting(geometry, Effects("none", "off"), (0.5,))
+    v = shaped({"beta": beta, "p": p, "n": jnp.array([0.5]), "k": jnp.array([3.0])}, s)
+    at = {name: f.evaluate(v, s) for name, f in factors(s.effects).items()}
+    at["mirror"] = at["mirror"] / fresnel(s.geometry.cos_d, v["n"], v["k"])
+    return assemble(at if masked else {**at, "shadow": jnp.ones(())}, s)[0]
 
+
+def reflected(theta_i, beta, p, masked=True):
+    """Directional albedo at |F| = 1: Int rho cos_o domega_o, over normals m = h, which follow the lobe."""
     nodes, weights = np.polynomial.legendre.leggauss(400)
     v_low, v_high = -25 * max(p, 0.5) * 2, np.log(60 + 4 / p)
     v, wv = (v_high + v_low) / 2 + (v_high - v_low) / 2 * nodes, weights * (v_high - v_low) / 2
-    tan = np.minimum(beta * np.exp(v / (2 * p)), 1e8)
-    theta_m = np.arctan(tan)[:, None]
+    theta_m = np.arctan(np.minimum(beta * np.exp(v / (2 * p)), 1e8))[:, None]
     phi = (np.arange(256) + 0.5) / 256 * np.pi
     cos_d = np.cos(theta_i) * np.cos(theta_m) + np.sin(theta_i) * np.sin(theta_m) * np.cos(phi)
     cos_o = 2 * cos_d * np.cos(theta_m) - np.cos(theta_i)
-    seen = (cos_d > 0) & (cos_o > 0)
-    g = float(masking(*(jnp.asarray(x) for x in (np.cos(theta_i), beta, p)))) if masked else 1.0
-    g_o = np.asarray(masking(*(jnp.asarray(x) for x in (np.where(seen, cos_o, 1.0), beta, p)))) if masked else 1.0
-    # domega_o = 4 cos_d domega_m and rho cos_o = D G / (4 cos_i)
-    dm = np.sin(theta_m) * (np.sin(theta_m) * np.cos(theta_m) / (2 * p)) * wv[:, None]
-    density = np.asarray(epd(jnp.asarray(theta_m), jnp.asarray(beta), jnp.asarray(p)))
-    return float(np.sum(np.where(seen, density * g * g_o * cos_d / np.cos(theta_i) * dm, 0)) * 2 * np.pi / 256)
+    cos_i = np.full_like(cos_o, np.cos(theta_i))
+    theta_d = np.arccos(np.clip(cos_d, 0, 1))
+    geometry = Geometry(*(jnp.asarray(x) for x in (theta_m, theta_d, cos_i, np.where(cos_d > 0, cos_o, -1.0))))
+    brdf = np.asarray(white(jnp.asarray(beta), jnp.asarray(p), geometry, masked))
+    # domega_o = 4 cos_d domega_m; d theta_m = sin cos / (2 p) dv
+    dm = 4 * cos_d * np.sin(theta_m) * (np.sin(theta_m) * np.cos(theta_m) / (2 * p)) * wv[:, None]
+    return float(np.sum(np.where(brdf > 0, brdf * cos_o * dm, 0)) * 2 * np.pi / 256)
 
 
 def test_white_furnace_of_the_cook_torrance_lobe():
