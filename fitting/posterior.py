@@ -29,7 +29,7 @@ from .transforms import Layout
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
 CHECK_EVERY = 250  # steps between looks at the autocorrelation time
 STEADY = 0.1  # relative change of that time between two looks: a short chain sees too short a time
-TUNING = (600, 400)  # steps of the stages of tuning, discarded
+TUNING = (400, 400, 700)  # steps of the stages of tuning, discarded
 INDEPENDENT = 0.6  # share of independent proposals after tuning
 STUDENT_DOF = 10.0  # tails of the independent proposals
 CHECKED_DRAWS = 32  # of the posterior, on which the thinned likelihood is compared with that of all bins
@@ -210,7 +210,8 @@ def sample(
     for stage, steps in enumerate(tuning):
         sampler = sampler_with(proposal, INDEPENDENT / 2, seed + 1 + stage)
         now, before = advance(sampler, now, steps), before + steps
-        seen, log_probs = (np.asarray(x)[steps // 2 :] for x in (sampler.get_chain(), sampler.get_log_prob()))
+        arrived = 0 if stage else steps // 2
+        seen, log_probs = (np.asarray(x)[arrived:] for x in (sampler.get_chain(), sampler.get_log_prob()))
         proposal = independent_proposal(seen.reshape(-1, size), log_probs.ravel())
     sampler = sampler_with(proposal, INDEPENDENT, seed)
     times, ratio, steady = np.full(size, np.inf), 0.0, False
