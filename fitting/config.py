@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ..model.acquisition import FOOTPRINT_RAD
-from ..model.effects import Body, Diffraction, Effects
+from ..model.effects import Body, Colour, Diffraction, Effects, Fresnel, Masking
 from .levenberg_marquardt import Backend
 from .residuals import Forward
 
@@ -23,12 +23,26 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class FitSection(_Section):
-    """[fit]: model and solver.
+class EffectsSection(_Section):
+    """[effects]: which effects are simulated, as :class:`merlfit.model.effects.Effects` describes them.
 
     Attributes:
         body: ``auto`` fits every body on the coarse grid and keeps the best by BIC.
-        diffraction, order: see :class:`merlfit.model.effects.Effects`.
+    """
+
+    body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
+    diffraction: Diffraction = Effects.diffraction
+    order: Annotated[int, Field(ge=6, le=256)] = Effects.order
+    fresnel: Fresnel = Effects.fresnel
+    masking: Masking = Effects.masking
+    renormalised: bool = Effects.renormalised
+    colour: Colour = Effects.colour
+
+
+class FitSection(_Section):
+    """[fit]: acquisition and solver.
+
+    Attributes:
         grazing: acquisition loss at grazing angles: ``free``, ``derived`` from (beta, p), or a number in [0, 1].
         footprint_rad: pixel footprint that ``derived`` assumes.
         starts: how many of the screened starting points are followed on the coarse grid.
@@ -36,9 +50,6 @@ class FitSection(_Section):
         backend: solver; others than optimistix are for cross-checks.
     """
 
-    body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
-    diffraction: Diffraction = "quadrature"
-    order: Annotated[int, Field(ge=6, le=256)] = 32
     grazing: Literal["free", "derived"] | Annotated[float, Field(ge=0, le=1)] = "free"
     footprint_rad: Annotated[float, Field(gt=0, lt=0.5)] = FOOTPRINT_RAD
     starts: Annotated[int, Field(ge=1, le=32)] = 4
@@ -69,19 +80,20 @@ class Config(_Section):
     """All settings. ``seed`` fixes the sampler's random numbers; fits use none."""
 
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    effects: EffectsSection = EffectsSection()
     fit: FitSection = FitSection()
     posterior: PosteriorSection = PosteriorSection()
 
     def forward(self, body: Body) -> Forward:
         """The forward model for one body."""
-        effects = Effects(body, self.fit.diffraction, self.fit.order)
+        effects = Effects(**self.effects.model_copy(update={"body": body}).model_dump())
         return Forward(effects, self.fit.grazing, self.fit.footprint_rad)
 
     def with_options(self, body: str | None, posterior: bool | None, seed: int | None) -> "Config":
         """A copy with what the command line gave."""
         data = self.model_dump()
         if body is not None:
-            data["fit"]["body"] = body
+            data["effects"]["body"] = body
         if posterior is not None:
             data["posterior"]["enabled"] = posterior
         if seed is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..merl_io.atomic import write_atomically
+from ..model.effects import Effects
 
 SCHEMA_VERSION = "1.0"
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee")
@@ -40,9 +41,7 @@ class Model(_Part):
     """What was fitted."""
 
     name: Literal["two-scale"] = "two-scale"
-    body: Literal["none", "lambert", "plastic", "subsurface"]
-    diffraction: Literal["off", "lobe", "quadrature"]
-    order: int
+    effects: Effects
     grazing: Literal["free", "derived"] | float
     grazing_exponent: float
     footprint_rad: float

@@ -131,9 +131,9 @@ def parameter_results(fitted: Fitted, chain: Posterior | None) -> list[export.Pa
 
 
 def _model_part(forward: Forward, z: np.ndarray) -> export.Model:
-    e, layout = forward.effects, forward.layout
+    layout = forward.layout
     return export.Model(
-        body=e.body, diffraction=e.diffraction, order=e.order, grazing=forward.grazing,
+        effects=forward.effects, grazing=forward.grazing,
         grazing_exponent=float(forward.exponent(layout.values(jnp.asarray(z)))), footprint_rad=forward.footprint_rad,
         channels=list(layout.channels), wavelengths_um=list(WAVELENGTHS_UM),
     )  # fmt: skip

@@ -14,7 +14,6 @@ from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement
 from ..merl_io.grid import MerlGrid, merl_grid
 from ..model.acquisition import grazing
-from ..model.effects import Effects
 from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
 from .export import Model, Result
@@ -54,7 +53,7 @@ def measured_lobe(
 def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray) -> np.ndarray:
     """What the apparatus would have measured of the fitted material, (3, N)."""
     geometry = Geometry.from_vectors(i, o)
-    brdf = two_scale(values, geometry, Effects(model.body, model.diffraction, model.order), model.wavelengths_um)
+    brdf = two_scale(values, geometry, model.effects, model.wavelengths_um)
     return np.asarray(brdf * grazing(geometry, jnp.asarray(model.grazing_exponent)))
 
 
@@ -81,7 +80,7 @@ def lobe_figure(result: Result, measurement: Measurement) -> Figure:
     first.set_ylabel(r"cube root of BRDF (sr$^{-1/3}$)")
     first.plot([], [], "o", color="gray", fillstyle="none", markersize=3.2, label="file")
     first.legend(fontsize=7)
-    body = "conductor" if result.model.body == "none" else f"dielectric over {result.model.body}"
+    body = "conductor" if result.model.effects.body == "none" else f"dielectric over {result.model.effects.body}"
     origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
     figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}, with the acquisition's grazing loss")
     return figure

@@ -59,7 +59,7 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
         r = o.result
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
-            escape(r.source.material), r.model.body if r.model else "-", r.fit.status, number(r.fit.cost),
+            escape(r.source.material), r.model.effects.body if r.model else "-", r.fit.status, number(r.fit.cost),
             number(r.metrics.rmse), number(r.metrics.smape, 3), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
     return table
@@ -93,9 +93,10 @@ def print_result(console: Console, result: Result) -> None:
         console.print(f"{f.status}: {f.message}")
         return
     m = result.model
-    body = "conductor" if m.body == "none" else f"dielectric over {m.body}"
+    e = m.effects
+    body = "conductor" if e.body == "none" else f"dielectric over {e.body}"
     console.print(
-        f"two-scale, {body}, diffraction by {m.diffraction}, grazing exponent {m.grazing_exponent:.3f} ({m.grazing})"
+        f"two-scale, {body}, diffraction by {e.diffraction}, grazing exponent {m.grazing_exponent:.3f} ({m.grazing})"
     )
     console.print(parameter_table(result))
     console.print(f"{f.status}: {f.message}")

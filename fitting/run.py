@@ -92,7 +92,7 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
     if min(int(np.any((s.weight > 0) & (s.value > 0), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
-        bodies: tuple[Body, ...] = BODIES if config.fit.body == "auto" else (config.fit.body,)
+        bodies: tuple[Body, ...] = BODIES if config.effects.body == "auto" else (config.effects.body,)
         report(f"coarse grid: {', '.join(bodies)}")
         coarse = thin(samples, COARSE)
         problem = make_problem(coarse)

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..merl_io.grid import merl_grid
 from ..model import published
-from ..model.effects import Effects
 from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
 from .export import ResultError, read_result
@@ -52,8 +51,7 @@ def from_result(path: Path) -> tuple[np.ndarray, str]:
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
-    effects = Effects(m.body, m.diffraction, m.order)
-    values = _tabulate(lambda g: two_scale(params, g, effects, m.wavelengths_um))
+    values = _tabulate(lambda g: two_scale(params, g, m.effects, m.wavelengths_um))
     return values, f"synthetic MERL file from the two-scale fit of {result.source.material}"
 
 

@@ -61,6 +61,12 @@ def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
     return (f_s + f_p) / 2
 
 
+def schlick(cos_theta: Real, n: Real, k: Real) -> Real:
+    """Schlick's approximation F0 + (1 - F0)(1 - cos)^5, F0 that of the index ``n + i k``; arguments as `fresnel`."""
+    f0 = ((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2)
+    return f0 + (1 - f0) * (1 - cos_theta) ** 5
+
+
 def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k: Real) -> Real:
     """Colour of the diffraction lobe, Q/2 of Rayleigh-Rice (HP17 Eq. 10), dimensionless.
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 
-from .numerics import Real, Scalar, safe_sqrt
+from .numerics import Real, Scalar, safe_divide, safe_sqrt
 
 # log x runs over q in [-11, 4.7] at spacing 0.245. The integrand's narrowest peak, x^(3/(2 p)) e^(-x) at p = 0.12, has
 # a width of 0.29 in q, for which the trapezoid rule errs by exp(-2 pi^2 (0.29/0.245)^2) = 1e-12; what lies outside is
@@ -74,6 +74,14 @@ def masking_direct(cos_theta: Real, beta: Scalar, p: Scalar) -> Real:
     cos = jnp.where(above, cos_theta, 1.0)
     tau = beta * safe_sqrt((1 - cos) * (1 + cos)) / cos
     return jnp.where(above, 1 / (1 + smith_lambda(tau, p)), 0.0)
+
+
+def height_correlated(masking_i: Real, masking_o: Real) -> Real:
+    """Smith's joint masking and shadowing 1 / (1 + Lambda_i + Lambda_o) (Heitz 2014 Eq. 99) of the two G1.
+
+    Never below their product: a facet low on the surface is hidden from both sides at once. 0 where both are 0.
+    """
+    return safe_divide(masking_i * masking_o, masking_i + masking_o - masking_i * masking_o)
 
 
 def _masking_of_x(x: Real, p: Scalar) -> Real:

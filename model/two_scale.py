@@ -23,11 +23,11 @@ from jax.typing import ArrayLike
 
 from . import body, convolution, diffraction
 from .effects import Effects
-from .fresnel import diffraction_colour, fresnel
+from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .ndf import epd
 from .parameters import WAVELENGTHS_UM, parameters
-from .shadowing import masking
+from .shadowing import height_correlated, masking
 
 CHUNK = 4096  # scattered points convolved at a time: 4096 points x 2 x 24 x 8 nodes x 8 bytes = 13 MB an intermediate
 Values = Mapping[str, Array]
@@ -65,11 +65,12 @@ def factors(effects: Effects) -> dict[str, Factor]:
     """The factors of a material with these effects."""
     surface, optics = ("beta", "p"), (("n", "k") if effects.body == "none" else ("eta",))
     nano = ("b", "c", "sigma_s")
-    table = {"shadow": Factor(surface, _shadow)}
+    table = {} if effects.masking == "none" else {"shadow": Factor(surface, _shadow)}
     if effects.diffraction == "off":
         table["mirror"] = Factor(surface + optics, _mirror)
     else:
-        table["mirror"] = Factor((*nano, *surface, *optics), _dimmed_mirror)
+        dimming = nano if effects.renormalised else ("sigma_s",)
+        table["mirror"] = Factor((*dimming, *surface, *optics), _dimmed_mirror)
         blurred = surface if effects.diffraction == "quadrature" else ()
         table["spread"] = Factor((*nano, *blurred), _spread)
         table["hue"] = Factor(optics, _hue)
@@ -83,8 +84,9 @@ def assemble(at: Values, s: Setting) -> Array:
     surface = at["mirror"] / (s.geometry.cos_i * s.geometry.cos_o)
     if "spread" in at:
         surface = surface + at["hue"] * at["spread"]
-    brdf = at["shadow"] * surface + at.get("under", jnp.zeros(()))
-    return jnp.where(s.above, brdf, 0.0)
+    if "shadow" in at:
+        surface = at["shadow"] * surface
+    return jnp.where(s.above, surface + at["under"] if "under" in at else surface, 0.0)
 
 
 def two_scale(
@@ -136,18 +138,27 @@ def _index(v: Values) -> tuple[Array, Array]:
 
 
 def _shadow(v: Values, s: Setting) -> Array:
-    """G = G1(i) G1(o), Smith's masking and shadowing taken as independent (HP15 Eq. 6)."""
-    return masking(s.geometry.cos_i, v["beta"], v["p"]) * masking(s.geometry.cos_o, v["beta"], v["p"])
+    """G of i and o."""
+    seen, lit = (masking(cos, v["beta"], v["p"]) for cos in (s.geometry.cos_i, s.geometry.cos_o))
+    return seen * lit if s.effects.masking == "smith" else height_correlated(seen, lit)
+
+
+def _fresnel(v: Values, s: Setting) -> Array:
+    """F(theta_d) by the chosen formula."""
+    formula = fresnel if s.effects.fresnel == "exact" else schlick
+    return formula(s.geometry.cos_d, *_index(v))
 
 
 def _mirror(v: Values, s: Setting) -> Array:
     """F(theta_d) D(theta_h) / 4."""
-    return fresnel(s.geometry.cos_d, *_index(v)) * epd(s.geometry.theta_h, v["beta"], v["p"]) / 4
+    return _fresnel(v, s) * epd(s.geometry.theta_h, v["beta"], v["p"]) / 4
 
 
 def _share_and_phase(v: Values, s: Setting) -> tuple[Array, Array]:
     """sigma_rel^2/sigma_s^2 at theta_d, where the facet meets the light, and the exponent of A_spec."""
-    share = diffraction.renormalisation(jnp.sin(s.geometry.theta_d), v["b"] / s.wavelength_um, v["c"])
+    share = jnp.ones(())
+    if s.effects.renormalised:
+        share = diffraction.renormalisation(jnp.sin(s.geometry.theta_d), v["b"] / s.wavelength_um, v["c"])
     return share, diffraction.phase_variance(share * v["sigma_s"] ** 2, s.geometry.cos_d, s.wavelength_um)
 
 
@@ -164,7 +175,9 @@ def _spread(v: Values, s: Setting) -> Array:
 
 
 def _hue(v: Values, s: Setting) -> Array:
-    """Q/2."""
+    """Q/2, or F."""
+    if s.effects.colour == "fresnel":
+        return _fresnel(v, s)
     g = s.geometry
     return diffraction_colour(g.cos_i, g.cos_o, jnp.where(s.above, g.projected_dot, 1.0), *_index(v))
 

@@ -1,5 +1,6 @@
 """The command line as a user meets it: exit codes, one-line errors, files that appear."""
 
+import dataclasses
 import importlib.util
 import json
 import math
@@ -11,7 +12,7 @@ import jsonschema
 import numpy as np
 import pytest
 from merlfit.fitting import cli, export, plots
-from merlfit.fitting.config import Config, ConfigError, load, parse
+from merlfit.fitting.config import Config, ConfigError, known_keys, load, parse
 from merlfit.fitting.levenberg_marquardt import Status
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
@@ -36,7 +37,7 @@ def fitted(tmp_path_factory):
     file = folder / "blue-metallic-paint.binary"
     assert call("synth", "blue-metallic-paint", "--source", "abc_microfacet", "-o", file).exit_code == 0
     settings = folder / "short.toml"
-    settings.write_text('[fit]\nbody = "none"\nstarts = 2\n[posterior]\nmax_steps = 60\n')
+    settings.write_text('[effects]\nbody = "none"\n[fit]\nstarts = 2\n[posterior]\nmax_steps = 60\n')
     done = call("fit", file, folder / "missing.binary", "-o", folder / "out", "--config", settings, "--seed", "3")
     return folder, file, done
 
@@ -161,13 +162,13 @@ def test_unknown_material_and_source_name_the_nearest(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('[fit]\nbodi = "auto"\n', "unknown key 'fit.bodi'; the nearest known one is 'fit.body'"),
+        ('[effects]\nbodi = "auto"\n', "unknown key 'effects.bodi'; the nearest known one is 'effects.body'"),
         ("sede = 1\n", "'seed'"),
-        ("[fit]\norder = 1000\n", "fit.order"),
-        ('[fit]\nbody = "wood"\n', "fit.body"),
+        ("[effects]\norder = 1000\n", "effects.order"),
+        ('[effects]\nbody = "wood"\n', "effects.body"),
         ("[fit\n", "is not TOML"),
         ('[fit]\nmax_steps = "40"\n', "fit.max_steps"),
-        ("[fit]\norder = true\n", "fit.order"),
+        ("[effects]\norder = true\n", "effects.order"),
         ("[fit]\ngrazing = 2\n", "fit.grazing: should be 'free', 'derived' or a number in [0, 1]"),
         ("seed = -1\n", "seed"),
     ],
@@ -196,9 +197,19 @@ def test_statuses_in_the_schema_are_those_of_the_fit():
 def test_default_toml_is_the_defaults():
     data = tomllib.loads((ROOT / "configs" / "default.toml").read_text())
     assert parse(data, "default.toml") == Config()
-    written = {f"{s}.{k}" for s in ("fit", "posterior") for k in data[s]} | {"seed"}
-    known = {f"fit.{k}" for k in type(Config().fit).model_fields} | {"seed"}
-    assert written == known | {f"posterior.{k}" for k in type(Config().posterior).model_fields}
+    sections = ("effects", "fit", "posterior")
+    assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", *sections} == set(known_keys())
+
+
+def test_settings_of_effects_are_those_of_the_model():
+    section = type(Config().effects).model_fields
+    for field in dataclasses.fields(Effects):
+        if field.name != "body":
+            assert section[field.name].default == field.default
+            assert section[field.name].annotation == field.type
+    assert set(section) == {field.name for field in dataclasses.fields(Effects)}
+    switched = parse({"effects": {"fresnel": "schlick", "masking": "none", "renormalised": False}}, "here")
+    assert switched.forward("none").effects == Effects(fresnel="schlick", masking="none", renormalised=False)
 
 
 def test_shipped_schema_is_the_models(tmp_path):

@@ -75,7 +75,7 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
         np.testing.assert_allclose(found, truth[parameter], rtol=1e-3, err_msg=parameter)
     assert result.fit.cost < 1e-6
     if body == "auto":
-        assert result.model.body == "plastic"
+        assert result.model.effects.body == "plastic"
         assert {c.body for c in result.fit.candidates} == set(BODIES)
         assert min(result.fit.candidates, key=lambda c: c.bic).body == "plastic"
     assert (tmp_path / f"{name}.json").is_file()

@@ -24,7 +24,12 @@ OPTICS = {
     "n": np.array([0.2, 0.9, 1.4]), "k": np.array([3.4, 2.3, 1.6]), "eta": np.array([1.4, 1.5, 1.6]),
     "albedo": np.array([0.6, 0.3, 0.05]),
 }  # fmt: skip
+SWITCHED = [
+    {"fresnel": "schlick"}, {"masking": "height_correlated"}, {"masking": "none"}, {"renormalised": False},
+    {"colour": "fresnel"}, {"fresnel": "schlick", "colour": "fresnel", "masking": "none", "renormalised": False},
+]  # fmt: skip
 EVERY = [Effects(body, diffraction) for body in BODIES for diffraction in DIFFRACTIONS]
+EVERY += [Effects(**switched) for switched in SWITCHED]
 
 
 def material(effects, **changes):
@@ -35,6 +40,49 @@ def random_directions(count, seed=SEED, highest=1.5):
     rng = np.random.default_rng(seed)
     theta, phi = np.arccos(rng.uniform(np.cos(highest), 1, (2, count))), rng.uniform(0, 2 * np.pi, (2, count))
     return np.moveaxis(np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]), 0, -1)
+
+
+@pytest.mark.parametrize("switched", SWITCHED, ids=lambda x: "-".join(map(str, x.values())))
+def test_switches_against_the_oracle(switched):
+    values = {
+        **material(Effects()),
+        "beta": 0.6,
+        "b": 0.6,
+        "sigma_s": 0.08,
+    }  # much masked and renormalised
+    effects = Effects(**switched, order=64)
+    i, o = random_directions(12)
+    found = np.asarray(two_scale(values, Geometry.from_vectors(i, o), effects))
+    m = o_two_scale.Material(**{k: values[k] for k in SHARED}, n=OPTICS["n"][0], k=OPTICS["k"][0])
+    right, wrong = (
+        np.array([o_two_scale.brdf(a, b, WAVELENGTHS_UM[0], m, choices=c) for a, b in zip(i, o, strict=True)])
+        for c in (o_two_scale.Choices(**switched), o_two_scale.Choices())
+    )
+    np.testing.assert_allclose(found[0], right, rtol=3e-4)
+    assert np.max(np.abs(found[0] / wrong - 1)) > 1e-2
+
+
+def compiled_work(effects):
+    """(floating point operations, transcendental functions) of the compiled BRDF on a list of directions."""
+    g = Geometry.from_vectors(*random_directions(300))
+    values = {k: jnp.asarray(v) for k, v in material(effects).items()}
+    analysis = jax.jit(lambda v: two_scale(v, g, effects)).lower(values).compile().cost_analysis()
+    return analysis["flops"], analysis["transcendentals"]
+
+
+@pytest.mark.parametrize(
+    "less",
+    [
+        Effects(diffraction="off"), Effects(diffraction="lobe"), Effects(masking="none"), Effects(renormalised=False),
+        Effects(fresnel="schlick"), Effects(colour="fresnel"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_what_is_not_chosen_is_absent_from_the_compiled_program(less):
+    flops, transcendentals = compiled_work(Effects())
+    fewer_flops, fewer_transcendentals = compiled_work(less)
+    assert fewer_flops < flops
+    assert fewer_transcendentals < transcendentals or (less.fresnel, less.colour) != ("exact", "rayleigh_rice")
 
 
 @pytest.mark.parametrize("body", BODIES)

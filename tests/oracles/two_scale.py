@@ -18,7 +18,7 @@ from .diffraction import renormalisation, s_hs
 from .facets import facet_integral, geometry
 from .fresnel import fresnel, q_from_cosines
 from .ndf import epd
-from .shadowing import g1
+from .shadowing import g1, smith_lambda
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 
@@ -35,21 +35,45 @@ class Material(NamedTuple):
     k: float = 0.0
 
 
-def relative_variance(cos_d, wavelength, material):
+class Choices(NamedTuple):
+    """Other formulas than HP17's: Schlick's F, other masking, sigma_s for sigma_rel, F for Q/2."""
+
+    fresnel: str = "exact"
+    masking: str = "smith"
+    renormalised: bool = True
+    colour: str = "rayleigh_rice"
+
+
+def relative_variance(cos_d, wavelength, material, choices=Choices()):
     """sigma_rel^2/sigma_s^2 at theta_d (Eq. 18-19)."""
+    if not choices.renormalised:
+        return 1.0
     return renormalisation(math.sqrt(max(0.0, 1 - cos_d**2)), material.b / wavelength, material.c)
 
 
-def specular_share(cos_d, wavelength, material):
+def specular_share(cos_d, wavelength, material, choices=Choices()):
     """A_spec, HP17 Eq. 25."""
-    sigma_rel = material.sigma_s * math.sqrt(relative_variance(cos_d, wavelength, material))
+    sigma_rel = material.sigma_s * math.sqrt(relative_variance(cos_d, wavelength, material, choices))
     return math.exp(-((4 * math.pi * sigma_rel * cos_d / wavelength) ** 2))
 
 
-def masking(g, material):
-    """G = G1(i) G1(o), HP17 Eq. 38."""
-    tans = [math.sqrt(1 - cos**2) / cos for cos in (g.cos_i, g.cos_o)]
-    return math.prod(g1(material.beta * tan, material.p) for tan in tans)
+def masking(g, material, choices=Choices()):
+    """G = G1(i) G1(o), HP17 Eq. 38; or 1 / (1 + Lambda_i + Lambda_o), Heitz 2014 Eq. 99; or 1."""
+    if choices.masking == "none":
+        return 1.0
+    taus = [material.beta * math.sqrt(1 - cos**2) / cos for cos in (g.cos_i, g.cos_o)]
+    if choices.masking == "height_correlated":
+        return 1 / (1 + sum(smith_lambda(tau, material.p) for tau in taus))
+    return math.prod(g1(tau, material.p) for tau in taus)
+
+
+def mirror_colour(g, material, choices):
+    """F at theta_d, HP17 Eq. 3-4 or Schlick's polynomial."""
+    if choices.fresnel == "exact":
+        return fresnel(g.cos_d, material.n, material.k)
+    eta = complex(material.n, material.k)
+    f0 = abs((eta - 1) / (eta + 1)) ** 2
+    return f0 + (1 - f0) * (1 - g.cos_d) ** 5
 
 
 def mirror_cosine(i, o, m):
@@ -59,28 +83,30 @@ def mirror_cosine(i, o, m):
     return 1.0 if sines < 1e-12 else min(1.0, max(-1.0, (cos_i * cos_o - i @ o) / sines))
 
 
-def reflection_lobe(i, o, material):
+def reflection_lobe(i, o, material, choices=Choices()):
     """rho_CT, HP17 Eq. 26."""
     g = geometry(i, o)
     d = epd(g.theta_h, material.beta, material.p)
-    return fresnel(g.cos_d, material.n, material.k) * d * masking(g, material) / (4 * g.cos_i * g.cos_o)
+    return mirror_colour(g, material, choices) * d * masking(g, material, choices) / (4 * g.cos_i * g.cos_o)
 
 
-def diffraction_lobe(i, o, wavelength, material, q_factor=0.5):
+def diffraction_lobe(i, o, wavelength, material, q_factor=0.5, choices=Choices()):
     """rho_CTD by the convolution of HP17 Eq. 33; the 1/lambda that Eq. 29 omits is restored."""
     g = geometry(i, o)
-    q = q_from_cosines(g.cos_i, g.cos_o, mirror_cosine(i, o, NORMAL), material.n, material.k)
-    peak = s_hs(0.0, wavelength, material.b, material.c, relative_variance(g.cos_d, wavelength, material))
+    hue = q_factor * q_from_cosines(g.cos_i, g.cos_o, mirror_cosine(i, o, NORMAL), material.n, material.k)
+    if choices.colour == "fresnel":
+        hue = mirror_colour(g, material, choices)
+    peak = s_hs(0.0, wavelength, material.b, material.c, relative_variance(g.cos_d, wavelength, material, choices))
     shape = convolve(g.theta_h, 2 * material.b * g.cos_d / wavelength, material.c, material.beta, material.p)
-    share = 1 - specular_share(g.cos_d, wavelength, material)
-    return float(q_factor * q * masking(g, material) * share * peak * shape)
+    share = 1 - specular_share(g.cos_d, wavelength, material, choices)
+    return float(hue * masking(g, material, choices) * share * peak * shape)
 
 
-def brdf(i, o, wavelength, material, body=0.0, q_factor=0.5):
+def brdf(i, o, wavelength, material, body=0.0, q_factor=0.5, choices=Choices()):
     """The assembled BRDF in 1/sr: A_spec(theta_d) rho_CT + rho_CTD + body (HP17 Eq. 24, section 4.5). To 1e-9."""
-    share = specular_share(geometry(i, o).cos_d, wavelength, material)
-    diffracted = diffraction_lobe(i, o, wavelength, material, q_factor)
-    return share * reflection_lobe(i, o, material) + diffracted + body
+    share = specular_share(geometry(i, o).cos_d, wavelength, material, choices)
+    diffracted = diffraction_lobe(i, o, wavelength, material, q_factor, choices)
+    return share * reflection_lobe(i, o, material, choices) + diffracted + body
 
 
 def exact_ctd(i, o, wavelength, material, q_factor=0.5, colour_frame="facet"):
