@@ -78,6 +78,11 @@ class Posterior:
         return np.concatenate([np.asarray(named[q.name]).reshape(len(kept), -1) for q in layout.parameters], 1)
 
 
+def likelihood_precision(normal: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Curvature of sum_c N_c/2 log S_c at any point, (P, P): sum_c N_c H_c / S_c, H_c the Gauss-Newton matrix."""
+    return np.sum([n * m[:-1, :-1] / max(m[-1, -1], 1e-30) for m, n in zip(normal, counts, strict=True)], axis=0)
+
+
 def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Covariance of the Gaussian approximation in free coordinates, (P, P), with the curvature at ``z``.
 
@@ -152,6 +157,107 @@ def independent_proposal(samples: np.ndarray, log_prob: np.ndarray) -> Callable:
     return propose
 
 
+@dataclass(frozen=True)
+class _Ensemble:
+    """What every stage of sampling shares: the likelihood of the walkers, and their number.
+
+    Attributes:
+        target: model and samples of the likelihood. counts: effective sample counts (C,). size: parameters P.
+    """
+
+    target: Target
+    counts: Array
+    size: int
+
+    @property
+    def walkers(self) -> int:
+        """Twice as many as parameters."""
+        return 2 * self.size
+
+    def log_prob(self, points: np.ndarray) -> np.ndarray:
+        """Log posterior density of points (N, P).
+
+        emcee asks for a quarter, a half or all of the walkers: two compiled shapes serve all. All of them at once would
+        be slower than two halves, whose intermediates stay in the cache (measured at order 16).
+        """
+        quarter = -(-self.walkers // 4)
+        batch = quarter if len(points) <= quarter else self.size
+        padded = np.concatenate([points, np.repeat(points[:1], -len(points) % batch, 0)])
+        parts = np.split(padded, len(padded) // batch)
+        forward, problem = self.target
+        done = [np.asarray(_log_prob(forward, jnp.asarray(q), problem, self.counts)) for q in parts]
+        return np.concatenate(done)[: len(points)]
+
+    def sampler(self, proposal: Callable | None, share: float, seed: int) -> emcee.EnsembleSampler:
+        """Differential evolution, with and without snooker, and a ``share`` of independent proposals, if any."""
+        share = share if proposal else 0.0
+        moves = [(emcee.moves.DEMove(), 0.75 * (1 - share)), (emcee.moves.DESnookerMove(), 0.25 * (1 - share))]
+        independent = [(emcee.moves.MHMove(proposal), share)] if proposal else []
+        made = emcee.EnsembleSampler(
+            self.walkers, self.size, self.log_prob, vectorize=True, moves=moves + independent
+        )  # fmt: skip
+        made.random_state = np.random.RandomState(seed).get_state()
+        return made
+
+
+def _advance(
+    sampler: emcee.EnsembleSampler, now: np.ndarray, steps: int, progress: Callable[[int], None]
+) -> np.ndarray:
+    """Walkers after so many more steps."""
+    for _ in sampler.sample(now, iterations=steps):
+        progress(sampler.iteration)
+    return np.asarray(sampler.get_last_sample().coords)
+
+
+def _tune(
+    ensemble: _Ensemble, now: np.ndarray, stages: list[int], seed: int, progress: Callable[[int], None]
+) -> tuple[np.ndarray, Callable]:
+    """Walkers after tuning, whose steps are not kept, and the independent proposals learnt from it.
+
+    After each stage proposals of the shape found so far join in; of the first, half is the way there.
+    """
+    proposal, before = None, 0
+    for stage, steps in enumerate(stages):
+        sampler = ensemble.sampler(proposal, INDEPENDENT / 2, seed + 1 + stage)
+        now = _advance(sampler, now, steps, lambda done, before=before: progress(before + done))
+        before += steps
+        arrived = 0 if stage else steps // 2
+        seen, log_probs = (np.asarray(x)[arrived:] for x in (sampler.get_chain(), sampler.get_log_prob()))
+        proposal = independent_proposal(seen.reshape(-1, ensemble.size), log_probs.ravel())
+    assert proposal is not None  # there is at least one stage
+    return now, proposal
+
+
+def _extend(
+    sampler: emcee.EnsembleSampler, now: np.ndarray, max_steps: int, progress: Callable[[int], None]
+) -> tuple[np.ndarray, float, bool]:
+    """Sample until long enough; autocorrelation times (P,), steps in the longest of them, whether that is steady."""
+    times, ratio, steady = np.full(now.shape[1], np.inf), 0.0, False
+    while sampler.iteration < max_steps and not (ratio >= ENOUGH and steady):
+        now = _advance(sampler, now, min(CHECK_EVERY, max_steps - sampler.iteration), progress)
+        last, times = times.max(), np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
+        times = np.where(np.isfinite(times), times, sampler.iteration)
+        ratio, steady = float(sampler.iteration / times.max()), bool(abs(times.max() - last) < STEADY * times.max())
+    return times, ratio, steady
+
+
+def thinning_error(fitted: Target, thinned: Target, draws: np.ndarray, counts: Array) -> float:
+    """Standard deviation, over ``draws`` (N, P), of log L on all bins minus log L on the thinned grid."""
+    thin, whole = (_log_likelihoods(model, jnp.asarray(draws), samples, counts) for model, samples in (thinned, fitted))
+    return float(jnp.std(whole - thin))
+
+
+def _verdict(steps: int, ratio: float, steady: bool, error: float) -> tuple[bool, str]:
+    """Whether intervals may be given, and why or why not."""
+    if ratio < ENOUGH:
+        return False, TOO_SHORT.format(steps=steps, ratio=ratio, enough=ENOUGH)
+    if not steady:
+        return False, UNSTEADY.format(steps=steps)
+    if not error < THINNING_LIMIT:
+        return False, TOO_THIN.format(error=error, limit=THINNING_LIMIT)
+    return True, DONE.format(steps=steps, ratio=ratio)
+
+
 def sample(
     fitted: Target,
     thinned: Target,
@@ -160,7 +266,7 @@ def sample(
     counts: np.ndarray,
     max_steps: int,
     seed: int,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, most: None,
 ) -> Posterior:
     """Run emcee until the chain spans ``ENOUGH`` autocorrelation times or ``max_steps``.
 
@@ -169,81 +275,22 @@ def sample(
         z, normal: optimum and its normal equations. counts: effective sample counts per channel.
         seed: of walkers and moves. progress: called with (steps done, steps at the most).
 
-    Walkers start from the Laplace approximation and move by differential evolution, with and without snooker, which
-    learns the shape of the posterior from the other walkers. After each stage of tuning, whose steps are not kept,
-    independent proposals of the shape found so far join in.
+    Walkers start from the Laplace approximation.
     """
-    covariance = laplace_covariance(normal, counts, z)
-    size = len(z)
-    walkers = 2 * size
+    ensemble = _Ensemble(thinned, jnp.asarray(counts), len(z))
     rng = np.random.default_rng(seed)
+    covariance = laplace_covariance(normal, counts, z)
     spread = np.minimum(1.0, BOUND_PRIOR_SD / np.sqrt(np.diag(covariance)))
-    start = normal_of_free(
-        z + rng.multivariate_normal(np.zeros(size), covariance, size=walkers, method="eigh") * spread
-    )
-    weights = jnp.asarray(counts)
-
-    def log_prob(points: np.ndarray) -> np.ndarray:
-        # emcee asks for a quarter, a half or all of the walkers: two compiled shapes serve all. All of them at once
-        # would be slower than two halves, whose intermediates stay in the cache (measured at order 16)
-        batch = -(-walkers // 4) if len(points) <= -(-walkers // 4) else size
-        padded = np.concatenate([points, np.repeat(points[:1], -len(points) % batch, 0)])
-        parts = np.split(padded, len(padded) // batch)
-        done = [np.asarray(_log_prob(thinned[0], jnp.asarray(q), thinned[1], weights)) for q in parts]
-        return np.concatenate(done)[: len(points)]
-
-    def sampler_with(proposal: Callable | None, share: float, seed: int) -> emcee.EnsembleSampler:
-        moves = [(emcee.moves.DEMove(), 0.75 * (1 - share)), (emcee.moves.DESnookerMove(), 0.25 * (1 - share))]
-        independent = [(emcee.moves.MHMove(proposal), share)] if proposal else []
-        made = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves + independent)
-        made.random_state = np.random.RandomState(seed).get_state()
-        return made
-
-    def advance(sampler: emcee.EnsembleSampler, now: np.ndarray, steps: int) -> np.ndarray:
-        for _ in sampler.sample(now, iterations=steps):
-            if progress:
-                progress(before + sampler.iteration, most)
-        return np.asarray(sampler.get_last_sample().coords)
-
-    tuning = [min(steps, max_steps) for steps in TUNING]
-    before, most, now, proposal = 0, sum(tuning) + max_steps, start, None
-    for stage, steps in enumerate(tuning):
-        sampler = sampler_with(proposal, INDEPENDENT / 2, seed + 1 + stage)
-        now, before = advance(sampler, now, steps), before + steps
-        arrived = 0 if stage else steps // 2
-        seen, log_probs = (np.asarray(x)[arrived:] for x in (sampler.get_chain(), sampler.get_log_prob()))
-        proposal = independent_proposal(seen.reshape(-1, size), log_probs.ravel())
-    sampler = sampler_with(proposal, INDEPENDENT, seed)
-    times, ratio, steady = np.full(size, np.inf), 0.0, False
-    while sampler.iteration < max_steps and not (ratio >= ENOUGH and steady):
-        now = advance(sampler, now, min(CHECK_EVERY, max_steps - sampler.iteration))
-        last, times = times.max(), np.maximum(sampler.get_autocorr_time(tol=0), 1.0)
-        times = np.where(np.isfinite(times), times, sampler.iteration)
-        ratio, steady = float(sampler.iteration / times.max()), bool(abs(times.max() - last) < STEADY * times.max())
-    chain, said = (
-        np.asarray(free_of_normal(jnp.asarray(sampler.get_chain()))),
-        {"steps": sampler.iteration, "ratio": ratio},
-    )
-    log_probs = np.asarray(sampler.get_log_prob())
-    drawn = rng.choice(log_probs.size, CHECKED_DRAWS)
-    draws = jnp.asarray(chain.reshape(-1, size)[drawn])
-    thin = _log_likelihoods(thinned[0], draws, thinned[1], weights)
-    error = float(jnp.std(_log_likelihoods(fitted[0], draws, fitted[1], weights) - thin))
-    sufficient = ratio >= ENOUGH and steady and error < THINNING_LIMIT
-    if ratio < ENOUGH:
-        message = TOO_SHORT.format(**said, enough=ENOUGH)
-    elif not steady:
-        message = UNSTEADY.format(**said)
-    elif not error < THINNING_LIMIT:
-        message = TOO_THIN.format(error=error, limit=THINNING_LIMIT)
-    else:
-        message = DONE.format(**said)
-    return Posterior(
-        chain, log_probs, times, log_probs.size / times,
-        float(np.mean(sampler.acceptance_fraction)), sufficient, message, error,
-    )  # fmt: skip
-
-
-def likelihood_precision(normal: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Curvature of sum_c N_c/2 log S_c at an optimum, (P, P): sum_c N_c H_c / S_c, H_c the Gauss-Newton matrix."""
-    return np.sum([n * m[:-1, :-1] / max(m[-1, -1], 1e-30) for m, n in zip(normal, counts, strict=True)], axis=0)
+    away = rng.multivariate_normal(np.zeros(len(z)), covariance, size=ensemble.walkers, method="eigh") * spread
+    stages = [min(steps, max_steps) for steps in TUNING]
+    tuned, most = sum(stages), sum(stages) + max_steps
+    now, proposal = _tune(ensemble, normal_of_free(z + away), stages, seed, lambda done: progress(done, most))
+    sampler = ensemble.sampler(proposal, INDEPENDENT, seed)
+    times, ratio, steady = _extend(sampler, now, max_steps, lambda done: progress(tuned + done, most))
+    chain = np.asarray(free_of_normal(jnp.asarray(sampler.get_chain())))
+    log_prob = np.asarray(sampler.get_log_prob())
+    drawn = chain.reshape(-1, len(z))[rng.choice(log_prob.size, CHECKED_DRAWS)]
+    error = thinning_error(fitted, thinned, drawn, ensemble.counts)
+    sufficient, message = _verdict(sampler.iteration, ratio, steady, error)
+    acceptance = float(np.mean(sampler.acceptance_fraction))
+    return Posterior(chain, log_prob, times, log_prob.size / times, acceptance, sufficient, message, error)
