@@ -5,11 +5,16 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:  # the commands import what they need: `merlfit --help` does not wait for JAX
+    from .config import Config
+    from .export import Result
+    from .report import Outcome
 
 app = typer.Typer(
     name="merlfit", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -61,26 +66,31 @@ def fit(
     files: Files,
     out: Out = Path("fits"),
     config: Annotated[Path | None, typer.Option(help="TOML settings; see configs/default.toml.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="hp17, conserving, microfacet, preview, fast or reference: effects by name.")
+    ] = None,
     body: Annotated[str | None, typer.Option(help="auto, none (conductor), lambert, plastic or subsurface.")] = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
 ) -> None:
     """Fit each file and write OUT/NAME.json. Exit code 0 if all fits succeeded, 1 if one failed, 2 on bad input."""
-    settings = _settings(config, body, posterior, seed)
+    settings = _settings(config, preset, body, posterior, seed)
     outcomes = _fit_all(files, out, settings)
     _summarise(outcomes)
 
 
-def _settings(config: Path | None, body: str | None, posterior: bool | None, seed: int | None) -> Any:  # noqa: ANN401
+def _settings(
+    config: Path | None, preset: str | None, body: str | None, posterior: bool | None, seed: int | None
+) -> "Config":
     from .config import Config, ConfigError, load
 
     try:
-        return (load(config) if config else Config()).with_options(body, posterior, seed)
+        return (load(config) if config else Config()).with_options(preset, body, posterior, seed)
     except ConfigError as error:
         raise _fail(str(error)) from None
 
 
-def _fit_all(files: list[Path], out: Path, settings: Any) -> list:  # noqa: ANN401
+def _fit_all(files: list[Path], out: Path, settings: "Config") -> "list[Outcome]":
     from ..merl_io.binary import MerlError
     from .compilation import use_persistent_cache
     from .report import Outcome
@@ -124,7 +134,7 @@ def _writable_folder(out: Path) -> None:
         raise _fail(f"{out}: results cannot be written there ({error.strerror or error})") from None
 
 
-def _reporter(progress: Progress, task: Any, label: str) -> Callable[[str], None]:  # noqa: ANN401
+def _reporter(progress: Progress, task: TaskID, label: str) -> Callable[[str], None]:
     """Stages to the progress display on a terminal, to plain lines elsewhere (a new stage, not every step)."""
     last = [""]
 
@@ -137,7 +147,7 @@ def _reporter(progress: Progress, task: Any, label: str) -> Callable[[str], None
     return report
 
 
-def _summarise(outcomes: list) -> None:
+def _summarise(outcomes: "list[Outcome]") -> None:
     from .report import summary_table
 
     console.print(summary_table(outcomes))
@@ -203,7 +213,7 @@ def inspect(
         raise typer.Exit(BAD_INPUT)
 
 
-def _show(path: Path, result: Any, file: Path, out: Path) -> bool:  # noqa: ANN401
+def _show(path: Path, result: "Result", file: Path, out: Path) -> bool:
     """Print and draw; whether the MERL file was of use."""
     from ..merl_io.binary import MerlError
     from ..merl_io.binary import read as read_merl
@@ -250,7 +260,7 @@ def demo(out: Out = Path("demo-out"), seed: Seed = None) -> None:
     path = out / f"{material}.binary"
     write(path, values)
     console.print(f"{path}: {said}", markup=False, soft_wrap=True)
-    outcomes = _fit_all([path], out, _settings(None, None, None, seed))
+    outcomes = _fit_all([path], out, _settings(None, None, None, None, seed))
     if outcomes[0].result is not None:
         _show(out / f"{material}.json", outcomes[0].result, path, out)
     _summarise(outcomes)

@@ -1,4 +1,4 @@
-"""Where compiled programs are kept between runs."""
+"""Where compiled programs and tables are kept between runs."""
 
 import os
 from pathlib import Path
@@ -6,10 +6,17 @@ from pathlib import Path
 import jax
 import platformdirs
 
+from ..model import scaled
+
 
 def use_persistent_cache() -> Path:
-    """Keep compiled programs in the user's cache folder (or ``MERLFIT_CACHE_DIR``): only the first run waits."""
-    folder = Path(os.environ.get("MERLFIT_CACHE_DIR") or platformdirs.user_cache_dir("merlfit")) / "xla"
+    """Keep compiled programs in the user's cache folder (or ``MERLFIT_CACHE_DIR``): only the first run waits.
+
+    So with the table of ``diffraction = "scaled"``, which is computed when it is first asked for.
+    """
+    cache = Path(os.environ.get("MERLFIT_CACHE_DIR") or platformdirs.user_cache_dir("merlfit"))
+    folder = cache / "xla"
+    scaled.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     return folder

@@ -4,15 +4,15 @@ import difflib
 import importlib.util
 import os
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ..model.acquisition import FOOTPRINT_RAD
-from ..model.effects import Body, Colour, Diffraction, Effects, Fresnel, Masking
+from ..model.acquisition import Apparatus
+from ..model.effects import PRESETS, Acquisition, Body, Colour, Diffraction, Effects, Fresnel, Masking, Split
 from .levenberg_marquardt import Backend
-from .residuals import Forward
 
 
 class ConfigError(ValueError):
@@ -27,31 +27,51 @@ class EffectsSection(_Section):
     """[effects]: which effects are simulated, as :class:`merlfit.model.effects.Effects` describes them.
 
     Attributes:
+        preset: effects by name (``merlfit.model.effects.PRESETS``); keys given beside it replace its own.
         body: ``auto`` fits every body on the coarse grid and keeps the best by BIC.
+        acquisition: MERL's loss at grazing angles; unlike a material, a fit has it by default.
     """
 
+    preset: Literal["hp17", "conserving", "microfacet", "preview", "fast", "reference"] = "hp17"
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
     diffraction: Diffraction = Effects.diffraction
     order: Annotated[int, Field(ge=6, le=256)] = Effects.order
+    zonal_order: Annotated[int, Field(ge=1, le=1000)] = Effects.zonal_order
     fresnel: Fresnel = Effects.fresnel
     masking: Masking = Effects.masking
     renormalised: bool = Effects.renormalised
+    split: Split = Effects.split
     colour: Colour = Effects.colour
+    acquisition: Acquisition | Annotated[float, Field(ge=0, le=1)] = "free"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_preset(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
+        if not (isinstance(data, dict) and data.get("preset") in PRESETS):
+            return data
+        preset = asdict(PRESETS[data["preset"]])
+        return {**{k: v for k, v in preset.items() if k not in ("body", "acquisition", "apparatus")}, **data}
+
+
+class ApparatusSection(_Section):
+    """[apparatus]: what ``acquisition = "derived"`` assumes (:class:`merlfit.model.acquisition.Apparatus`)."""
+
+    sphere_radius_px: Annotated[float, Field(gt=0)] = Apparatus.sphere_radius_px
+    pixel_sigma_px: Annotated[float, Field(gt=0)] = Apparatus.pixel_sigma_px
+    lamp_sigma_rad: Annotated[float, Field(ge=0)] = Apparatus.lamp_sigma_rad
+    camera_nearness: Annotated[float, Field(ge=0, lt=1)] = Apparatus.camera_nearness
+    lamp_nearness: Annotated[float, Field(ge=0)] = Apparatus.lamp_nearness
 
 
 class FitSection(_Section):
-    """[fit]: acquisition and solver.
+    """[fit]: the solver.
 
     Attributes:
-        grazing: acquisition loss at grazing angles: ``free``, ``derived`` from (beta, p), or a number in [0, 1].
-        footprint_rad: pixel footprint that ``derived`` assumes.
         starts: how many of the screened starting points are followed on the coarse grid.
         coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on all bins.
         backend: solver; others than optimistix are for cross-checks.
     """
 
-    grazing: Literal["free", "derived"] | Annotated[float, Field(ge=0, le=1)] = "free"
-    footprint_rad: Annotated[float, Field(gt=0, lt=0.5)] = FOOTPRINT_RAD
     starts: Annotated[int, Field(ge=1, le=32)] = 4
     coarse_steps: Annotated[int, Field(ge=1)] = 80
     max_steps: Annotated[int, Field(ge=1)] = 40
@@ -81,17 +101,21 @@ class Config(_Section):
 
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     effects: EffectsSection = EffectsSection()
+    apparatus: ApparatusSection = ApparatusSection()
     fit: FitSection = FitSection()
     posterior: PosteriorSection = PosteriorSection()
 
-    def forward(self, body: Body) -> Forward:
-        """The forward model for one body."""
-        effects = Effects(**self.effects.model_copy(update={"body": body}).model_dump())
-        return Forward(effects, self.fit.grazing, self.fit.footprint_rad)
+    def effects_of(self, body: Body) -> Effects:
+        """The effects to fit with one body."""
+        chosen = self.effects.model_copy(update={"body": body}).model_dump(exclude={"preset"})
+        return Effects(**chosen, apparatus=Apparatus(**self.apparatus.model_dump()))
 
-    def with_options(self, body: str | None, posterior: bool | None, seed: int | None) -> "Config":
-        """A copy with what the command line gave."""
+    def with_options(self, preset: str | None, body: str | None, posterior: bool | None, seed: int | None) -> "Config":
+        """A copy with what the command line gave; a preset leaves body and acquisition as they are."""
         data = self.model_dump()
+        if preset is not None:
+            kept = {k: data["effects"][k] for k in ("body", "acquisition")}
+            data["effects"] = {"preset": preset, **kept}
         if body is not None:
             data["effects"]["body"] = body
         if posterior is not None:
@@ -124,9 +148,9 @@ def parse(data: dict[str, Any], where: str) -> Config:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        if key.startswith("fit.grazing."):  # each alternative of the union complains apart
-            wanted = "'free', 'derived' or a number in [0, 1]"
-            raise ConfigError(f"{where}: fit.grazing: should be {wanted}, not {first.get('input')!r}") from None
+        if key.startswith("effects.acquisition."):  # each alternative of the union complains apart
+            wanted = "'off', 'free', 'derived' or a number in [0, 1]"
+            raise ConfigError(f"{where}: effects.acquisition: should be {wanted}, not {first.get('input')!r}") from None
         if first["type"] == "extra_forbidden":
             near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.3) or difflib.get_close_matches(
                 str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0

@@ -42,9 +42,7 @@ class Model(_Part):
 
     name: Literal["two-scale"] = "two-scale"
     effects: Effects
-    grazing: Literal["free", "derived"] | float
     grazing_exponent: float
-    footprint_rad: float
     channels: list[str]
     wavelengths_um: list[float]
 

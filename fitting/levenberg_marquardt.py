@@ -21,7 +21,8 @@ import numpy as np
 import optimistix as optx
 from jax import Array
 
-from .residuals import Forward, Problem, compiled_normal_equations
+from ..model.effects import Effects
+from .residuals import Problem, compiled_normal_equations
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
 # Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
@@ -197,7 +198,7 @@ def _solution(evaluate: Callable, z: np.ndarray, pull: Array, steps: int, conver
 
 
 def solve(
-    forward: Forward,
+    effects: Effects,
     z: np.ndarray,
     problem: Problem,
     max_steps: int = 100,
@@ -215,7 +216,7 @@ def solve(
     """
 
     def evaluate(z: Array) -> Array:
-        return compiled_normal_equations(forward, z, problem)
+        return compiled_normal_equations(effects, z, problem)
 
     start = np.asarray(z, dtype=float)
     if backend == "scipy":

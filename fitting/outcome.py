@@ -10,12 +10,14 @@ import numpy as np
 
 from ..merl_io.binary import Measurement
 from ..merl_io.samples import Samples
+from ..model.effects import Effects
 from ..model.parameters import WAVELENGTHS_UM
+from ..model.two_scale import grazing_exponent
 from . import export, metrics
 from .config import Config
 from .levenberg_marquardt import Solution, Status
 from .posterior import Posterior, laplace_covariance
-from .residuals import Forward
+from .transforms import layout_of
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 UNRESOLVED = 0.5  # standard error of logit(u), that is two standard errors from the bound: nearer it is at it
@@ -27,11 +29,11 @@ class Fitted:
     """A fit on all bins.
 
     Attributes:
-        forward: what was fitted. solution: where it ended. counts: effective sample counts per channel (C,).
+        effects: what was fitted. solution: where it ended. counts: effective sample counts per channel (C,).
         errors: metrics. candidates: bodies that were compared on the coarse grid.
     """
 
-    forward: Forward
+    effects: Effects
     solution: Solution
     counts: np.ndarray
     errors: metrics.Errors
@@ -45,7 +47,7 @@ class Fitted:
     @cached_property
     def at_bound(self) -> list[Bound]:
         """At which bound each entry is: within 1 % of it, and no two standard errors away (a dark albedo is not)."""
-        u = self.forward.layout.position(self.solution.z)
+        u = layout_of(self.effects).position(self.solution.z)
         unresolved = self.deviation > UNRESOLVED
         return [
             "no" if not open_ or EDGE <= x <= 1 - EDGE else "lower" if x < EDGE else "upper"
@@ -100,14 +102,14 @@ def make_result(
     errors = export.Metrics(rmse=export.finite(fitted.errors.rmse), smape=export.finite(fitted.errors.smape))
     posterior = None if chain is None else _posterior_part(chain, fitted, measurement.name)
     return export.Result(
-        model=_model_part(fitted.forward, s.z), parameters=parameter_results(fitted, chain), fit=fit_part,
+        model=_model_part(fitted.effects, s.z), parameters=parameter_results(fitted, chain), fit=fit_part,
         metrics=errors, posterior=posterior, **common,
     )  # fmt: skip
 
 
 def parameter_results(fitted: Fitted, chain: Posterior | None) -> list[export.ParameterResult]:
     """Every entry with value, Laplace standard error, posterior quantiles, bounds."""
-    layout, z = fitted.forward.layout, fitted.solution.z
+    layout, z = layout_of(fitted.effects), fitted.solution.z
     deviation = fitted.deviation
     values, slopes = jax.jvp(layout.values, (jnp.asarray(z),), (jnp.ones(len(z)),))
     flat = [np.concatenate([np.ravel(part[q.name]) for q in layout.parameters]) for part in (values, slopes)]
@@ -130,11 +132,10 @@ def parameter_results(fitted: Fitted, chain: Posterior | None) -> list[export.Pa
     ]  # fmt: skip
 
 
-def _model_part(forward: Forward, z: np.ndarray) -> export.Model:
-    layout = forward.layout
+def _model_part(effects: Effects, z: np.ndarray) -> export.Model:
+    layout = layout_of(effects)
     return export.Model(
-        effects=forward.effects, grazing=forward.grazing,
-        grazing_exponent=float(forward.exponent(layout.values(jnp.asarray(z)))), footprint_rad=forward.footprint_rad,
+        effects=effects, grazing_exponent=float(grazing_exponent(layout.values(jnp.asarray(z)), effects)),
         channels=list(layout.channels), wavelengths_um=list(WAVELENGTHS_UM),
     )  # fmt: skip
 

@@ -4,7 +4,6 @@ import zipfile
 from pathlib import Path
 
 import corner
-import jax.numpy as jnp
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,7 +12,6 @@ from scipy.interpolate import RegularGridInterpolator
 from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement
 from ..merl_io.grid import MerlGrid, merl_grid
-from ..model.acquisition import grazing
 from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
 from .export import Model, Result
@@ -53,8 +51,7 @@ def measured_lobe(
 def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray) -> np.ndarray:
     """What the apparatus would have measured of the fitted material, (3, N)."""
     geometry = Geometry.from_vectors(i, o)
-    brdf = two_scale(values, geometry, model.effects, model.wavelengths_um)
-    return np.asarray(brdf * grazing(geometry, jnp.asarray(model.grazing_exponent)))
+    return np.asarray(two_scale(values, geometry, model.effects, model.wavelengths_um))
 
 
 def lobe_figure(result: Result, measurement: Measurement) -> Figure:

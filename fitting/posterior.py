@@ -23,7 +23,8 @@ from jax.scipy.special import log_ndtr
 from scipy.special import expit, ndtri
 from scipy.stats import chi2
 
-from .residuals import Forward, Problem, cost
+from ..model.effects import Effects
+from .residuals import Problem, cost
 from .transforms import Layout
 
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
@@ -47,7 +48,7 @@ TOO_THIN = (
 DONE = "long enough: {steps} steps are {ratio:.0f} autocorrelation times"
 
 
-Target = tuple[Forward, Problem]  # model and samples that a likelihood is made of
+Target = tuple[Effects, Problem]  # model and samples that a likelihood is made of
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,9 @@ def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) ->
     return np.linalg.inv(np.diag(2 * u * (1 - u) + 1e-3) + likelihood_precision(normal, counts))
 
 
-def log_likelihood(forward: Forward, z: Array, problem: Problem, counts: Array) -> Array:
+def log_likelihood(effects: Effects, z: Array, problem: Problem, counts: Array) -> Array:
     """log L up to a constant, a scalar, at free coordinates ``z`` (P,); counts: effective sample counts N_c, (C,)."""
-    return -jnp.sum(counts / 2 * jnp.log(jnp.maximum(cost(forward, z, problem), 1e-30)))
+    return -jnp.sum(counts / 2 * jnp.log(jnp.maximum(cost(effects, z, problem), 1e-30)))
 
 
 def free_of_normal(x: Array) -> Array:
@@ -115,20 +116,20 @@ def normal_of_free(z: np.ndarray) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnums=0)
-def _log_prob(forward: Forward, x: Array, problem: Problem, counts: Array) -> Array:
+def _log_prob(effects: Effects, x: Array, problem: Problem, counts: Array) -> Array:
     """Log posterior density of walkers ``x`` (W, P), all in one call; -inf where the model is not finite."""
 
     def one(x: Array) -> Array:
-        value = log_likelihood(forward, free_of_normal(x), problem, counts) - jnp.sum(x * x) / 2
+        value = log_likelihood(effects, free_of_normal(x), problem, counts) - jnp.sum(x * x) / 2
         return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
     return jax.vmap(one)(x)
 
 
 @partial(jax.jit, static_argnums=0)
-def _log_likelihoods(forward: Forward, z: Array, problem: Problem, counts: Array) -> Array:
+def _log_likelihoods(effects: Effects, z: Array, problem: Problem, counts: Array) -> Array:
     """Log likelihood of points (N, P), one after the other."""
-    return jax.lax.map(lambda z: log_likelihood(forward, z, problem, counts), z)
+    return jax.lax.map(lambda z: log_likelihood(effects, z, problem, counts), z)
 
 
 def independent_proposal(samples: np.ndarray, log_prob: np.ndarray) -> Callable:
@@ -184,8 +185,8 @@ class _Ensemble:
         batch = quarter if len(points) <= quarter else self.size
         padded = np.concatenate([points, np.repeat(points[:1], -len(points) % batch, 0)])
         parts = np.split(padded, len(padded) // batch)
-        forward, problem = self.target
-        done = [np.asarray(_log_prob(forward, jnp.asarray(q), problem, self.counts)) for q in parts]
+        effects, problem = self.target
+        done = [np.asarray(_log_prob(effects, jnp.asarray(q), problem, self.counts)) for q in parts]
         return np.concatenate(done)[: len(points)]
 
     def sampler(self, proposal: Callable | None, share: float, seed: int) -> emcee.EnsembleSampler:

@@ -96,7 +96,8 @@ def print_result(console: Console, result: Result) -> None:
     e = m.effects
     body = "conductor" if e.body == "none" else f"dielectric over {e.body}"
     console.print(
-        f"two-scale, {body}, diffraction by {e.diffraction}, grazing exponent {m.grazing_exponent:.3f} ({m.grazing})"
+        f"two-scale, {body}, diffraction by {e.diffraction}, energy split {e.split}, "
+        f"grazing exponent {m.grazing_exponent:.3f} ({e.acquisition})"
     )
     console.print(parameter_table(result))
     console.print(f"{f.status}: {f.message}")

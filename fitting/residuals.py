@@ -10,8 +10,7 @@ Nothing of the size bins x parameters is ever held: blocks of theta_h rows add u
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -23,51 +22,16 @@ from ..merl_io.binary import Measurement
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples, fold
 from ..model import two_scale
-from ..model.acquisition import FOOTPRINT_RAD, derived_exponent, grazing_log_base
+from ..model.acquisition import grazing_log_base
 from ..model.effects import Effects
 from ..model.geometry import Geometry
-from ..model.parameters import GRAZING, WAVELENGTHS_UM, parameters
+from ..model.parameters import WAVELENGTHS_UM
 from ..model.two_scale import Factor, Setting, Values
-from .transforms import Layout
+from .transforms import layout_of
 
 T = TypeVar("T")
 BLOCK_BINS = 90_000  # bins (without channels) of a block: its 30-odd intermediates of 3 channels take 65 MB
 BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
-
-
-@dataclass(frozen=True)
-class Forward:
-    """What is fitted to a file: effects, and how the grazing exponent of the acquisition is had (static under jit).
-
-    Attributes:
-        effects: the material's effects.
-        grazing: ``free`` (fitted in [0, 1]), ``derived`` from beta and p, or a fixed number.
-        footprint_rad: pixel footprint that ``derived`` assumes.
-    """
-
-    effects: Effects
-    grazing: Literal["free", "derived"] | float = "free"
-    footprint_rad: float = FOOTPRINT_RAD
-
-    @property
-    def layout(self) -> Layout:
-        """The flat vector of what is fitted."""
-        extra = (GRAZING,) if self.grazing == "free" else ()
-        own = parameters(self.effects)
-        return Layout((*(q for q in own if not q.per_channel), *extra, *(q for q in own if q.per_channel)))
-
-    def exponent(self, values: Mapping[str, Array]) -> Array:
-        """The grazing exponent at these parameter values."""
-        if self.grazing == "free":
-            return values[GRAZING.name]
-        if self.grazing == "derived":
-            return derived_exponent(values["beta"], values["p"], self.footprint_rad)
-        return jnp.asarray(float(self.grazing))
-
-    def loss_factor(self, log_base: Array) -> Factor:
-        """p(i, o) as one more factor of the prediction."""
-        names = {"free": (GRAZING.name,), "derived": ("beta", "p")}.get(str(self.grazing), ())
-        return Factor(names, lambda values, _: jnp.exp(self.exponent(values) * log_base))
 
 
 class Problem(eqx.Module):
@@ -141,38 +105,41 @@ def make_problem(samples: Samples) -> Problem:
     return Problem(geometry, log_base, jnp.asarray(value), jnp.asarray(weight), scatter)
 
 
-def predict(forward: Forward, values: Mapping[str, Array], problem: Problem) -> Array:
+def predict(effects: Effects, values: Mapping[str, Array], problem: Problem) -> Array:
     """What the apparatus would have measured, shape (N, C, h, D, P)."""
 
+    values = with_tables(effects, values)
+
     def block(b: Problem) -> Array:
-        s, at, _ = _evaluate(forward, values, b)
-        return _predicted(at, s)
+        s, at, _ = _evaluate(effects, values, b)
+        return two_scale.assemble(at, s)
 
     return jax.lax.map(block, problem_blocks(problem))
 
 
-def cost(forward: Forward, z: Array, problem: Problem) -> Array:
+def cost(effects: Effects, z: Array, problem: Problem) -> Array:
     """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
-    values = forward.layout.values(z)
+    values = with_tables(effects, layout_of(effects).values(z))
 
     def step(total: Array, b: Problem) -> tuple[Array, None]:
-        s, at, _ = _evaluate(forward, values, b)
-        return total + jnp.sum(b.weight * (b.value - _predicted(at, s)) ** 2, (1, 2, 3)), None
+        s, at, _ = _evaluate(effects, values, b)
+        return total + jnp.sum(b.weight * (b.value - two_scale.assemble(at, s)) ** 2, (1, 2, 3)), None
 
     channels = problem.value.shape[1]
     return jax.lax.scan(step, jnp.zeros(channels), problem_blocks(problem))[0]
 
 
-def normal_equations(forward: Forward, z: Array, problem: Problem) -> Array:
+def normal_equations(effects: Effects, z: Array, problem: Problem) -> Array:
     """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
 
     Its last diagonal entry is :func:`cost`. A channel's rows and columns of other channels' parameters are zero, which
     is why one tangent a parameter, applied to all channels at once, gives the whole Jacobian.
     """
-    layout = forward.layout
+    layout = layout_of(effects)
+    moving = _rates(effects, z)
 
     def step(total: Array, b: Problem) -> tuple[Array, None]:
-        return total + _block_gram(forward, z, b), None
+        return total + _block_gram(effects, *moving, b), None
 
     groups, channels = len(layout.parameters) + 1, problem.value.shape[1]
     compact = jax.lax.scan(step, jnp.zeros((channels, groups, groups)), problem_blocks(problem))[0]
@@ -195,23 +162,16 @@ def problem_blocks(problem: Problem) -> Problem:
 
 
 def _evaluate(
-    forward: Forward, values: Mapping[str, Array], b: Problem
+    effects: Effects, values: Mapping[str, Array], b: Problem
 ) -> tuple[Setting, dict[str, Array], dict[str, Factor]]:
     """Setting, factor values and factors of one block."""
-    s, shaped, table = _parts(forward, values, b)
+    s, shaped, table = _parts(effects, values, b)
     return s, {name: f.evaluate(shaped, s) for name, f in table.items()}, table
 
 
-def _parts(forward: Forward, values: Mapping[str, Array], b: Problem) -> tuple[Setting, Values, dict[str, Factor]]:
-    s = two_scale.setting(b.geometry, forward.effects, WAVELENGTHS_UM)
-    shaped = {**two_scale.shaped(values, s)}
-    if forward.grazing == "free":
-        shaped[GRAZING.name] = values[GRAZING.name]
-    return s, shaped, {**two_scale.factors(forward.effects), "loss": forward.loss_factor(b.log_base)}
-
-
-def _predicted(at: Values, s: Setting) -> Array:
-    return two_scale.assemble(at, s) * at["loss"]
+def _parts(effects: Effects, values: Mapping[str, Array], b: Problem) -> tuple[Setting, Values, dict[str, Factor]]:
+    s = two_scale.setting(b.geometry, effects, WAVELENGTHS_UM, b.log_base)
+    return s, two_scale.shaped(values, s), two_scale.factors(effects)
 
 
 def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
@@ -224,31 +184,62 @@ def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
     return jax.lax.cond(always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)
 
 
-def _block_gram(forward: Forward, z: Array, b: Problem) -> Array:
+def with_tables(effects: Effects, values: Mapping[str, Array]) -> dict[str, Array]:
+    """Values and what is computed from them alone, once for all blocks."""
+    if "toll" not in two_scale.factors(effects):
+        return {**values}
+    return {**values, two_scale.TABLE: two_scale.surface_albedo(values, effects, jnp.asarray(WAVELENGTHS_UM))}
+
+
+def _rates(effects: Effects, z: Array) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
+    """Values with tables, and by parameter the rates at which they change when all of its entries of z move."""
+    layout = layout_of(effects)
+    groups = np.zeros((len(layout.parameters), layout.size))
+    for group, where in zip(groups, layout.slices.values(), strict=True):
+        group[where] = 1.0
+
+    def values(z: Array) -> dict[str, Array]:
+        return with_tables(effects, layout.values(z))
+
+    def along(tangent: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+        return jax.jvp(values, (z,), (tangent,))
+
+    at, moved = jax.vmap(along, out_axes=(None, 0))(jnp.asarray(groups))
+    by_name = {}
+    for k, q in enumerate(layout.parameters):
+        own = {name: moved[name][k] for name in (q.name, two_scale.TABLE) if name in moved}
+        by_name[q.name] = own
+    return at, by_name
+
+
+def _block_gram(
+    effects: Effects, values: Mapping[str, Array], rates: Mapping[str, Mapping[str, Array]], b: Problem
+) -> Array:
     """Normal equations of one block, one row and column a parameter group and one for the residual."""
-    layout = forward.layout
-    values, rates = jax.jvp(layout.values, (z,), (jnp.ones_like(z),))
+    layout = layout_of(effects)
 
     def factor_derivatives(values: Mapping[str, Array], b: Problem) -> tuple[dict[str, Array], dict[str, Array]]:
-        s, shaped, table = _parts(forward, values, b)
+        s, shaped, table = _parts(effects, values, b)
         at, slopes = {}, {}
         for name, factor in table.items():
-            own = {q: shaped[q] for q in factor.names}
+            tables = (two_scale.TABLE,) if name == "toll" else ()
+            own = {q: shaped[q] for q in (*factor.names, *tables)}
             at[name], slope = jax.linearize(lambda own, factor=factor: factor.evaluate({**shaped, **own}, s), own)
             still = jax.tree.map(jnp.zeros_like, own)
-            for q in own:
-                slopes[f"{name}/{q}"] = slope({**still, q: rates[q].reshape(own[q].shape)})
+            for q in factor.names:
+                moved = {k: rates[q][k].reshape(own[k].shape) for k in (q, *tables)}
+                slopes[f"{name}/{q}"] = slope({**still, **moved})
         return at, slopes
 
     def columns(at: dict[str, Array], slopes: dict[str, Array], b: Problem) -> list[Array]:
-        s = two_scale.setting(b.geometry, forward.effects, WAVELENGTHS_UM)
+        s = two_scale.setting(b.geometry, effects, WAVELENGTHS_UM, b.log_base)
         root = jnp.sqrt(b.weight)
         result = []
         for q in layout.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
-            change = lambda part: _predicted({**at, **part}, s)  # noqa: E731
+            change = lambda part: two_scale.assemble({**at, **part}, s)  # noqa: E731
             result.append(root * jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1])
-        return [*result, root * (b.value - _predicted(at, s))]
+        return [*result, root * (b.value - two_scale.assemble(at, s))]
 
     always = jnp.isfinite(b.weight[0, 0, 0, 0])
     at, slopes = _materialised(factor_derivatives, always, values, b)

@@ -17,15 +17,16 @@ from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement, read
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples, thin
-from ..model.effects import BODIES, Body
+from ..model.effects import BODIES, Body, Effects
 from . import export, metrics
 from .config import Config
 from .levenberg_marquardt import Solution, solve
 from .outcome import Fitted, make_result
 from .posterior import Posterior, sample
-from .residuals import Forward, Problem, make_problem, predict, weighted_samples
+from .residuals import Problem, make_problem, predict, weighted_samples
 from .selection import bic
 from .starts import starting_points
+from .transforms import layout_of
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
 # every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
@@ -97,10 +98,10 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         coarse = thin(samples, COARSE)
         problem = make_problem(coarse)
         with ThreadPoolExecutor(max_workers=2) as pool:
-            found = list(pool.map(lambda body: fit_coarse(config.forward(body), coarse, problem, config), bodies))
+            found = list(pool.map(lambda body: fit_coarse(config.effects_of(body), coarse, problem, config), bodies))
         lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
-        forward = config.forward(bodies[lowest])
-        counts = counts_of(coarse, predict_samples(forward, found[lowest].z, coarse, problem))
+        effects = config.effects_of(bodies[lowest])
+        counts = counts_of(coarse, predict_samples(effects, found[lowest].z, coarse, problem))
         candidates = [
             export.Candidate(
                 body=body, cost=export.finite(s.cost), bic=export.finite(bic(s.normal[:, -1, -1], counts, len(s.z)))
@@ -110,24 +111,24 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         chosen = min(range(len(bodies)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
     with clock.stage("full"):
         report(f"all bins: {bodies[chosen]}")
-        forward, whole = config.forward(bodies[chosen]), make_problem(samples)
-        solution = solve(forward, found[chosen].z, whole, config.fit.max_steps, backend=config.fit.backend)
+        effects, whole = config.effects_of(bodies[chosen]), make_problem(samples)
+        solution = solve(effects, found[chosen].z, whole, config.fit.max_steps, backend=config.fit.backend)
     with clock.stage("metrics"):
-        predicted = predict_samples(forward, solution.z, samples, whole)
+        predicted = predict_samples(effects, solution.z, samples, whole)
         counts = counts_of(samples, predicted)
         unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
         errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid())
-    return Fitted(forward, solution, counts, errors, candidates)
+    return Fitted(effects, solution, counts, errors, candidates)
 
 
-def fit_coarse(forward: Forward, samples: Samples, problem: Problem, config: Config) -> Solution:
+def fit_coarse(effects: Effects, samples: Samples, problem: Problem, config: Config) -> Solution:
     """Screen the starting points by cost, follow the best few for a while, and the best of these to the end."""
 
     def follow(z: np.ndarray, steps: int) -> Solution:
-        return solve(forward, z, problem, steps, backend=config.fit.backend)
+        return solve(effects, z, problem, steps, backend=config.fit.backend)
 
-    points = starting_points(forward, samples)
-    costs = [solve(forward, z, problem, 1).cost for z in points]
+    points = starting_points(effects, samples)
+    costs = [solve(effects, z, problem, 1).cost for z in points]
     order = np.argsort(np.nan_to_num(costs, nan=np.inf))[: config.fit.starts]
     trials = [follow(points[i], min(TRIAL_STEPS, config.fit.coarse_steps)) for i in order]
     best = min(trials, key=lambda s: s.cost if np.isfinite(s.cost) else np.inf)
@@ -138,9 +139,9 @@ def fit_coarse(forward: Forward, samples: Samples, problem: Problem, config: Con
 _predict = partial(jax.jit, static_argnums=0)(predict)
 
 
-def predict_samples(forward: Forward, z: np.ndarray, samples: Samples, problem: Problem) -> np.ndarray:
+def predict_samples(effects: Effects, z: np.ndarray, samples: Samples, problem: Problem) -> np.ndarray:
     """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
-    blocks = np.asarray(_predict(forward, forward.layout.values(jnp.asarray(z)), problem))
+    blocks = np.asarray(_predict(effects, layout_of(effects).values(jnp.asarray(z)), problem))
     return np.moveaxis(blocks, 1, 0).reshape(samples.value.shape)
 
 
@@ -153,11 +154,10 @@ def counts_of(samples: Samples, predicted: np.ndarray) -> np.ndarray:
 
 def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: Report) -> Posterior:
     """The posterior on the sampling grid."""
-    cheap = replace(fitted.forward.effects, order=min(SAMPLING_ORDER, fitted.forward.effects.order))
-    forward = replace(fitted.forward, effects=cheap)
+    cheap = replace(fitted.effects, order=min(SAMPLING_ORDER, fitted.effects.order))
     whole, thinned = make_problem(samples), make_problem(thin(samples, SAMPLING))
     return sample(
-        (fitted.forward, whole), (forward, thinned), fitted.solution.z, fitted.solution.normal, fitted.counts,
+        (fitted.effects, whole), (cheap, thinned), fitted.solution.z, fitted.solution.normal, fitted.counts,
         config.posterior.max_steps, config.seed,
         lambda done, most: report(f"posterior: {done} of at most {most} steps"),
     )  # fmt: skip
@@ -165,7 +165,7 @@ def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: R
 
 def save_chain(path: Path, fitted: Fitted, chain: Posterior) -> None:
     """The whole chain in free coordinates and the kept samples in physical units (npz, no pickles)."""
-    layout = fitted.forward.layout
+    layout = layout_of(fitted.effects)
     arrays = {
         "names": np.array(layout.names),
         "chain_free": chain.chain.astype(np.float32),

@@ -10,8 +10,9 @@ from itertools import product
 import numpy as np
 
 from ..merl_io.samples import Samples
+from ..model.effects import Effects
 from ..model.parameters import WAVELENGTHS_UM
-from .residuals import Forward
+from .transforms import layout_of
 
 KURTOSES = (0.4, 1.0)
 NANO = ((0.4, 1.5), (2.0, 1.5), (10.0, 1.5), (2.0, 3.0))  # (b um, c)
@@ -62,12 +63,12 @@ def read_clues(samples: Samples) -> Clues:
     return Clues(float(np.clip(half_height, 2e-3, 2.0)), f0, np.maximum(dark, 1e-5), rise)
 
 
-def starting_points(forward: Forward, samples: Samples) -> np.ndarray:
+def starting_points(effects: Effects, samples: Samples) -> np.ndarray:
     """Starting points in free coordinates, shape (S, P); the same for the same file, whatever the machine or seed."""
     clues = read_clues(samples)
     middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
     points = []
-    for p, (b, c), phase, (n, k, eta) in product(KURTOSES, NANO, PHASES, _indices(forward, clues)):
+    for p, (b, c), phase, (n, k, eta) in product(KURTOSES, NANO, PHASES, _indices(effects, clues)):
         points.append(
             {
                 "beta": clues.half_height / np.log(2.0) ** (1 / (2 * p)),
@@ -82,16 +83,16 @@ def starting_points(forward: Forward, samples: Samples) -> np.ndarray:
                 "albedo": np.clip(np.pi * clues.dark, 1e-4, 0.98),
             }
         )
-    if forward.effects.diffraction == "off":
+    if effects.diffraction == "off":
         points = [q for q in points if (q["b"], q["c"]) == NANO[0] and q["sigma_s"] == points[0]["sigma_s"]]
-    return np.array([forward.layout.free(q) for q in points])
+    return np.array([layout_of(effects).free(q) for q in points])
 
 
-def _indices(forward: Forward, clues: Clues) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _indices(effects: Effects, clues: Clues) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """(n, k, eta) that give F0: a metal's with n = 1, and where F rises towards grazing angles a dielectric's."""
     root = np.sqrt(clues.f0)
     dielectric = (1 + root) / (1 - root)
     metal = (np.ones_like(root), 2 * root / np.sqrt(1 - clues.f0), dielectric)
-    if forward.effects.body != "none":
+    if effects.body != "none":
         return [metal]  # only eta is used
     return [metal, (np.minimum(dielectric, 5.0), np.full_like(root, 0.3), dielectric)][: 2 if clues.rise > 1.5 else 1]

@@ -51,7 +51,7 @@ def from_result(path: Path) -> tuple[np.ndarray, str]:
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
-    values = _tabulate(lambda g: two_scale(params, g, m.effects, m.wavelengths_um))
+    values = _tabulate(lambda g: two_scale(params, g, m.effects.material, m.wavelengths_um))
     return values, f"synthetic MERL file from the two-scale fit of {result.source.material}"
 
 

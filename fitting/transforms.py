@@ -6,6 +6,7 @@ z = logit(u) is free, for solvers. A prior uniform in u is the logistic density 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from ..model.parameters import CHANNELS, Parameter
+from ..model.effects import Effects
+from ..model.parameters import CHANNELS, Parameter, parameters
 
 INSIDE = 1e-6  # starting points are moved this far inside their bounds
 
@@ -71,6 +73,12 @@ class Layout:
     def position(self, z: ArrayLike) -> np.ndarray:
         """Position of every entry between its bounds, in [0, 1]."""
         return 1 / (1 + np.exp(-np.clip(np.asarray(z), -700, 700)))
+
+
+@cache
+def layout_of(effects: Effects) -> Layout:
+    """The flat vector of everything that these effects leave to be fitted."""
+    return Layout(parameters(effects))
 
 
 def from_free(parameter: Parameter, z: Array) -> Array:

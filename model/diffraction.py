@@ -1,8 +1,9 @@
 """Diffraction by nano-geometry: K-correlation lobe, its renormalisation and the energy split (HP17 Section 3.2)."""
 
 import jax.numpy as jnp
+import numpy as np
 
-from .numerics import Real, safe_sqrt
+from .numerics import Real, safe_sqrt, total
 from .quadrature import gauss_legendre
 
 RENORMALISATION_ORDER = 48  # 1e-9 for b/lambda in [1e-3, 1e4] (tests/model/test_against_oracles.py)
@@ -35,13 +36,13 @@ def renormalisation(sin_theta: Real, b_over_lambda: Real, c: Real) -> Real:
     bl = b_over_lambda[..., None]
     nodes, weights = gauss_legendre(RENORMALISATION_ORDER)
     low, high = jnp.arcsinh(bl * (1 - s)), jnp.arcsinh(bl * (1 + s))
-    t = low + (high - low) * jnp.asarray((1 - jnp.cos(jnp.pi * nodes)) / 2)
-    dt = (high - low) * jnp.asarray(weights * jnp.pi / 2 * jnp.sin(jnp.pi * nodes))
+    t = low + (high - low) * jnp.asarray((1 - np.cos(np.pi * nodes)) / 2, bl.dtype)
+    dt = (high - low) * jnp.asarray(weights * np.pi / 2 * np.sin(np.pi * nodes), bl.dtype)
     r = jnp.sinh(t) / bl
-    opposite = safe_sqrt((1 - r + s) * (1 + r - s))
-    adjacent = safe_sqrt((r + s - 1) * (r + s + 1))
-    inside = 2 * jnp.arctan2(opposite, jnp.where(adjacent > 0, adjacent, 1e-150)) / jnp.pi
-    ring = jnp.sum((c[..., None] - 1) * jnp.sinh(t) * jnp.exp(-c[..., None] * jnp.log(jnp.cosh(t))) * inside * dt, -1)
+    opposite = safe_sqrt((1 + s - r) * ((1 - s) + r))
+    adjacent = safe_sqrt((r - (1 - s)) * (r + s + 1))
+    inside = 2 * jnp.arctan2(opposite, jnp.where(adjacent > 0, adjacent, 1e-18)) / jnp.pi
+    ring = total((c[..., None] - 1) * jnp.sinh(t) * jnp.exp(-c[..., None] * jnp.log(jnp.cosh(t))) * inside * dt)
     disc = -jnp.expm1(-(c - 1) / 2 * jnp.log1p((b_over_lambda * (1 - sin_theta)) ** 2))
     return disc + ring
 

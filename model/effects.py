@@ -1,13 +1,18 @@
 """Which physical effects a material simulates: one frozen, hashable value, static under jit."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args, get_origin
+
+from .acquisition import Apparatus
 
 Fresnel = Literal["exact", "schlick"]
 Masking = Literal["smith", "height_correlated", "none"]
-Diffraction = Literal["off", "lobe", "quadrature"]
+Diffraction = Literal["off", "lobe", "scaled", "zonal", "quadrature", "exact"]
+Split = Literal["printed", "conserving"]
 Colour = Literal["rayleigh_rice", "fresnel"]
 Body = Literal["none", "lambert", "plastic", "subsurface"]
+Acquisition = Literal["off", "free", "derived"]
+APPARATUS = Apparatus()
 BODIES: tuple[Body, ...] = get_args(Body)
 DIFFRACTIONS: tuple[Diffraction, ...] = get_args(Diffraction)
 
@@ -19,30 +24,65 @@ class Effects:
     Attributes:
         body: ``none`` is a conductor (complex index per channel); the others are dielectrics (real index per channel)
             over a body with an albedo per channel.
-        diffraction: ``off``; ``lobe`` (microfacet normals taken as all alike in the diffraction lobe); ``quadrature``
-            (the lobe blurred by the normals, HP17 Eq. 33).
+        diffraction: how the facets' diffraction lobe is blurred by the distribution of their normals, cheapest first:
+            ``off``; ``lobe`` (normals taken as all alike); ``scaled`` (a lobe of another width and height, HP17
+            Eq. 39-41: good while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics, Appendix A: good for
+            zonal_order >= 16 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33); ``exact`` (Eq. 27, the
+            reference: milliseconds a direction).
         order: radial nodes of ``quadrature``; accuracy in :func:`merlfit.model.convolution.convolve`.
+        zonal_order: highest degree of ``zonal``.
         fresnel: of the mirror term: ``exact`` (HP17 Eq. 3-4), or Schlick's polynomial.
         masking: ``smith`` (masking and shadowing independent, HP15 Eq. 6), ``height_correlated`` (Smith's joint form,
             Heitz 2014), ``none`` (1).
         renormalised: sigma_rel for sigma_s and the lobe's amplitude over the directions that exist (HP17 Eq. 17-19).
+        split: of the energy between mirror term, diffraction lobe and body: ``printed`` (HP17 Eq. 25), or
+            ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives.
         colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
             formula chosen for the mirror term).
+        acquisition: MERL's loss at grazing angles (HP17 Eq. 59-60), no part of the material: ``off``, its exponent
+            ``free`` (a parameter), ``derived`` from beta and p, or a number in [0, 1].
+        apparatus: the sphere, pixel and lamp that ``derived`` assumes.
     """
 
     body: Body = "none"
     diffraction: Diffraction = "quadrature"
     order: int = 32
+    zonal_order: int = 100
     fresnel: Fresnel = "exact"
     masking: Masking = "smith"
     renormalised: bool = True
+    split: Split = "printed"
     colour: Colour = "rayleigh_rice"
+    acquisition: Acquisition | float = "off"
+    apparatus: Apparatus = APPARATUS
 
     def __post_init__(self) -> None:
-        """Refuse names that are not effects."""
+        """Refuse names that are not effects, and numbers out of range."""
         for field in fields(self):
             value, choices = getattr(self, field.name), get_args(field.type)
             if get_origin(field.type) is Literal and value not in choices:
                 raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
         if not 6 <= self.order <= 256:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
+        if not 1 <= self.zonal_order <= 1000:
+            raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
+        fixed = not isinstance(self.acquisition, str) and 0 <= self.acquisition <= 1
+        if not (fixed or self.acquisition in get_args(Acquisition)):
+            raise ValueError(f"acquisition {self.acquisition!r} is neither off, free, derived nor a number in [0, 1]")
+
+    @property
+    def material(self) -> "Effects":
+        """The same without what the apparatus adds."""
+        return replace(self, acquisition="off")
+
+
+PRESETS: dict[str, Effects] = {
+    "hp17": Effects(),
+    "conserving": Effects(split="conserving"),
+    "microfacet": Effects(diffraction="off"),
+    "preview": Effects(diffraction="lobe", fresnel="schlick", colour="fresnel", renormalised=False),
+    "fast": Effects(diffraction="scaled"),
+    "reference": Effects(diffraction="exact"),
+}
+"""Effects by name: HP17's model; the same conserving energy; Cook-Torrance alone; the cheapest with diffraction, for
+looks; the table instead of the quadrature; Eq. 27 itself."""

@@ -20,13 +20,18 @@ class Transmitted(NamedTuple):
     c_imag: Real
 
 
+def _contrast(n: Real, k: Real) -> tuple[Real, Real]:
+    """Real and imaginary part of eta^2 - 1, without cancellation for an index near 1."""
+    return (n - 1) * (n + 1) - k**2, 2 * n * k
+
+
 def refracted_cosine(cos_theta: Real, n: Real, k: Real) -> tuple[Real, Real]:
     """Real and imaginary part of ``c = sqrt(eta^2 - sin^2 theta)`` (principal branch), HP17 Eq. 3.
 
     The gradient is finite everywhere; at the critical angle of a real index below one it is set to zero.
     """
-    real = (n - k) * (n + k) - 1 + cos_theta**2
-    imag = 2 * n * k
+    real, imag = _contrast(n, k)
+    real = real + cos_theta**2
     # sqrt of the modulus; the smaller of the two parts comes from the product, not from a difference
     modulus = safe_sqrt(real**2 + imag**2)
     larger = safe_sqrt((modulus + jnp.abs(real)) / 2)
@@ -39,13 +44,16 @@ def transmitted(cos_theta: Real, n: Real, k: Real) -> Transmitted:
     """The one-direction factors of F and Q for an index ``n + i k``; arrays broadcast."""
     c_real, c_imag = refracted_cosine(cos_theta, n, k)
     eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
-    senkrecht = safe_divide(jnp.ones(()), (cos_theta + c_real) ** 2 + c_imag**2)
-    parallel = safe_divide(jnp.ones(()), (eta2_real * cos_theta + c_real) ** 2 + (eta2_imag * cos_theta + c_imag) ** 2)
+    senkrecht = safe_divide(1.0, (cos_theta + c_real) ** 2 + c_imag**2)
+    parallel = safe_divide(1.0, (eta2_real * cos_theta + c_real) ** 2 + (eta2_imag * cos_theta + c_imag) ** 2)
     return Transmitted(senkrecht, parallel, c_real, c_imag)
 
 
 def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
     """Unpolarised Fresnel reflectance in [0, 1] (HP17 Eq. 3-4), exact.
+
+    The differences of Eq. 4 are written as products, (cos - c)(cos + c) = 1 - eta^2 and (eta^2 cos - c)(eta^2 cos + c)
+    = (eta^2 - 1)(eta^2 cos^2 - sin^2), so that no digit is lost for an index near 1; it is 0 for an index of 1.
 
     Args:
         cos_theta: cosine of the angle of incidence; broadcasts with the index.
@@ -55,10 +63,10 @@ def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
     Accuracy: 1e-12 against 30 digits (``tests/model/test_against_oracles.py``).
     """
     t = transmitted(cos_theta, n, k)
-    eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
-    f_s = ((cos_theta - t.c_real) ** 2 + t.c_imag**2) * t.senkrecht
-    f_p = ((eta2_real * cos_theta - t.c_real) ** 2 + (eta2_imag * cos_theta - t.c_imag) ** 2) * t.parallel
-    return (f_s + f_p) / 2
+    contrast_real, contrast_imag = _contrast(n, k)
+    cos2 = cos_theta**2
+    tilted = (contrast_real * cos2 + 2 * cos2 - 1) ** 2 + (contrast_imag * cos2) ** 2  # |eta^2 cos^2 - sin^2|^2
+    return (contrast_real**2 + contrast_imag**2) * (t.senkrecht**2 + tilted * t.parallel**2) / 2
 
 
 def schlick(cos_theta: Real, n: Real, k: Real) -> Real:
@@ -93,5 +101,5 @@ def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k
     crossed = (1 - cos2_phi) * (i.senkrecht * b_o + b_i * o.senkrecht)
     # cos(phi) sin_i sin_o is minus the projected dot product: phi is counted from the mirror direction
     plane = i.parallel * o.parallel * ((eta2_real**2 + eta2_imag**2) * sin2_sin2 + 2 * projected_dot * interference)
-    contrast = (eta2_real - 1) ** 2 + eta2_imag**2
-    return contrast * (same + crossed + plane) / 2
+    contrast_real, contrast_imag = _contrast(n, k)
+    return (contrast_real**2 + contrast_imag**2) * (same + crossed + plane) / 2

@@ -1,16 +1,19 @@
 """Distribution of microfacet normals: the exponential power distribution (EPD) of HP17 Section 4.3."""
 
+import math
+
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
 
-from .numerics import Real, Scalar, safe_pow
+from .numerics import Real, Scalar
 
 HORIZON_COS = 1e-15  # below this cosine the distribution is taken as 0; it decays faster than any power there
+LARGEST_LOG_EXPONENT = 8.0  # exp(-e^8) is 0, and its derivative too, where the power itself would overflow in float32
 
 
 def log_p22_peak(beta: Scalar, p: Scalar) -> Real:
     """Logarithm of P22(0) = p / (pi beta^2 Gamma(1/p)), HP17 Eq. 35."""
-    return jnp.log(p) - jnp.log(jnp.pi) - 2 * jnp.log(beta) - gammaln(1 / p)
+    return jnp.log(p) - math.log(math.pi) - 2 * jnp.log(beta) - gammaln(1 / p)
 
 
 def epd(theta: Real, beta: Scalar, p: Scalar) -> Real:
@@ -28,5 +31,8 @@ def epd(theta: Real, beta: Scalar, p: Scalar) -> Real:
     cos = jnp.cos(theta)
     above = cos > HORIZON_COS
     cos = jnp.where(above, cos, 1.0)
-    exponent = safe_pow(jnp.where(above, jnp.tan(jnp.where(above, theta, 0.0)), 0.0) / beta, 2 * p)
+    tan = jnp.where(above, jnp.tan(jnp.where(above, theta, 0.0)), 0.0)
+    off = tan > 0
+    log_ratio = jnp.log(jnp.where(off, tan, 1.0) / beta)
+    exponent = jnp.where(off, jnp.exp(jnp.minimum(2 * p * log_ratio, LARGEST_LOG_EXPONENT)), 0.0)
     return jnp.where(above, jnp.exp(log_p22_peak(beta, p) - exponent - 4 * jnp.log(cos)), 0.0)

@@ -33,6 +33,11 @@ def safe_pow(x: Real, p: Real | float) -> Real:
     return jnp.where(positive, jnp.exp(p * jnp.log(jnp.where(positive, x, 1.0))), 0.0)
 
 
+def total(x: Real) -> Real:
+    """Sum over the last axis in the precision of ``x``, accumulated in float64."""
+    return jnp.sum(x, -1, dtype=jnp.float64).astype(x.dtype)
+
+
 def safe_divide(numerator: Real | float, denominator: Real) -> Real:
     """Quotient, 0 with zero gradient where the denominator is 0."""
     nonzero = denominator != 0

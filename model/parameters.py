@@ -77,7 +77,7 @@ GRAZING = Parameter("grazing_exponent", "k_g", "exponent of the acquisition's lo
 
 
 def parameters(effects: Effects) -> tuple[Parameter, ...]:
-    """The parameters that a material with these effects has, shared ones first, per-channel ones last."""
+    """The parameters of these effects, shared ones first, per-channel ones last."""
     shared = SURFACE + (DIFFRACTION if effects.diffraction != "off" else ())
     colour = CONDUCTOR if effects.body == "none" else (*INTERFACE, ALBEDO)
-    return shared + colour
+    return shared + ((GRAZING,) if effects.acquisition == "free" else ()) + colour

@@ -7,13 +7,16 @@
 
 It is written as a few factors, each a function of a part of the directions and of a part of the parameters:
 
-    rho = shadow (mirror / (cos_i cos_o) + hue spread) + under.
+    rho = toll shadow (mirror / (cos_i cos_o) + hue spread) + pass under,     measured = loss rho.
 
 On a grid ``mirror`` and ``spread`` live on (theta_h, theta_d) alone, ``shadow`` is a one-dimensional table, and whoever
-differentiates needs each factor's derivative only in the parameters it names.
+differentiates needs each factor's derivative only in the parameters it names. ``toll`` and ``pass`` belong to the
+conserving split (:mod:`merlfit.model.energy`), ``loss`` to the acquisition, not to the material.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -21,15 +24,17 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from . import body, convolution, diffraction
+from . import acquisition, body, chebyshev, convolution, diffraction, energy, exact, scaled, zonal
 from .effects import Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .ndf import epd
-from .parameters import WAVELENGTHS_UM, parameters
+from .numerics import safe_divide
+from .parameters import GRAZING, WAVELENGTHS_UM, parameters
 from .shadowing import height_correlated, masking
 
-CHUNK = 4096  # scattered points convolved at a time: 4096 points x 2 x 24 x 8 nodes x 8 bytes = 13 MB an intermediate
+CHUNK = 2048  # scattered points convolved at a time: 2048 points x 2 x 32 x 10 nodes x 8 bytes = 10 MB an intermediate
+TABLE = "surface_albedo"  # may be among the values: see `surface_albedo`
 Values = Mapping[str, Array]
 
 
@@ -40,6 +45,7 @@ class Setting(NamedTuple):
     above: Array
     wavelength_um: Array  # shape (C, 1, ..., 1)
     effects: Effects
+    log_base: Array | None  # of the acquisition's loss (acquisition.grazing_log_base); None where that is off
 
 
 class Factor(NamedTuple):
@@ -50,15 +56,25 @@ class Factor(NamedTuple):
 
 
 def setting(
-    geometry: Geometry, effects: Effects, wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM
+    geometry: Geometry,
+    effects: Effects,
+    wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
+    log_base: Array | None = None,
 ) -> Setting:
-    """Directions made safe to compute with, and wavelengths with a leading axis."""
+    """Directions made safe to compute with, and wavelengths with a leading axis.
+
+    Args:
+        log_base: :func:`merlfit.model.acquisition.grazing_log_base` of the directions, if it is known already.
+    """
     above = (geometry.cos_i > 0) & (geometry.cos_o > 0)
     cos_i, cos_o = jnp.where(above, geometry.cos_i, 1.0), jnp.where(above, geometry.cos_o, 1.0)
     theta_h, theta_d = jnp.asarray(geometry.theta_h), jnp.asarray(geometry.theta_d)
     rank = len(jnp.broadcast_shapes(theta_h.shape, theta_d.shape, above.shape))
     wavelength = jnp.asarray(wavelengths_um, dtype=float).reshape((-1,) + (1,) * rank)
-    return Setting(Geometry(theta_h, theta_d, cos_i, cos_o), above, wavelength, effects)
+    safe = Geometry(theta_h, theta_d, cos_i, cos_o)
+    if effects.acquisition != "off" and log_base is None:
+        log_base = acquisition.grazing_log_base(safe)
+    return Setting(safe, above, wavelength, effects, log_base)
 
 
 def factors(effects: Effects) -> dict[str, Factor]:
@@ -69,24 +85,40 @@ def factors(effects: Effects) -> dict[str, Factor]:
     if effects.diffraction == "off":
         table["mirror"] = Factor(surface + optics, _mirror)
     else:
-        dimming = nano if effects.renormalised else ("sigma_s",)
+        dimming = nano if effects.renormalised or effects.split == "conserving" else ("sigma_s",)
         table["mirror"] = Factor((*dimming, *surface, *optics), _dimmed_mirror)
-        blurred = surface if effects.diffraction == "quadrature" else ()
-        table["spread"] = Factor((*nano, *blurred), _spread)
-        table["hue"] = Factor(optics, _hue)
+        if effects.diffraction == "exact":
+            coloured = optics if effects.colour == "rayleigh_rice" else ()
+            table["spread"] = Factor((*nano, *surface, *coloured), _exact_spread)
+        else:
+            table["spread"] = Factor((*nano, *(() if effects.diffraction == "lobe" else surface)), _spread)
+        if effects.diffraction != "exact" or effects.colour == "fresnel":
+            table["hue"] = Factor(optics, _hue)
+    every = tuple(q.name for q in parameters(effects.material) if q.name != "albedo")
     if effects.body != "none":
         table["under"] = Factor(("albedo",) if effects.body == "lambert" else ("eta", "albedo"), _under)
+    if _pays_toll(effects):
+        table["toll"] = Factor(every, _toll)
+    if effects.acquisition != "off":
+        names = {"free": (GRAZING.name,), "derived": surface}.get(str(effects.acquisition), ())
+        table["loss"] = Factor(names, _loss)
     return table
 
 
 def assemble(at: Values, s: Setting) -> Array:
     """The BRDF (1/sr), shape ``(C, ...)``, from the values of its factors."""
-    surface = at["mirror"] / (s.geometry.cos_i * s.geometry.cos_o)
+    rho = at["mirror"] / (s.geometry.cos_i * s.geometry.cos_o)
     if "spread" in at:
-        surface = surface + at["hue"] * at["spread"]
+        rho = rho + (at["hue"] * at["spread"] if "hue" in at else at["spread"])
     if "shadow" in at:
-        surface = at["shadow"] * surface
-    return jnp.where(s.above, surface + at["under"] if "under" in at else surface, 0.0)
+        rho = at["shadow"] * rho
+    under = at.get("under")
+    if "toll" in at:
+        rho = at["toll"][0] * rho
+        under = None if under is None else at["toll"][1] * under
+    if under is not None:
+        rho = rho + under
+    return jnp.where(s.above, rho * at["loss"] if "loss" in at else rho, 0.0)
 
 
 def two_scale(
@@ -120,11 +152,12 @@ def two_scale(
 
 
 def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
-    """Parameters as float64 arrays, those per channel with the leading axis of the wavelengths."""
+    """Parameters as float64 arrays, those per channel with the leading axis of the wavelengths; ``TABLE`` if given."""
     missing = [q.name for q in parameters(s.effects) if q.name not in params]
     if missing:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
-    return {
+    given = {TABLE: jnp.asarray(params[TABLE])} if TABLE in params else {}
+    return given | {
         q.name: jnp.asarray(params[q.name], dtype=float).reshape(
             (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
         )
@@ -163,7 +196,13 @@ def _share_and_phase(v: Values, s: Setting) -> tuple[Array, Array]:
 
 
 def _dimmed_mirror(v: Values, s: Setting) -> Array:
-    """A_spec F D / 4."""
+    """A_spec F D / 4, or (1 - E) F D / 4."""
+    if s.effects.split == "conserving":
+        exact_, renormalised = s.effects.diffraction == "exact", s.effects.renormalised
+        albedo = energy.lobe_albedo(
+            s.geometry.theta_d, v["b"], v["c"], v["sigma_s"], s.wavelength_um, renormalised, exact_
+        )
+        return jnp.maximum(1 - albedo, 0.0) * _mirror(v, s)
     return jnp.exp(-_share_and_phase(v, s)[1]) * _mirror(v, s)
 
 
@@ -172,6 +211,19 @@ def _spread(v: Values, s: Setting) -> Array:
     share, phase = _share_and_phase(v, s)
     amplitude = diffraction.lobe_amplitude(v["b"] / s.wavelength_um, v["c"]) / share
     return -jnp.expm1(-phase) * amplitude * _blurred_lobe(v, s)
+
+
+def _exact_spread(v: Values, s: Setting) -> Array:
+    """The integral of Eq. 27 without G (1/sr)."""
+    share, phase = _share_and_phase(v, s)
+    amplitude = diffraction.lobe_amplitude(v["b"] / s.wavelength_um, v["c"]) / share
+    B = 2 * v["b"] / s.wavelength_um * s.geometry.cos_d
+    coloured = s.effects.colour == "rayleigh_rice"
+    index = _index(v) if coloured else (jnp.ones(()), jnp.zeros(()))
+    g, surface = s.geometry, (v["c"], v["beta"], v["p"])
+    return amplitude * exact.lobe(
+        g.theta_h, g.theta_d, g.cos_i, g.cos_o, B, phase, *index, *surface, coloured=coloured
+    )  # fmt: skip
 
 
 def _hue(v: Values, s: Setting) -> Array:
@@ -183,9 +235,11 @@ def _hue(v: Values, s: Setting) -> Array:
 
 
 def _under(v: Values, s: Setting) -> Array:
-    """The chosen body's BRDF (1/sr)."""
-    g = s.geometry
-    match s.effects.body:
+    """The chosen body's BRDF (1/sr); under the conserving split without the transmittances, which are in the toll."""
+    g, kind = s.geometry, s.effects.body
+    if s.effects.split == "conserving":
+        return energy.unlit_body(kind, g.cos_i, g.cos_o, v["albedo"], v.get("eta"))
+    match kind:
         case "plastic":
             return body.plastic(g.cos_i, g.cos_o, v["eta"], v["albedo"])
         case "subsurface":
@@ -194,25 +248,96 @@ def _under(v: Values, s: Setting) -> Array:
             return body.lambert(v["albedo"])
 
 
+def _pays_toll(effects: Effects) -> bool:
+    """Whether the conserving split needs the surface's albedo; Cook-Torrance with masking conserves by itself."""
+    by_itself = effects.body == "none" and effects.diffraction == "off" and effects.masking != "none"
+    return effects.split == "conserving" and not by_itself
+
+
+def surface_albedo(v: Values, effects: Effects, wavelengths_um: Array) -> Array:
+    """Directional albedo of the lobes at :func:`merlfit.model.energy.incidences`, (C, INCIDENCES).
+
+    Args:
+        v: parameters, those per channel as ``(C,)`` or with more axes of length one.
+
+    It depends on parameters alone: who evaluates directions in parts computes it once and gives it along as ``TABLE``.
+    """
+    own = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in v.items()}
+    largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
+    geometry, measure = energy.half_vectors(v["beta"], v["p"], largest_B)
+    inner = replace(effects.material, order=min(effects.order, energy.ORDER))
+    s = setting(geometry, inner, wavelengths_um)
+    lobes = {name: f.evaluate(own, s) for name, f in factors(inner).items() if name not in ("under", "toll")}
+    return jnp.sum(assemble(lobes, s) * measure, (-2, -1))
+
+
+def _toll(v: Values, s: Setting) -> Array:
+    """What the lobes are multiplied by (0) and what the body is multiplied by (1), stacked: see `energy`."""
+    table = v.get(TABLE)
+    if table is None:
+        table = surface_albedo(v, s.effects, s.wavelength_um.reshape(-1))
+    lit, seen = (energy.at_incidence(table, v["beta"], theta) for theta in (s.geometry.theta_i, s.geometry.theta_o))
+    kept = 1 / (jnp.maximum(lit, 1.0) * jnp.maximum(seen, 1.0))
+    if s.effects.body == "none":
+        return kept[None]
+    through = jnp.maximum(1 - lit, 0.0) * jnp.maximum(1 - seen, 0.0)
+    mean = energy.mean_transmittance(table, v["beta"]).reshape((-1,) + (1,) * (through.ndim - 1))
+    return jnp.stack([kept, safe_divide(through, mean)])
+
+
+def _loss(v: Values, s: Setting) -> Array:
+    """p(i, o) of the acquisition, HP17 Eq. 59-60."""
+    assert s.log_base is not None  # `setting` has seen to it
+    return jnp.exp(grazing_exponent(v, s.effects) * s.log_base)
+
+
+def grazing_exponent(values: Values, effects: Effects) -> Array:
+    """The acquisition's grazing exponent k at these parameter values; 0 where it is off."""
+    if effects.acquisition == "free":
+        return values[GRAZING.name]
+    if effects.acquisition == "derived":
+        return acquisition.derived_exponent(values["beta"], values["p"], effects.apparatus)
+    return jnp.asarray(0.0 if effects.acquisition == "off" else float(effects.acquisition))
+
+
 def _blurred_lobe(v: Values, s: Setting) -> Array:
-    """(S * D) without amplitude; on a grid through a table shared by the channels, else point by point."""
-    b, c, beta, p = (v[name] for name in ("b", "c", "beta", "p"))
+    """(S * D) without amplitude, (C, ...); where many directions share a theta_h through a table over cos_d/lambda.
+
+    (S * D) depends on theta_h and B = 2 b cos_d/lambda only, and its logarithm is smooth in log B: it is computed at a
+    few Chebyshev nodes over the range of log B, for all channels together, and interpolated.
+    """
+    b, c, surface, effects = v["b"], v["c"], (v["beta"], v["p"]), s.effects
     theta_h, cos_over_lambda = s.geometry.theta_h, s.geometry.cos_d / s.wavelength_um
-    if s.effects.diffraction == "lobe":
-        return convolution.lobe(theta_h, 2 * b * cos_over_lambda, c)
-    shape = jnp.broadcast_shapes(theta_h.shape, cos_over_lambda.shape)
-    along = cos_over_lambda.shape[1:]
-    is_grid = theta_h.ndim == len(along) and all(1 in pair for pair in zip(theta_h.shape, along, strict=True))
-    if is_grid and cos_over_lambda.size > convolution.interpolation_nodes(s.effects.order):
-        log_u = jnp.log(cos_over_lambda).ravel()
-        table = convolution.convolve_grid(theta_h.ravel(), log_u, b, c, beta, p, s.effects.order)
-        # (H axes, C, D axes) -> (C, H axis with D axis ...): every axis belongs to one of the two
-        pairs = [axis for a in range(len(along)) for axis in (a, len(along) + 1 + a)]
-        return table.reshape(theta_h.shape + cos_over_lambda.shape).transpose([len(along), *pairs]).reshape(shape)
+    match effects.diffraction:
+        case "lobe":
+            return convolution.lobe(theta_h, 2 * b * cos_over_lambda, c)
+        case "scaled":
+            return scaled.convolve(theta_h, 2 * b * cos_over_lambda, c, *surface)
+        case "zonal":
+            return zonal.convolve(theta_h, 2 * b * cos_over_lambda, c, *surface, effects.zonal_order)
+    shape, count = (
+        jnp.broadcast_shapes(theta_h.shape, cos_over_lambda.shape),
+        convolution.interpolation_nodes(effects.order),
+    )
+    if theta_h.size * count < math.prod(shape):
+        log_u = jnp.log(cos_over_lambda)
+        low, high = jnp.min(log_u), jnp.max(log_u)
+        width = jnp.maximum(high - low, 1e-6)
+        B = 2 * b * jnp.exp(low + width * chebyshev.nodes(count)).reshape(-1, *(1,) * theta_h.ndim)
+        table = jnp.log(_in_chunks(theta_h, B, c, *surface, effects.order))
+        weights = chebyshev.weights((log_u - low) / width, count)
+        table = table.reshape(count, *(1,) * (len(shape) - theta_h.ndim), *theta_h.shape)
+        return jnp.exp(jnp.sum(table * weights, 0))
+    return _in_chunks(theta_h, 2 * b * cos_over_lambda, c, *surface, effects.order)
+
+
+def _in_chunks(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order: int) -> Array:
+    """`convolution.convolve` on scattered points, no more of them at a time than fit the cache."""
+    theta_h, B = jnp.broadcast_arrays(theta_h, B)
+    if theta_h.size <= CHUNK:
+        return convolution.convolve(theta_h, B, c, beta, p, order)
 
     def at(point: tuple[Array, Array]) -> Array:
-        return convolution.convolve(point[0], point[1], c, beta, p, s.effects.order)
+        return convolution.convolve(*point, c, beta, p, order)
 
-    points = jax.tree.map(jnp.ravel, tuple(jnp.broadcast_arrays(theta_h, 2 * b * cos_over_lambda)))
-    result = at(points) if points[0].size <= CHUNK else jax.lax.map(at, points, batch_size=CHUNK)
-    return result.reshape(shape)
+    return jax.lax.map(at, (theta_h.ravel(), B.ravel()), batch_size=CHUNK).reshape(theta_h.shape)

@@ -1,101 +1,149 @@
-"""How much light the printed energy split gives back: `python -m tests.energy` writes results/energy.json.
+"""How much light a surface gives back: `python -m tests.energy` writes results/energy.json and results/energy.md.
 
-Directional albedo of the whole surface at F = Q/2 = 1 (a perfect reflector), Smith masking: the light that the mirror
-term and the diffraction lobe reflect together, by a product rule over half vectors, dense at the mirror direction,
-refined until two rules agree. Cases that never settle are left out and counted.
+Directional albedo of the whole material, by a product rule over half vectors of its own: rings cut where the viewer
+sets, panels in log tan(theta_h) around the edge of the distribution of normals and where the horizon begins to cut.
+Synthetic parameter sets drawn from the priors of the fit, effects from a list in which every choice of every switch
+occurs.
 """
 
 import json
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.model.effects import Effects
-from merlfit.model.fresnel import fresnel
+from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.model.effects import BODIES, Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import assemble, factors, setting, shaped
+from merlfit.model.parameters import parameters
+from merlfit.model.two_scale import two_scale
 
-SETS, ANGLES_DEG = 60, (0, 40, 70, 86)
-RULES = ((48, 32), (64, 48), (96, 96), (128, 192), (192, 384))  # radial and azimuthal nodes
-SETTLED = 5e-3  # largest difference of two successive rules
+SEED = 20261121
+WAVELENGTH_UM = 0.526
+INCIDENCES_DEG = (0.5, 20.0, 40.0, 60.0, 75.0, 83.0, 87.0, 89.0)
+RADII, AZIMUTHS = 40, 16  # Gauss nodes of a panel (of nine), of half a ring
+SETS, EXACT_SETS = 1000, 2  # parameter sets in all; of an effect set with the slow reference
+RESULTS = Path(__file__).parents[1] / "results"
 
-
-def viewers(theta_i, width, n_radial, n_azimuth):
-    """Half vectors around the normal in log-spaced rings, as viewer directions with their measure domega_o."""
-    nodes, weights = np.polynomial.legendre.leggauss(n_radial)
-    low, high = np.log(width * 1e-3), np.log(1e3)
-    y, wy = (low + high) / 2 + (high - low) / 2 * nodes, (high - low) / 2 * weights
-    theta_h = np.arctan(np.exp(y))[:, None]
-    phi = (np.arange(n_azimuth) + 0.5) / n_azimuth * np.pi
-    i = np.array([-np.sin(theta_i), 0, np.cos(theta_i)])
-    h = np.stack(np.broadcast_arrays(np.sin(theta_h) * np.cos(phi), np.sin(theta_h) * np.sin(phi), np.cos(theta_h)), -1)
-    cos_d = h @ i
-    o = 2 * cos_d[..., None] * h - i
-    measure = 4 * cos_d * np.sin(theta_h) ** 2 * np.cos(theta_h) * wy[:, None] * 2 * np.pi / n_azimuth
-    seen = (cos_d > 0) & (o[..., 2] > 0)
-    return np.broadcast_to(i, o.shape)[seen], o[seen], measure[seen]
-
-
-@jax.jit
-def white(values, i, o):
-    """BRDF of the first channel's wavelength at F = Q/2 = 1."""
-    effects = Effects()
-    s = setting(Geometry.from_vectors(i, o), effects, (0.526,))
-    v = shaped(values, s)
-    at = {name: f.evaluate(v, s) for name, f in factors(effects).items()}
-    at["mirror"] = at["mirror"] / fresnel(s.geometry.cos_d, v["n"], v["k"])
-    at["hue"] = jnp.ones_like(at["hue"])
-    return assemble(at, s)[0]
+FULL = Effects(split="conserving")
+EFFECT_SETS = [
+    *(replace(FULL, body=body) for body in BODIES),
+    *(replace(FULL, body=body, diffraction=tier) for body in BODIES for tier in ("off", "lobe", "scaled", "zonal")),
+    *(replace(FULL, body=body, masking=masking) for body in BODIES for masking in ("height_correlated", "none")),
+    *(replace(FULL, body=body, fresnel="schlick", colour="fresnel") for body in BODIES),
+    *(replace(FULL, body=body, renormalised=False) for body in BODIES),
+    *(replace(FULL, body=body, diffraction="lobe", masking="none", colour="fresnel") for body in BODIES),
+    replace(FULL, diffraction="exact"),
+    replace(FULL, body="plastic", diffraction="exact"),
+    replace(FULL, diffraction="off", masking="none", fresnel="schlick"),
+    replace(FULL, diffraction="lobe", renormalised=False, masking="height_correlated"),
+]
 
 
-def albedo(values, theta_i, n_radial, n_azimuth):
-    i, o, measure = viewers(theta_i, min(values["beta"], 0.05), n_radial, n_azimuth)
-    size = 1 << int(np.ceil(np.log2(len(i))))  # few shapes, few compilations
-    pad = size - len(i)
-    i, o = (np.concatenate([x, np.repeat(x[:1], pad, 0)]) for x in (i, o))
-    brdf = np.asarray(white(values, i, o))[: size - pad]
-    return float(np.sum(brdf * o[: size - pad, 2] * measure))
+def half_vectors(theta_i, beta, p, largest_B, radii=RADII, azimuths=AZIMUTHS):
+    """Geometry and measure cos_o domega_o, (A, R, P), for light at the angles theta_i (A,)."""
+    theta_i = np.asarray(theta_i)[:, None]
+    edge = np.log(beta) + min(np.log(34 + 3 / p) / (2 * p), 3.0)
+    low, high = min(np.log(beta), -np.log1p(largest_B)) - 6, np.log(np.tan(np.radians(89.99)))
+    marks = [low, (low + np.log(beta) - 1) / 2, np.log(beta) - 1, np.log(beta), edge, edge + 1.5, high - 2.5, high]
+    cut = np.log(np.tan((np.pi / 2 - theta_i) / 2))  # where rings begin to cross the viewer's horizon
+    marks = np.broadcast_to(np.clip(marks, low, high), (len(theta_i), len(marks)))
+    marks = np.sort(np.concatenate([marks, np.clip([cut[:, 0], cut[:, 0] + 0.3], low, high).T], 1), 1)
+    u, w = np.polynomial.legendre.leggauss(radii)
+    width = np.diff(marks, axis=1)[..., None]
+    y = (marks[:, :-1, None] + width * (u + 1) / 2).reshape(len(theta_i), -1)
+    dy = (width * w / 2).reshape(len(theta_i), -1)
+    theta_h = np.arctan(np.exp(y))
+    sets = np.arccos(np.clip(-1 / np.tan(theta_i) / np.tan(2 * theta_h), -1, 1))
+    u, w = np.polynomial.legendre.leggauss(azimuths)
+    phi = sets[..., None] * (u + 1) / 2
+    theta_h, theta_i = theta_h[..., None], theta_i[..., None]
+    cos_d = np.cos(theta_i) * np.cos(theta_h) + np.sin(theta_i) * np.sin(theta_h) * np.cos(phi)
+    cos_o = 2 * cos_d * np.cos(theta_h) - np.cos(theta_i)
+    measure = np.maximum(cos_o, 0) * 4 * cos_d * np.sin(theta_h) ** 2 * np.cos(theta_h) * dy[..., None]
+    measure = measure * 2 * sets[..., None] * w / 2
+    cos_i = np.broadcast_to(np.cos(theta_i), cos_d.shape)
+    arrays = (theta_h, np.arccos(np.clip(cos_d, 0, 1)), cos_i, cos_o, np.where(cos_o > 0, measure, 0))
+    *angles, measure = (jnp.asarray(x) for x in arrays)
+    return Geometry(*angles), measure
 
 
-def settle(values, theta_i):
-    """Albedo by the first rule that agrees with the one before; None if none does."""
-    coarse = albedo(values, theta_i, *RULES[0])
-    for rule in RULES[1:]:
-        fine = albedo(values, theta_i, *rule)
-        if abs(fine - coarse) < SETTLED:
-            return fine
-        coarse = fine
-    return None
+@partial(jax.jit, static_argnums=0)
+def _albedo(effects, values, geometry, measure):
+    return jnp.sum(two_scale(values, geometry, effects, (WAVELENGTH_UM,))[0] * measure, (-2, -1))
+
+
+def albedo(effects, values, incidences_deg=INCIDENCES_DEG, radii=RADII, azimuths=AZIMUTHS):
+    """Directional albedo at some incidences, (A,)."""
+    B = 2 * values.get("b", 1.0) / WAVELENGTH_UM
+    rule = half_vectors(np.radians(incidences_deg), values["beta"], values["p"], B, radii, azimuths)
+    return np.asarray(_albedo(effects, values, *rule))
+
+
+def draw(rng, effects):
+    """One parameter set from the priors (uniform in each parameter's own scale), for one wavelength."""
+    values = {}
+    for q in parameters(effects):
+        lower, upper, u = q.lower - q.offset, q.upper - q.offset, rng.uniform()
+        value = q.offset + (lower + (upper - lower) * u if q.scale == "linear" else lower * (upper / lower) ** u)
+        values[q.name] = np.array([value]) if q.per_channel else value
+    return values
+
+
+def worst_of(effects, sets, rng):
+    """Directional albedos (sets, incidences) with the conserving and the printed split; every other body is white."""
+    found = []
+    for k in range(sets):
+        values = draw(rng, effects)
+        if "albedo" in values and k % 2:
+            values["albedo"] = np.array([1.0])
+        found.append([albedo(replace(effects, split=split), values) for split in ("conserving", "printed")])
+    return np.moveaxis(np.array(found), 1, 0)
 
 
 def main():
-    rng = np.random.default_rng(20261121)
-    rows, unsettled = [], 0
-    for _ in range(SETS):
-        values = {
-            "beta": 10 ** rng.uniform(-2, 0), "p": np.exp(rng.uniform(np.log(0.3), np.log(4))),
-            "b": 10 ** rng.uniform(-0.7, 1.5), "c": 1 + np.exp(rng.uniform(np.log(0.1), np.log(3))),
-            "sigma_s": 10 ** rng.uniform(-2, -0.7), "n": np.array([0.5]), "k": np.array([3.0]),
-        }  # fmt: skip
-        for degrees in ANGLES_DEG:
-            fine = settle(values, np.radians(degrees))
-            if fine is None:
-                unsettled += 1
-            else:
-                rows.append((fine, degrees))
-    found = np.array([r[0] for r in rows])
-    summary = {
-        "what": "directional albedo at F = Q/2 = 1, printed energy split (HP17 Eq. 25), synthetic parameter sets",
-        "cases": len(rows), "unsettled_quadratures": unsettled, "largest": round(float(found.max()), 4),
-        "median": round(float(np.median(found)), 4), "share_above_1.01": round(float(np.mean(found > 1.01)), 4),
-        "largest_by_incidence_deg": {
-            str(d): round(max(r[0] for r in rows if r[1] == d), 4) for d in ANGLES_DEG if any(r[1] == d for r in rows)
-        },
-    }  # fmt: skip
-    print(json.dumps(summary, indent=2))
-    Path("results").mkdir(exist_ok=True)
-    Path("results/energy.json").write_text(json.dumps(summary, indent=2) + "\n")
+    use_persistent_cache()
+    rng = np.random.default_rng(SEED)
+    rows = []
+    for k, effects in enumerate(EFFECT_SETS):
+        share = SETS // len(EFFECT_SETS) + (k < SETS % len(EFFECT_SETS))
+        if effects.diffraction == "exact":
+            share = EXACT_SETS
+        conserving, printed = worst_of(effects, share, rng)
+        default = asdict(FULL)
+        label = (
+            ", ".join(f"{name} {x}" for name, x in asdict(effects).items() if x != default[name])
+            or "default, conductor"
+        )
+        rows.append({
+            "effects": label, "sets": share, "conserving_largest": float(conserving.max()),
+            "printed_largest": float(printed.max()),
+            "printed_above_1.001": float(np.mean(printed.max(1) > 1.001)),
+            "printed_largest_by_incidence": dict(
+                zip(map(str, INCIDENCES_DEG), printed.max(0).round(4).tolist(), strict=True)
+            ),
+            "median_of_conserving_over_printed": float(np.median(conserving / printed)),
+        })  # fmt: skip
+        print(rows[-1], flush=True)
+    what = (
+        f"directional albedo at {', '.join(f'{x:g}' for x in INCIDENCES_DEG)} degrees at {WAVELENGTH_UM} um, "
+        f"{sum(r['sets'] for r in rows)} synthetic parameter sets from the priors of the fit, every other one with a "
+        "body of albedo 1; two tables of the two energy splits on the same sets"
+    )
+    RESULTS.joinpath("energy.json").write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
+    lines = [
+        f"Largest {what}. Made by `python -m tests.energy`.", "",
+        "| effects | sets | conserving: largest | printed: largest | printed: share of sets above 1.001 |",
+        "|---|---|---|---|---|",
+        *(f"| {r['effects']} | {r['sets']} | {r['conserving_largest']:.4f} | {r['printed_largest']:.3f} | "
+          f"{r['printed_above_1.001']:.0%} |" for r in rows),
+        f"| all | {sum(r['sets'] for r in rows)} | {max(r['conserving_largest'] for r in rows):.4f} | "
+        f"{max(r['printed_largest'] for r in rows):.3f} | "
+        f"{np.average([r['printed_above_1.001'] for r in rows], weights=[r['sets'] for r in rows]):.0%} |",
+    ]  # fmt: skip
+    RESULTS.joinpath("energy.md").write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -169,7 +169,7 @@ def test_unknown_material_and_source_name_the_nearest(tmp_path):
         ("[fit\n", "is not TOML"),
         ('[fit]\nmax_steps = "40"\n', "fit.max_steps"),
         ("[effects]\norder = true\n", "effects.order"),
-        ("[fit]\ngrazing = 2\n", "fit.grazing: should be 'free', 'derived' or a number in [0, 1]"),
+        ("[effects]\nacquisition = 2\n", "effects.acquisition: should be 'off', 'free', 'derived' or a number in"),
         ("seed = -1\n", "seed"),
     ],
 )
@@ -208,8 +208,8 @@ def test_settings_of_effects_are_those_of_the_model():
             assert section[field.name].default == field.default
             assert section[field.name].annotation == field.type
     assert set(section) == {field.name for field in dataclasses.fields(Effects)}
-    switched = parse({"effects": {"fresnel": "schlick", "masking": "none", "renormalised": False}}, "here")
-    assert switched.forward("none").effects == Effects(fresnel="schlick", masking="none", renormalised=False)
+    chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False, "acquisition": 0.5}
+    assert parse({"effects": chosen}, "here").effects_of("none") == Effects(**chosen)
 
 
 def test_shipped_schema_is_the_models(tmp_path):

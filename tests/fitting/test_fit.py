@@ -13,7 +13,6 @@ from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
 from merlfit.fitting.residuals import (
-    Forward,
     compressive_weight,
     cos_weighted_median,
     cost,
@@ -23,10 +22,11 @@ from merlfit.fitting.residuals import (
     weighted_samples,
 )
 from merlfit.fitting.starts import read_clues, starting_points
+from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
-from merlfit.model.acquisition import derived_exponent, grazing
+from merlfit.model.acquisition import derived_exponent
 from merlfit.model.effects import BODIES, Effects
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import two_scale
@@ -40,13 +40,15 @@ PLASTIC = {
     "albedo": np.array([0.5, 0.2, 0.05]),
 }  # fmt: skip
 EXPONENT = 0.35
+FREE = Effects("none", acquisition="free")
 
 
 def tabulate(values, effects, exponent=EXPONENT):
     """What MERL's apparatus would have stored of a material: synthetic data."""
     grid = merl_grid()
     parts = []
-    compiled = jax.jit(lambda g: two_scale(values, g, effects) * grazing(g, jnp.asarray(exponent)))
+    measured = dataclasses.replace(effects, acquisition=exponent)
+    compiled = jax.jit(lambda g: two_scale(values, g, measured))
     for rows in np.split(np.arange(90), 9):
         g = Geometry.from_half_difference(
             grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]
@@ -100,11 +102,11 @@ def coarse(files):
 
 def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     _, _, problem = coarse
-    for forward in (Forward(Effects("none")), Forward(Effects("plastic"), "derived"), Forward(Effects("lambert"), 0.3)):
-        z = jnp.asarray(np.random.default_rng(1).normal(size=forward.layout.size))
+    for effects in (FREE, Effects("plastic", acquisition="derived"), Effects("lambert", acquisition=0.3)):
+        z = jnp.asarray(np.random.default_rng(1).normal(size=layout_of(effects).size))
 
-        def residuals(z, forward=forward):
-            return predict(forward, forward.layout.values(z), problem) * jnp.sqrt(problem.weight)
+        def residuals(z, effects=effects):
+            return predict(effects, layout_of(effects).values(z), problem) * jnp.sqrt(problem.weight)
 
         jacobian = np.moveaxis(np.asarray(jax.jacfwd(residuals)(z)), 1, 0).reshape(3, -1, len(z))
         left = np.moveaxis(np.asarray((problem.value * jnp.sqrt(problem.weight)) - residuals(z)), 1, 0).reshape(
@@ -112,16 +114,16 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
         )
         expected = np.concatenate([jacobian, left], 2)
         expected = np.einsum("cnk,cnl->ckl", expected, expected)
-        found = np.asarray(normal_equations(forward, z, problem))
+        found = np.asarray(normal_equations(effects, z, problem))
         scale = np.sqrt(np.einsum("ckk,cll->ckl", expected, expected)) + 1e-300
         assert np.max(np.abs(found - expected) / scale) < 1e-9
-        np.testing.assert_allclose(np.asarray(cost(forward, z, problem)), found[:, -1, -1], rtol=1e-10)
+        np.testing.assert_allclose(np.asarray(cost(effects, z, problem)), found[:, -1, -1], rtol=1e-10)
 
 
 def test_blocks_do_not_change_the_sum(coarse):
     _, thinned, problem = coarse
-    forward = Forward(Effects("none"))
-    z = jnp.asarray(starting_points(forward, thinned)[0])
+    effects = FREE
+    z = jnp.asarray(starting_points(effects, thinned)[0])
     rows = [slice(5 * k, 5 * k + 5) for k in range(4)]
     blocked = dataclasses.replace(
         problem,
@@ -135,7 +137,7 @@ def test_blocks_do_not_change_the_sum(coarse):
         weight=jnp.concatenate([problem.weight[:, :, r] for r in rows]),
     )
     np.testing.assert_allclose(
-        np.asarray(normal_equations(forward, z, blocked)), np.asarray(normal_equations(forward, z, problem)), rtol=1e-9,
+        np.asarray(normal_equations(effects, z, blocked)), np.asarray(normal_equations(effects, z, problem)), rtol=1e-9,
         atol=1e-15,
     )  # fmt: skip
 
@@ -143,10 +145,10 @@ def test_blocks_do_not_change_the_sum(coarse):
 def test_solvers_of_three_libraries_agree(coarse):
     samples = coarse[0]
     problem = make_problem(thin(samples, (10, 10, 45)))
-    forward = Forward(Effects("none", "lobe"))
-    start = forward.layout.free({**CONDUCTOR, "grazing_exponent": EXPONENT}) + 0.1
-    ours, minpack, jaxopt = (solve(forward, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
-    assert ours.cost < solve(forward, start, problem, 1).cost / 10
+    effects = Effects("none", "lobe", acquisition="free")
+    start = layout_of(effects).free({**CONDUCTOR, "grazing_exponent": EXPONENT}) + 0.1
+    ours, minpack, jaxopt = (solve(effects, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
+    assert ours.cost < solve(effects, start, problem, 1).cost / 10
     for other in (minpack, jaxopt):
         assert other.cost == pytest.approx(ours.cost, rel=5e-3)
         np.testing.assert_allclose(other.z, ours.z, atol=0.05)
@@ -200,30 +202,32 @@ def test_data_below_the_horizon_are_left_out():
     assert not np.any(samples.weight[:, ~grid.above[..., :90]])
     problem = make_problem(thin(samples, (1, 3, 10)))
     for grazing_loss in ("free", 0.0):
-        forward = Forward(Effects("lambert", "off"), grazing_loss)
-        assert np.all(np.isfinite(normal_equations(forward, jnp.zeros(forward.layout.size), problem)))
+        effects = Effects("lambert", "off", acquisition=grazing_loss)
+        assert np.all(np.isfinite(normal_equations(effects, jnp.zeros(layout_of(effects).size), problem)))
 
 
 def test_equations_that_are_not_finite_are_a_failure(coarse):
     _, _, problem = coarse
     spoiled = dataclasses.replace(problem, log_base=jnp.where(problem.log_base < -1, -jnp.inf, problem.log_base))
-    forward = Forward(Effects("none"))
-    solution = solve(forward, np.zeros(forward.layout.size), spoiled)
+    effects = FREE
+    solution = solve(effects, np.zeros(layout_of(effects).size), spoiled)
     assert not solution.converged
     assert np.isnan(solution.cost)
-    fitted = Fitted(forward, solution, np.ones(3), Errors(0.0, 0.0), [])
+    fitted = Fitted(effects, solution, np.ones(3), Errors(0.0, 0.0), [])
     assert fitted.status is Status.NON_FINITE
 
 
 def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):
     _, _, problem = coarse
-    forward = Forward(Effects("lambert", "off"), 0.0)
-    z = forward.layout.free({"beta": 0.1, "p": 1.0, "eta": np.full(3, 1.5), "albedo": np.array([0.005, 0.005, 0.2])})
+    effects = Effects("lambert", "off")
+    z = layout_of(effects).free(
+        {"beta": 0.1, "p": 1.0, "eta": np.full(3, 1.5), "albedo": np.array([0.005, 0.005, 0.2])}
+    )
     normal = np.zeros((3, 9, 9))
     normal[:, 8, 8] = 1.0
     normal[:, 5, 5] = 1e3  # the first albedo is well determined, the second is not
-    solution = dataclasses.replace(solve(forward, z, problem, 1), z=z, normal=normal, cost=3.0, converged=True)
-    fitted = Fitted(forward, solution, np.full(3, 20.0), Errors(0.0, 0.0), [])
+    solution = dataclasses.replace(solve(effects, z, problem, 1), z=z, normal=normal, cost=3.0, converged=True)
+    fitted = Fitted(effects, solution, np.full(3, 20.0), Errors(0.0, 0.0), [])
     assert fitted.at_bound == ["no"] * 6 + ["lower", "no"]
     assert fitted.status is Status.AT_BOUND
 

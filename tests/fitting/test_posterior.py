@@ -9,7 +9,8 @@ import pytest
 from merlfit.fitting import run
 from merlfit.fitting.levenberg_marquardt import solve
 from merlfit.fitting.posterior import free_of_normal, independent_proposal, laplace_covariance, normal_of_free, sample
-from merlfit.fitting.residuals import Forward, make_problem
+from merlfit.fitting.residuals import make_problem
+from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.effects import Effects
@@ -94,11 +95,11 @@ SETS, NOISE = 6, np.array([0.01, 0.006, 0.003])  # relative to the root mean squ
 @pytest.fixture(scope="module")
 def noisy_posteriors():
     """Posteriors of synthetic data with independent noise of one size, for which the likelihood is the true one."""
-    forward = Forward(Effects("lambert", "off"), 0.0)
+    effects = Effects("lambert", "off")
     grid = merl_grid()
     ones = np.ones((3, 90, 90, 180))
     blank = thin(fold(grid, ones, np.where(grid.above, 1.0, 0.0) * ones), (10, 10, 45))
-    clean = run.predict_samples(forward, forward.layout.free(TRUTH), blank, make_problem(blank))
+    clean = run.predict_samples(effects, layout_of(effects).free(TRUTH), blank, make_problem(blank))
     counts = (blank.weight > 0).sum((1, 2, 3)).astype(float)
     size = (NOISE * np.sqrt(np.sum(blank.weight * clean**2) / counts.sum()))[:, None, None, None]
     rng = np.random.default_rng(6)
@@ -107,21 +108,21 @@ def noisy_posteriors():
         noise = size * rng.normal(size=clean.shape) / np.sqrt(np.where(blank.weight > 0, blank.weight, np.inf))
         samples = dataclasses.replace(blank, value=clean + noise)
         problem = make_problem(samples)
-        best = solve(forward, forward.layout.free(TRUTH), problem)
+        best = solve(effects, layout_of(effects).free(TRUTH), problem)
         assert best.converged
-        target = (forward, problem)
+        target = (effects, problem)
         chain = sample(target, target, best.z, best.normal, counts, 3000, seed)
-        found.append((best, chain, counts, forward, problem))
+        found.append((best, chain, counts, effects, problem))
     return found
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(noisy_posteriors):
     ranks, inside = [], 0
-    for _, chain, _, forward, _ in noisy_posteriors:
+    for _, chain, _, effects, _ in noisy_posteriors:
         assert chain.sufficient, chain.message
         assert chain.thinning_error < 1e-6
-        values = chain.values(forward.layout)
-        truth = np.concatenate([np.ravel(TRUTH[q.name]) for q in forward.layout.parameters])
+        values = chain.values(layout_of(effects))
+        truth = np.concatenate([np.ravel(TRUTH[q.name]) for q in layout_of(effects).parameters])
         ranks.append(np.mean(values < truth, 0))
         low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
         assert np.all((low < middle) & (middle < high))
@@ -135,11 +136,11 @@ def test_intervals_hold_the_truth_as_often_as_they_say(noisy_posteriors):
 def test_a_well_determined_posterior_is_the_laplace_approximation(noisy_posteriors):
     """Around the optimum of channels weighed by N_c / S_c, as the likelihood weighs them; Eq. 56 weighs all alike."""
     astray = 0.0
-    for best, chain, counts, forward, problem in noisy_posteriors:
+    for best, chain, counts, effects, problem in noisy_posteriors:
         free = chain.chain.reshape(-1, chain.chain.shape[-1])
         scale = counts / best.normal[:, -1, -1]
         weighed = dataclasses.replace(problem, weight=problem.weight * (scale / scale.mean())[:, None, None, None])
-        centre = solve(forward, best.z, weighed).z
+        centre = solve(effects, best.z, weighed).z
         expected = np.sqrt(np.diag(laplace_covariance(best.normal, counts, best.z)))
         narrow = expected < 0.3  # others are skewed by the bounds
         assert narrow.sum() >= 7

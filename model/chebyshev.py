@@ -1,0 +1,27 @@
+"""Interpolation through Chebyshev nodes: tables of smooth functions that cost a handful of evaluations."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .numerics import Real
+
+
+def nodes(count: int) -> np.ndarray:
+    """The ``count`` roots of T_count in (0, 1), shape ``(count,)``."""
+    return (1 + np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
+
+
+def weights(x: Real, count: int) -> Real:
+    """Weights by which values at the nodes make the interpolating polynomial at ``x`` in [0, 1].
+
+    Returns:
+        shape ``(count, *x.shape)``; summed with the values over the first axis they give the polynomial.
+    """
+    k = np.arange(count)
+    to_coefficients = np.cos(np.outer(k, np.pi * (k + 0.5) / count)) * (2 / count)
+    to_coefficients[0] /= 2
+    x = jnp.clip(2 * x - 1, -1.0, 1.0)
+    rows = [jnp.ones_like(x), x]
+    for _ in range(count - 2):
+        rows.append(2 * x * rows[-1] - rows[-2])
+    return jnp.tensordot(jnp.asarray(to_coefficients.T, x.dtype), jnp.stack(rows[:count]), 1)

@@ -1,0 +1,213 @@
+"""A split of the energy that never gives back more than it receives (``Effects.split = "conserving"``).
+
+HP17 Eq. 25 dims the mirror term by A_spec(theta_d), but A depends on the direction of the viewer: towards grazing
+incidence the diffraction lobe takes more light than the mirror term gives up. Three remedies, all reciprocal:
+
+1. **On the facet.** A facet meets the light at theta_d, so the mirror term is dimmed by A'(theta_d) = 1 - E(theta_d), E
+   being the directional albedo at |F| = 1 of the facet's own diffraction lobe (`lobe_albedo`), a table over theta_d.
+2. **On the surface.** Eq. 33 drops the facets' foreshortening, Q/2 of a metal is not bounded at grazing angles, and
+   masking may be switched off. Let E(theta) be the surface's directional albedo (`two_scale.surface_albedo`): the
+   lobes are divided by max(1, E(theta_i)) max(1, E(theta_o)), which is 1 where nothing is in excess.
+3. **Under it.** A body gets and gives back what the surface lets through: T(theta) = 1 - min(1, E(theta)) takes the
+   place of the smooth interface's transmittance, T(i) T(o) over its mean, as in Kelemen & Szirmay-Kalos 2001.
+
+Both tables are Chebyshev interpolations of quadratures, differentiable in every parameter.
+"""
+
+import math
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from . import body, chebyshev, diffraction
+from .geometry import Geometry
+from .numerics import Real, Scalar, safe_acos, safe_divide, safe_sqrt
+from .quadrature import gauss_legendre
+
+SHARES = 24  # nodes of the renormalisation as a function of the facet's incidence: 1e-5
+LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: 1e-4
+LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
+EVEN, CROWDED = 16, 16  # nodes of the surface's albedo: even in sqrt(cos), and where masking sets in
+INCIDENCES = EVEN + CROWDED
+ORDER = 16  # of the convolution in the surface's albedo
+RADII = (14, 24, 14)  # Gauss nodes in log tan(theta_h): below, around and beyond the edge of D
+AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
+STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
+
+
+def _share_of(b_over_lambda: Array, c: Scalar) -> Callable[[Array], Array]:
+    """sigma_rel^2/sigma_s^2 (`diffraction.renormalisation`) as a table over 1 - sin(theta_d), per channel (C,).
+
+    The variable is asinh(b/lambda (1 - sin)): the share falls where the lobe's centre is within its width of the rim.
+    """
+    longest = jnp.arcsinh(b_over_lambda)  # (C,)
+    gap = jnp.sinh(chebyshev.nodes(SHARES)[:, None] * longest) / b_over_lambda
+    values = diffraction.renormalisation(1 - gap, jnp.broadcast_to(b_over_lambda, gap.shape), c)  # (K, C)
+
+    def share(one_minus_sin: Array) -> Array:  # (C, ...)
+        along = (-1, *(1,) * (one_minus_sin.ndim - 1))
+        x = jnp.arcsinh(b_over_lambda.reshape(along) * one_minus_sin) / longest.reshape(along)
+        return jnp.sum(chebyshev.weights(x, SHARES) * values.reshape(SHARES, *along), 0)
+
+    return share
+
+
+def lobe_albedo(
+    theta_d: Real, b_um: Scalar, c: Scalar, sigma_s: Scalar, wavelength_um: Array, renormalised: bool, exact: bool
+) -> Array:
+    """E(theta_d): directional albedo at |F| = 1 of a facet's own diffraction lobe, per wavelength.
+
+    E = Int over |o_p| <= 1 of (1 - A) S_HS(|i_p + o_p|/lambda) d^2 o_p for light at theta_d from the facet's normal.
+    The facet sees what the model makes of it: sigma_rel and A at half the angle between i and o; with the approximation
+    1 - A = (1 - A_spec) cos^2(theta_h) of HP17 Eq. 30 unless ``exact``, when A is that of Eq. 23.
+
+    Args:
+        theta_d: incidence on the facet (rad), any shape. b_um, sigma_s: micrometres. c: falloff of the spectrum.
+        wavelength_um: shape ``(C, 1, ..., 1)``, as many ones as ``theta_d`` has axes.
+        renormalised: whether sigma_rel and the lobe's amplitude are renormalised (Eq. 17-19).
+
+    Returns:
+        shape ``(C, *theta_d.shape)``. Accuracy: 2e-4 (``tests/model/test_energy.py``).
+    """
+    wavelengths = wavelength_um.reshape(-1)
+    table = _lobe_albedo_table(b_um / wavelengths, c, sigma_s / wavelengths, renormalised, exact)  # (C, K)
+    w = chebyshev.weights(jnp.asarray(theta_d) * (2 / jnp.pi), LOBE_INCIDENCES)
+    return jnp.tensordot(table, w, 1)
+
+
+def _lobe_albedo_table(
+    b_over_lambda: Array, c: Scalar, sigma_over_lambda: Array, renormalised: bool, exact: bool
+) -> Array:
+    """E at the Chebyshev nodes of theta_d/(pi/2), (C, K).
+
+    The plane of projected directions, polar around the lobe's centre: radius r = sinh(t)/(b/lambda); the complete disc
+    r < 1 - s, and the rings cut by the horizon, s = sin(theta_d). Nodes of the azimuth, counted from the nearest point
+    of the horizon, crowd where the ring crosses it and cos_o has its root.
+    """
+    theta = np.pi / 2 * chebyshev.nodes(LOBE_INCIDENCES)[:, None]
+    s, cos_i = jnp.sin(theta), jnp.cos(theta)
+    gap = 2 * jnp.sin((np.pi / 2 - theta) / 2) ** 2  # 1 - s
+    bl = b_over_lambda[:, None, None]
+    u, w = gauss_legendre(LOBE_RADII)
+    crowded, dcrowded = np.sin(np.pi / 2 * u) ** 2, w * np.pi / 2 * np.sin(np.pi * u)
+    inner, outer = jnp.arcsinh(bl * gap), jnp.arcsinh(bl * (1 + s))
+    t = jnp.concatenate([inner * u, inner + (outer - inner) * crowded], -1)[..., None]
+    dt = jnp.concatenate([inner * w, (outer - inner) * dcrowded], -1)
+    bl, s, cos_i, gap = bl[..., None], s[..., None], cos_i[..., None], gap[..., None]
+    r = jnp.sinh(t) / bl
+    # 1 - |o_p|^2 = 1 - s^2 - r^2 - 2 s r cos(azimuth)
+    v, wv = gauss_legendre(LOBE_AZIMUTHS)
+    ahead = safe_acos(jnp.clip(safe_divide(gap * (1 + s) - r * r, 2 * s * r), -1.0, 1.0))
+    azimuth = ahead + (jnp.pi - ahead) * v**2
+    cos_o = safe_sqrt(gap * (1 + s) - r * r - 2 * s * r * jnp.cos(azimuth))
+    cos_2d = cos_i * cos_o - s * (s + r * jnp.cos(azimuth))
+    cos2_d = (1 + cos_2d) / 2
+    cos2_h = jnp.clip(safe_divide((cos_i + cos_o) ** 2, 4 * cos2_d), 0.0, 1.0)
+    share = jnp.ones(())
+    if renormalised:
+        share = _share_of(b_over_lambda, c)(cos2_d / (1 + safe_sqrt(1 - cos2_d)))
+    phase = diffraction.phase_variance(
+        share * sigma_over_lambda[:, None, None, None] ** 2, safe_sqrt(cos2_d), jnp.ones(())
+    )
+    taken = -jnp.expm1(-phase * cos2_h) if exact else -jnp.expm1(-phase) * cos2_h
+    ring = jnp.sum(taken / share * 2 * (jnp.pi - ahead) * (2 * v * wv), -1)
+    # amplitude (1 + bl^2 r^2)^(-(c+1)/2) r dr, in t
+    return jnp.sum(ring * (c - 1) / (2 * jnp.pi) * jnp.tanh(t[..., 0]) * jnp.cosh(t[..., 0]) ** (1 - c) * dt, -1)
+
+
+def incidences(beta: Scalar) -> Array:
+    """Nodes of incidence (rad), (INCIDENCES,), ascending: even in each of the two parts of `_abscissa`."""
+    even = np.arccos((1 - (np.arange(EVEN) + 0.02) / EVEN) ** 2)
+    masked = (np.arange(CROWDED) + 0.5) / CROWDED
+    return jnp.sort(jnp.concatenate([jnp.asarray(even), jnp.arctan((masked / (1 - masked)) ** 2 / beta)]))
+
+
+def _abscissa(theta: Real, beta: Scalar) -> Real:
+    """Variable in which a surface's albedo is smooth: 1 - sqrt(cos theta) plus 1 - 1/(1 + sqrt(beta tan theta)).
+
+    The first resolves Fresnel's rise, the second masking, whatever the width beta (see `shadowing.masking`).
+    """
+    theta = jnp.clip(theta, 0.0, np.pi / 2 - 1e-9)
+    root = safe_sqrt(beta * jnp.tan(theta))
+    return 1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)
+
+
+def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar) -> tuple[Geometry, Array]:
+    """Half vectors for light at the nodes of incidence, and the measure cos_o domega_o of their viewers.
+
+    The same theta_h for every incidence, in log tan(theta_h): three panels around the edge of D. Azimuths from the
+    plane of incidence to where the viewer sets, at cos(phi) = -cot(theta_i) cot(2 theta_h).
+
+    Returns:
+        geometry with theta_h ``(1, R, 1)`` and the rest ``(INCIDENCES, R, AZIMUTHS)``; measure of that shape.
+    """
+    theta_i = incidences(beta)[:, None, None]
+    log_beta = jnp.log(beta)
+    high = float(np.log(np.tan(STEEPEST)))
+    low = jnp.minimum(log_beta, -jnp.log1p(largest_B)) - 5.0
+    edges = [low, log_beta - 1.0, jnp.minimum(log_beta + jnp.minimum(jnp.log(34 + 3 / p) / (2 * p), 2.0), high), high]
+    rules = [gauss_legendre(n) for n in RADII]
+    y = jnp.concatenate([a + (b - a) * u for a, b, (u, _) in zip(edges, edges[1:], rules, strict=False)])
+    dy = jnp.concatenate([(b - a) * w for a, b, (_, w) in zip(edges, edges[1:], rules, strict=False)])
+    tan_h = jnp.exp(y)[None, :, None]
+    theta_h = jnp.arctan(tan_h)
+    sin_h, cos_h = jnp.sin(theta_h), jnp.cos(theta_h)
+    sin_i, cos_i = jnp.sin(theta_i), jnp.cos(theta_i)
+    v, w = gauss_legendre(AZIMUTHS)
+    sets = -cos_i * (cos_h**2 - sin_h**2) / (2 * sin_i * sin_h * cos_h)
+    end = safe_acos(jnp.clip(sets, -1.0, 1.0))
+    phi, dphi = end * v, end * w
+    cos_d = cos_i * cos_h + sin_i * sin_h * jnp.cos(phi)
+    cos_o = 2 * cos_d * cos_h - cos_i
+    seen = (cos_o > 0) & (cos_d > 0)
+    cos_d, cos_o = jnp.where(seen, cos_d, 1.0), jnp.where(seen, cos_o, 1.0)
+    measure = jnp.where(seen, cos_o * 4 * cos_d * sin_h**2 * cos_h * dy[:, None] * 2 * dphi, 0.0)
+    return Geometry(theta_h, safe_acos(cos_d), jnp.broadcast_to(cos_i, cos_d.shape), cos_o), measure
+
+
+def at_incidence(table: Array, beta: Scalar, theta: Real) -> Array:
+    """A table over the nodes of incidence, (C, INCIDENCES), at angles ``theta``: shape (C, *theta.shape).
+
+    Cubic through the four nearest nodes, of log(1 + E), which is tame where masking is off and E grows as 1/cos.
+    """
+    nodes = _abscissa(incidences(beta), beta)
+    x = _abscissa(jnp.asarray(theta), beta)
+    first = jnp.clip(jnp.searchsorted(nodes, x) - 2, 0, INCIDENCES - 4)
+    x = jnp.clip(x, nodes[0], nodes[-1])
+    near = [nodes[first + k] for k in range(4)]
+    value = jnp.zeros(())
+    for k in range(4):
+        others = [m for m in range(4) if m != k]
+        weight = math.prod((x - near[m]) / (near[k] - near[m]) for m in others)
+        value = value + weight * jnp.log1p(table)[:, first + k]
+    return jnp.expm1(value)
+
+
+def mean_transmittance(table: Array, beta: Scalar) -> Array:
+    """Int (1 - min(1, E)) cos domega / pi of a table over the nodes of incidence, (C,)."""
+    u, w = gauss_legendre(64)
+    theta = np.pi / 2 * u
+    through = jnp.maximum(1 - at_incidence(table, beta, jnp.asarray(theta)), 0.0)
+    return jnp.sum(through * (np.pi / 2 * w * 2 * np.sin(theta) * np.cos(theta)), -1)
+
+
+def unlit_body(kind: str, cos_i: Real, cos_o: Real, albedo: Real, n: Real | None) -> Array:
+    """A body's BRDF without the transmittances T(i) T(o) and times their mean: (1/sr).
+
+    With T(i) T(o) over the mean of T its directional albedo is at most T(i). ``lambert``: rho_d/pi; ``plastic``: the
+    net albedo rho_d (1 - r_e)/(eta^2 (1 - r_i rho_d)) over pi, 1 at rho_d = 1; ``subsurface``: what HP17 Eq. 44-47 give
+    back, divided by its excess over 1 at grazing incidence, where it is largest.
+    """
+    if kind == "lambert" or n is None:
+        return body.lambert(albedo)
+    leaving = 1 - body.external_diffuse_reflectance(n)
+    if kind == "plastic":
+        inside = body.internal_diffuse_reflectance(n)
+        return albedo * leaving / (jnp.pi * n**2 * (1 - inside * albedo))
+    u, w = gauss_legendre(16)
+    along = u.reshape(-1, *(1,) * jnp.ndim(n))
+    grazing = body.scattered(jnp.zeros(()), jnp.asarray(along), n, albedo)
+    most = leaving * jnp.tensordot(2 * np.pi * u * w, grazing, 1)
+    return leaving * body.scattered(cos_i, cos_o, n, albedo) / jnp.maximum(most, 1.0)

@@ -1,0 +1,172 @@
+"""What each tier of the diffraction lobe costs and errs by: `python -m tests.tier_errors` writes results/tiers.*.
+
+500 synthetic parameter sets drawn from the priors of the fit (conductors), for each of them directions drawn from all
+bins of MERL's grid above the horizon, one of the three wavelengths. The reference is Eq. 27 (`exact`), once with Q/2 on
+the facet and once with F in its place on both sides, which takes the frame of Q out of the comparison; and Eq. 33 at
+order 96, which the cheaper tiers approximate. Time: one BRDF on the whole of MERL's grid, three channels, after
+compilation, median of five, in the same run; `exact` is timed on a list of directions and scaled.
+"""
+
+import json
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib
+import numpy as np
+from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.merl_io.grid import merl_grid
+from merlfit.model.effects import Effects
+from merlfit.model.geometry import Geometry
+from merlfit.model.parameters import WAVELENGTHS_UM, parameters
+from merlfit.model.two_scale import two_scale
+
+SEED, SETS, DIRECTIONS = 20261121, 500, 128
+TIERS = {
+    "lobe": Effects(diffraction="lobe"),
+    "scaled": Effects(diffraction="scaled"),
+    "zonal 25": Effects(diffraction="zonal", zonal_order=25),
+    "zonal 100": Effects(diffraction="zonal"),
+    "quadrature 8": Effects(order=8),
+    "quadrature 16": Effects(order=16),
+    "quadrature 32": Effects(),
+    "quadrature 64": Effects(order=64),
+}
+REFERENCES = {"Eq. 27": "exact", "Eq. 27, F for Q/2": "exact", "Eq. 33": "quadrature"}
+RESULTS = Path(__file__).parents[1] / "results"
+
+
+def draws():
+    """Parameters (S,) each, uniform in their own scale between their bounds, wavelengths (S,), geometry (S, N)."""
+    rng = np.random.default_rng(SEED)
+    values = {}
+    for q in parameters(Effects()):
+        lower, upper, u = q.lower - q.offset, q.upper - q.offset, rng.uniform(size=SETS)
+        values[q.name] = q.offset + (
+            lower + (upper - lower) * u if q.scale == "linear" else lower * (upper / lower) ** u
+        )
+    grid = merl_grid()
+    bins = np.argwhere(grid.above)
+    h, d, p = np.moveaxis(bins[rng.integers(len(bins), size=(SETS, DIRECTIONS))], -1, 0)
+    geometry = Geometry.from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
+    return values, rng.choice(WAVELENGTHS_UM, SETS), geometry
+
+
+@partial(jax.jit, static_argnums=0)
+def evaluate(effects, values, wavelength, geometry):
+    """(BRDF, its diffraction lobe) at all directions of all sets, (S, N) each."""
+
+    def one(case):
+        v, wavelength, g = case
+        v = {name: x[None] if name in ("n", "k") else x for name, x in v.items()}
+        whole = two_scale(v, g, effects, wavelength[None])[0]
+        # without the mirror term: at a perfect match of indices nothing is reflected, but S stays
+        return whole, whole - _mirror_term(effects, v, g, wavelength)
+
+    return jax.lax.map(one, (values, wavelength, geometry))
+
+
+def _mirror_term(effects, v, g, wavelength):
+    from merlfit.model.two_scale import assemble, factors, setting, shaped
+
+    s = setting(g, effects, wavelength[None])
+    at = {n: f.evaluate(shaped(v, s), s) for n, f in factors(effects).items() if n in ("mirror", "shadow")}
+    return assemble(at, s)[0]
+
+
+def summary(error):
+    median, high, worst = np.quantile(error, [0.5, 0.95, 1.0])
+    return {"median": float(median), "p95": float(high), "worst": float(worst)}
+
+
+def grid_seconds(effects):
+    """Median time of a BRDF on the whole grid, three channels."""
+    grid = merl_grid()
+    g = Geometry.from_half_difference(
+        grid.theta_h[:, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]
+    )
+    values = {"beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "n": np.full(3, 1.8), "k": np.full(3, 3.0)}
+    if effects.diffraction == "exact":
+        g = jax.tree.map(lambda x: jnp.broadcast_to(x, g.cos_i.shape)[::9, 4::9, 4::18].ravel(), g)
+    compiled = jax.jit(lambda v: two_scale(v, g, effects))
+    values = {k: jnp.asarray(v) for k, v in values.items()}
+    compiled(values).block_until_ready()
+    seconds = []
+    for _ in range(3 if effects.diffraction == "exact" else 5):
+        start = time.perf_counter()
+        compiled(values).block_until_ready()
+        seconds.append(time.perf_counter() - start)
+    return float(np.median(seconds)) * grid.above.size / g.cos_i.size
+
+
+def main():
+    use_persistent_cache()
+    values, wavelength, geometry = draws()
+    rows, errors = {}, {}
+    for reference, tier in REFERENCES.items():
+        colour = "fresnel" if "F for" in reference else "rayleigh_rice"
+        target = Effects(diffraction=tier, colour=colour, order=96)
+        whole, lobe = (np.asarray(x) for x in evaluate(target, values, wavelength, geometry))
+        for name, effects in TIERS.items():
+            found, found_lobe = (
+                np.asarray(x) for x in evaluate(replace(effects, colour=colour), values, wavelength, geometry)
+            )
+            seen = whole > 0
+            in_lobe = np.abs(found_lobe - lobe)[seen] / lobe[seen]
+            in_all = np.abs(found - whole)[seen] / whole[seen]
+            peak = np.max(np.abs(found_lobe - lobe), 1) / np.max(lobe, 1)
+            rows.setdefault(name, {})[reference] = {
+                "lobe": summary(in_lobe),
+                "brdf": summary(in_all),
+                "lobe_over_peak": summary(peak),
+            }
+            errors[name, reference] = in_lobe
+            print(reference, name, rows[name][reference], flush=True)
+    seconds = {
+        name: grid_seconds(effects) for name, effects in {**TIERS, "exact": Effects(diffraction="exact")}.items()
+    }
+    write(rows, seconds, errors)
+
+
+def write(rows, seconds, errors):
+    what = (
+        f"synthetic: {SETS} conductor parameter sets drawn from the priors of the fit, {DIRECTIONS} directions each "
+        "drawn from all bins of MERL's grid above the horizon"
+    )
+    (RESULTS / "tiers.json").write_text(
+        json.dumps({"what": what, "errors": rows, "grid_seconds": seconds}, indent=1) + "\n"
+    )
+    lines = [f"Errors of the tiers of the diffraction lobe. Data: {what}. Made by `python -m tests.tier_errors`.", ""]
+    for reference in REFERENCES:
+        lines += [
+            f"**Against {reference}**" + (" at order 96" if reference == "Eq. 33" else ""), "",
+            "| tier | lobe: median | 95 % | worst | whole BRDF: median | 95 % | worst | time on MERL's grid |",
+            "|---|---|---|---|---|---|---|---|",
+        ]  # fmt: skip
+        for name in TIERS:
+            cells = [rows[name][reference][part][k] for part in ("lobe", "brdf") for k in ("median", "p95", "worst")]
+            lines.append(f"| {name} | " + " | ".join(f"{x:.2g}" for x in cells) + f" | {seconds[name]:.3g} s |")
+        lines.append("")
+    lines.append(f"`exact` itself would take {seconds['exact']:.0f} s on MERL's grid (measured on a list, scaled).")
+    (RESULTS / "tiers.md").write_text("\n".join(lines) + "\n")
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(15, 4.8), sharey=True, layout="constrained")
+    for axis, reference in zip(axes, REFERENCES, strict=True):
+        for name in TIERS:
+            error = np.sort(np.maximum(errors[name, reference], 1e-9))
+            axis.plot(error, np.linspace(0, 1, len(error)), label=f"{name} ({seconds[name]:.2g} s)")
+        axis.set(xscale="log", xlim=(1e-7, 1e2), title=f"against {reference}", xlabel="relative error of the lobe")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("share of directions with less error")
+    axes[0].legend(fontsize=8)
+    figure.suptitle(f"Tiers of the diffraction lobe, {what} (time: whole MERL grid, 3 channels)", fontsize=10)
+    figure.savefig(RESULTS / "tiers.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()
