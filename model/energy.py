@@ -32,7 +32,7 @@ LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and
 EVEN, CROWDED = 16, 16  # nodes of the surface's albedo: even in sqrt(cos), and where masking sets in
 INCIDENCES = EVEN + CROWDED
 ORDER = 16  # of the convolution in the surface's albedo
-RADII = (14, 24, 14)  # Gauss nodes in log tan(theta_h): below, around and beyond the edge of D
+RADII = (14, 24, 24)  # Gauss nodes in log tan(theta_h): below, around and beyond the edge of D
 AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
 STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
 
