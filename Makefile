@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test lint types install schema clean
+.PHONY: demo test hard-cases lint types install schema clean
 
 install: $(READY)
 
@@ -21,6 +21,9 @@ schema: install
 
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+hard-cases: install
+	$(BIN)/python -m tests.hard_cases
 
 lint: install
 	$(BIN)/ruff check .

@@ -89,7 +89,7 @@ class Candidate(_Part):
 class Fit(_Part):
     """How the fit ended. Costs are Eq. 56 relative to the measurement's weighted energy."""
 
-    status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "NON_FINITE", "NO_DATA"]
+    status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "UNEXPLAINED", "NON_FINITE", "NO_DATA"]
     message: str
     succeeded: bool
     cost: float | None

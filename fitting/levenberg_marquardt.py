@@ -43,6 +43,10 @@ class Status(Enum):
     AT_BOUND = "converged with parameters at a bound: the data ask for a value at or beyond it, see at_bound"
     STEP_LIMIT = "stopped at the step limit while the cost was still falling: raise fit.max_steps"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
+    UNEXPLAINED = (
+        "failed: the model explains less than half of the file; check it with `merlfit check`, "
+        "try body = 'auto' and acquisition = 'free'"
+    )
     NO_DATA = (
         "failed: fewer than 30 valid bins that are not black, on all bins or on a thinned grid; see `merlfit check`"
     )

@@ -20,6 +20,7 @@ from .posterior import Posterior, laplace_covariance
 from .transforms import layout_of
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
+UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
 UNRESOLVED = 0.5  # standard error of logit(u), that is two standard errors from the bound: nearer it is at it
 Bound = Literal["no", "lower", "upper"]
 
@@ -59,6 +60,8 @@ class Fitted:
         """How it ended."""
         if not (np.isfinite(self.solution.cost) and np.all(np.isfinite(self.solution.normal))):
             return Status.NON_FINITE
+        if self.solution.cost > UNEXPLAINED_COST:
+            return Status.UNEXPLAINED
         if not self.solution.converged:
             return Status.STEP_LIMIT
         return Status.CONVERGED if set(self.at_bound) == {"no"} else Status.AT_BOUND

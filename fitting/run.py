@@ -35,6 +35,7 @@ SAMPLING = ((1, 1, 1, 2, 3, 4, 6, 6, 6, *(10,) * 6), 6, 30)  # 15 x 15 x 3 bins,
 SAMPLING_ORDER = 16  # of the convolution in the posterior: median error 2e-4
 TRIAL_STEPS = 25  # that a screened start is followed before the best is chosen
 LEAST_BINS = 30  # fewer bins with light than this, of all or of a thinned grid, cannot carry a dozen parameters
+BLACK = 1e-30  # 1/sr: no more light than this is none
 Report = Callable[[str], None]
 
 
@@ -90,7 +91,7 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
     """Coarse grid first for every body asked for, then all valid bins for the best; None without enough light."""
     grids = (COARSE, SAMPLING) if config.posterior.enabled else (COARSE,)
     sets = [samples, *(thin(samples, runs) for runs in grids)]
-    if min(int(np.any((s.weight > 0) & (s.value > 0), axis=0).sum()) for s in sets) < LEAST_BINS:
+    if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
         bodies: tuple[Body, ...] = BODIES if config.effects.body == "auto" else (config.effects.body,)

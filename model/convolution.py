@@ -16,16 +16,16 @@ sets, each dense where one of them varies, share the integrand by a smooth parti
 The nodes move with the parameters, all in closed form, so the result is a smooth function of them.
 """
 
+import math
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jax.scipy.special import digamma
-from jaxtyping import Array, Float
 
+from . import chebyshev
 from .ndf import log_p22_peak
 from .numerics import Real, Scalar, safe_divide, safe_sqrt, sin_quarter, softplus, total
 from .quadrature import gauss_legendre
@@ -41,6 +41,7 @@ def interpolation_nodes(order: int) -> int:
     return max(8, min(20, order * 5 // 8))
 
 
+CHUNK = 2048  # points convolved at a time: 2048 points x 2 x 32 x 10 nodes x 8 bytes = 10 MB an intermediate
 EDGE = 2.5  # start of the edge of D, in units of its own log-width
 SHARPNESS = 3  # exponent of the partition of unity
 
@@ -237,37 +238,41 @@ def lobe(theta_h: Real, B: Real, c: Scalar) -> Real:
     return jnp.exp(-(c + 1) / 2 * jnp.log1p((B * jnp.sin(theta_h)) ** 2)) * jnp.cos(theta_h) ** 2
 
 
-def convolve_grid(
-    theta_h: Float[Array, " H"], log_cos_over_lambda: Float[Array, " U"], b: Scalar, c: Scalar, beta: Scalar, p: Scalar,
-    order: int = 32,
-) -> Float[Array, "H U"]:  # fmt: skip
-    """:func:`convolve` for all pairs of half angle and cos_d/lambda, through a small table shared by all channels.
+def convolve_many(
+    theta_h: Real, cos_over_lambda: Real, b: Scalar, c: Scalar, beta: Scalar, p: Scalar, order: int = 32
+) -> Real:
+    """:func:`convolve` at B = 2 b cos_d/lambda for many directions, without its intermediates for all of them at once.
 
-    (S*D) depends on theta_h and B = 2 b cos_d/lambda only, and log (S*D) is smooth in log B: it is computed at
-    a few Chebyshev nodes over the range of log(cos_d/lambda) and interpolated.
+    (S*D) depends on theta_h and B only, and its logarithm is smooth in log B: where many values of B share a theta_h it
+    is computed for each theta_h at a few Chebyshev nodes over the range of log B, for all channels together, and
+    interpolated; else in chunks that fit the cache.
 
     Args:
-        theta_h: shape ``(H,)``. log_cos_over_lambda: shape ``(U,)``, 1/um. b: correlation length (um).
+        theta_h: half angle (rad). cos_over_lambda: cos_d/lambda (1/um), of at least as many axes; they broadcast.
+        b: correlation length (um). c, beta, p, order: as for `convolve`.
 
-    Returns:
-        shape ``(H, U)``.
+    Accuracy: see `interpolation_nodes`.
     """
-    low, high = jnp.min(log_cos_over_lambda), jnp.max(log_cos_over_lambda)
-    half, middle = jnp.maximum((high - low) / 2, 1e-6), (high + low) / 2
+    shape = jnp.broadcast_shapes(theta_h.shape, cos_over_lambda.shape)
     count = interpolation_nodes(order)
-    k = np.arange(count)
-    nodes = np.cos(np.pi * (k + 0.5) / count)
-    to_coefficients = np.cos(np.outer(k, np.arccos(nodes))) * (2 / count)
-    to_coefficients[0] /= 2
-    B = 2 * b * jnp.exp(middle + half * nodes)
-    values = jnp.log(convolve(theta_h[:, None], B[None, :], c, beta, p, order))
-    x = jnp.clip((log_cos_over_lambda - middle) / half, -1.0, 1.0)
-    return jnp.exp(values @ (to_coefficients.T @ _chebyshev(x, count)))
+    if theta_h.size * count >= math.prod(shape):
+        return _in_chunks(theta_h, 2 * b * cos_over_lambda, c, beta, p, order)
+    log_u = jnp.log(cos_over_lambda)
+    low, high = jnp.min(log_u), jnp.max(log_u)
+    width = jnp.maximum(high - low, 1e-6)
+    nodes = jnp.asarray(chebyshev.nodes(count), log_u.dtype).reshape(-1, *(1,) * theta_h.ndim)
+    table = jnp.log(_in_chunks(theta_h, 2 * b * jnp.exp(low + width * nodes), c, beta, p, order))
+    table = table.reshape(count, *(1,) * (len(shape) - theta_h.ndim), *theta_h.shape)
+    return jnp.exp(jnp.sum(table * chebyshev.weights((log_u - low) / width, count), 0))
 
 
-def _chebyshev(x: Real, count: int) -> Real:
-    """Chebyshev polynomials T_0 .. T_(count-1) at x, shape ``(count, *x.shape)``."""
-    rows = [jnp.ones_like(x), x]
-    for _ in range(count - 2):
-        rows.append(2 * x * rows[-1] - rows[-2])
-    return jnp.stack(rows[:count])
+def _in_chunks(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: int) -> Real:
+    """`convolve`, no more than ``CHUNK`` points at a time."""
+    theta_h, B = jnp.broadcast_arrays(theta_h, B)
+    if theta_h.size <= CHUNK:
+        return convolve(theta_h, B, c, beta, p, order)
+
+    def at(point: tuple[Real, Real]) -> Real:
+        return convolve(*point, c, beta, p, order)
+
+    return jax.lax.map(at, (theta_h.ravel(), B.ravel()), batch_size=CHUNK).reshape(theta_h.shape)

@@ -14,17 +14,15 @@ differentiates needs each factor's derivative only in the parameters it names. `
 conserving split (:mod:`merlfit.model.energy`), ``loss`` to the acquisition, not to the material.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from . import acquisition, body, chebyshev, convolution, diffraction, energy, exact, scaled, zonal
+from . import acquisition, body, convolution, diffraction, energy, exact, scaled, zonal
 from .effects import Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
@@ -33,7 +31,6 @@ from .numerics import safe_divide
 from .parameters import GRAZING, WAVELENGTHS_UM, parameters
 from .shadowing import height_correlated, masking
 
-CHUNK = 2048  # scattered points convolved at a time: 2048 points x 2 x 32 x 10 nodes x 8 bytes = 10 MB an intermediate
 TABLE = "surface_albedo"  # may be among the values: see `surface_albedo`
 Values = Mapping[str, Array]
 
@@ -70,7 +67,7 @@ def setting(
     cos_i, cos_o = jnp.where(above, geometry.cos_i, 1.0), jnp.where(above, geometry.cos_o, 1.0)
     theta_h, theta_d = jnp.asarray(geometry.theta_h), jnp.asarray(geometry.theta_d)
     rank = len(jnp.broadcast_shapes(theta_h.shape, theta_d.shape, above.shape))
-    wavelength = jnp.asarray(wavelengths_um, dtype=float).reshape((-1,) + (1,) * rank)
+    wavelength = jnp.asarray(wavelengths_um, jnp.result_type(theta_h)).reshape((-1,) + (1,) * rank)
     safe = Geometry(theta_h, theta_d, cos_i, cos_o)
     if effects.acquisition != "off" and log_base is None:
         log_base = acquisition.grazing_log_base(safe)
@@ -152,13 +149,14 @@ def two_scale(
 
 
 def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
-    """Parameters as float64 arrays, those per channel with the leading axis of the wavelengths; ``TABLE`` if given."""
+    """Parameters in the precision of the angles, those per channel with a leading axis; ``TABLE`` if given."""
     missing = [q.name for q in parameters(s.effects) if q.name not in params]
     if missing:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
     given = {TABLE: jnp.asarray(params[TABLE])} if TABLE in params else {}
+    precision = jnp.result_type(s.geometry.theta_h)
     return given | {
-        q.name: jnp.asarray(params[q.name], dtype=float).reshape(
+        q.name: jnp.asarray(params[q.name], precision).reshape(
             (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
         )
         for q in parameters(s.effects)
@@ -167,7 +165,7 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
 
 def _index(v: Values) -> tuple[Array, Array]:
     """Real and imaginary part of the index; a dielectric has only the first."""
-    return (v["n"], v["k"]) if "n" in v else (v["eta"], jnp.zeros(()))
+    return (v["n"], v["k"]) if "n" in v else (v["eta"], jnp.zeros_like(v["eta"]))
 
 
 def _shadow(v: Values, s: Setting) -> Array:
@@ -189,7 +187,7 @@ def _mirror(v: Values, s: Setting) -> Array:
 
 def _share_and_phase(v: Values, s: Setting) -> tuple[Array, Array]:
     """sigma_rel^2/sigma_s^2 at theta_d, where the facet meets the light, and the exponent of A_spec."""
-    share = jnp.ones(())
+    share = jnp.ones((), v["sigma_s"].dtype)
     if s.effects.renormalised:
         share = diffraction.renormalisation(jnp.sin(s.geometry.theta_d), v["b"] / s.wavelength_um, v["c"])
     return share, diffraction.phase_variance(share * v["sigma_s"] ** 2, s.geometry.cos_d, s.wavelength_um)
@@ -301,43 +299,15 @@ def grazing_exponent(values: Values, effects: Effects) -> Array:
 
 
 def _blurred_lobe(v: Values, s: Setting) -> Array:
-    """(S * D) without amplitude, (C, ...); where many directions share a theta_h through a table over cos_d/lambda.
-
-    (S * D) depends on theta_h and B = 2 b cos_d/lambda only, and its logarithm is smooth in log B: it is computed at a
-    few Chebyshev nodes over the range of log B, for all channels together, and interpolated.
-    """
-    b, c, surface, effects = v["b"], v["c"], (v["beta"], v["p"]), s.effects
+    """(S * D) without amplitude, (C, ...), by the chosen tier."""
+    b, c, beta, p, effects = v["b"], v["c"], v["beta"], v["p"], s.effects
     theta_h, cos_over_lambda = s.geometry.theta_h, s.geometry.cos_d / s.wavelength_um
     match effects.diffraction:
         case "lobe":
             return convolution.lobe(theta_h, 2 * b * cos_over_lambda, c)
         case "scaled":
-            return scaled.convolve(theta_h, 2 * b * cos_over_lambda, c, *surface)
+            return scaled.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p)
         case "zonal":
-            return zonal.convolve(theta_h, 2 * b * cos_over_lambda, c, *surface, effects.zonal_order)
-    shape, count = (
-        jnp.broadcast_shapes(theta_h.shape, cos_over_lambda.shape),
-        convolution.interpolation_nodes(effects.order),
-    )
-    if theta_h.size * count < math.prod(shape):
-        log_u = jnp.log(cos_over_lambda)
-        low, high = jnp.min(log_u), jnp.max(log_u)
-        width = jnp.maximum(high - low, 1e-6)
-        B = 2 * b * jnp.exp(low + width * chebyshev.nodes(count)).reshape(-1, *(1,) * theta_h.ndim)
-        table = jnp.log(_in_chunks(theta_h, B, c, *surface, effects.order))
-        weights = chebyshev.weights((log_u - low) / width, count)
-        table = table.reshape(count, *(1,) * (len(shape) - theta_h.ndim), *theta_h.shape)
-        return jnp.exp(jnp.sum(table * weights, 0))
-    return _in_chunks(theta_h, 2 * b * cos_over_lambda, c, *surface, effects.order)
-
-
-def _in_chunks(theta_h: Array, B: Array, c: Array, beta: Array, p: Array, order: int) -> Array:
-    """`convolution.convolve` on scattered points, no more of them at a time than fit the cache."""
-    theta_h, B = jnp.broadcast_arrays(theta_h, B)
-    if theta_h.size <= CHUNK:
-        return convolution.convolve(theta_h, B, c, beta, p, order)
-
-    def at(point: tuple[Array, Array]) -> Array:
-        return convolution.convolve(*point, c, beta, p, order)
-
-    return jax.lax.map(at, (theta_h.ravel(), B.ravel()), batch_size=CHUNK).reshape(theta_h.shape)
+            return zonal.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.zonal_order)
+        case _:
+            return convolution.convolve_many(theta_h, cos_over_lambda, b, c, beta, p, effects.order)

@@ -1,8 +1,8 @@
 """The table of hard cases: values and gradients of the model at its extremes against 30 digits, in both precisions.
 
 ``python -m tests.hard_cases`` prints it and writes results/hard_cases.md; with ``--references`` it first computes the
-references of the dear cases (two-dimensional integrals) anew into tests/hard_references.json, with ``--fits`` it also
-runs the degenerate fits. All cases of an effect go through one compiled, vmapped function, in forward and reverse mode.
+references of the dear cases (two-dimensional integrals) anew into tests/hard_references.json. All cases of an effect go
+through one compiled, vmapped function, in forward and reverse mode.
 """
 
 import hashlib

@@ -205,14 +205,14 @@ def test_grid_table_is_as_good_as_its_quadrature(order, median, largest):
     """What fits use: table and quadrature together, over all bounds, against order 96 point by point."""
     theta_h = jnp.asarray(((np.arange(4, 90, 15) + 0.5) / 90) ** 2 * np.pi / 2)
     cos_d = np.cos((np.arange(0, 90, 3) + 0.5) / 90 * np.pi / 2)
-    log_u = jnp.asarray(np.log(cos_d[:, None] / np.array([0.645, 0.526, 0.444])).ravel())
+    u = jnp.asarray((cos_d[:, None] / np.array([0.645, 0.526, 0.444])).ravel())[None]
     rng = np.random.default_rng(SEED)
     low, high = np.log([0.05, 0.01, 1e-3, 0.2]), np.log([200, 5, 1, 5])
     b, c, beta, p = np.exp(rng.uniform(low, high, (60, 4))).T
     hard = np.array([[166.9, 1.017, 0.573, 4.77], [49.9, 1.015, 0.344, 4.823], [63.6, 2.315, 0.01, 4.778]])
     sets = np.concatenate([np.stack([b, 1 + c, beta, p], 1), hard])
-    points = jax.jit(lambda x: convolution.convolve(theta_h[:, None], 2 * x[0] * jnp.exp(log_u)[None], *x[1:], 96))
-    table = jax.jit(lambda x: convolution.convolve_grid(theta_h, log_u, *x, order))
+    points = jax.jit(lambda x: convolution.convolve(theta_h[:, None], 2 * x[0] * u, *x[1:], 96))
+    table = jax.jit(lambda x: convolution.convolve_many(theta_h[:, None], u, *x, order))
     error = np.array([np.abs(np.asarray(table(jnp.asarray(x)) / points(jnp.asarray(x))) - 1) for x in sets])
     assert np.median(error) < median
     assert error.max() < largest, sets[error.max((1, 2)).argmax()]
