@@ -118,12 +118,13 @@ def main():
             ", ".join(f"{name} {x}" for name, x in asdict(effects).items() if x != default[name])
             or "default, conductor"
         )
+        incidences = EXACT["incidences_deg"] if slow else INCIDENCES_DEG
         rows.append({
             "effects": label, "sets": share, "conserving_largest": float(conserving.max()),
             "printed_largest": float(printed.max()),
             "printed_above_1.001": float(np.mean(printed.max(1) > 1.001)),
             "printed_largest_by_incidence": dict(
-                zip(map(str, EXACT["incidences_deg"] if slow else INCIDENCES_DEG), printed.max(0).round(4).tolist(), strict=True)
+                zip(map(str, incidences), printed.max(0).round(4).tolist(), strict=True)
             ),
             "median_of_conserving_over_printed": float(np.median(conserving / printed)),
         })  # fmt: skip
