@@ -29,10 +29,10 @@ from .quadrature import gauss_legendre
 SHARES = 24  # nodes of the renormalisation as a function of the facet's incidence: 1e-5
 LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: 1e-4
 LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
-EVEN, CROWDED = 16, 16  # nodes of the surface's albedo: even in sqrt(cos), and where masking sets in
+EVEN, CROWDED = 20, 20  # nodes of the surface's albedo: even in sqrt(cos), and where masking sets in
 INCIDENCES = EVEN + CROWDED
 ORDER = 16  # of the convolution in the surface's albedo
-RADII = (14, 24, 24)  # Gauss nodes in log tan(theta_h): below, around and beyond the edge of D
+RADII = (18, 32, 32)  # Gauss nodes in log tan(theta_h): below, around and beyond the edge of D
 AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
 STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
 
@@ -134,11 +134,15 @@ def _abscissa(theta: Real, beta: Scalar) -> Real:
     return 1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)
 
 
-def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar) -> tuple[Geometry, Array]:
+def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Geometry, Array]:
     """Half vectors for light at the nodes of incidence, and the measure cos_o domega_o of their viewers.
 
     The same theta_h for every incidence, in log tan(theta_h): three panels around the edge of D. Azimuths from the
     plane of incidence to where the viewer sets, at cos(phi) = -cot(theta_i) cot(2 theta_h).
+
+    Args:
+        beta, p: the EPD. largest_B: 2 b/lambda of the narrowest lobe.
+        degree: of zonal harmonics, whose ringing three nodes a degree beyond the edge resolve; 0 for lobes without.
 
     Returns:
         geometry with theta_h ``(1, R, 1)`` and the rest ``(INCIDENCES, R, AZIMUTHS)``; measure of that shape.
@@ -148,7 +152,7 @@ def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar) -> tuple[Geometry, 
     high = float(np.log(np.tan(STEEPEST)))
     low = jnp.minimum(log_beta, -jnp.log1p(largest_B)) - 5.0
     edges = [low, log_beta - 1.0, jnp.minimum(log_beta + jnp.minimum(jnp.log(34 + 3 / p) / (2 * p), 2.0), high), high]
-    rules = [gauss_legendre(n) for n in RADII]
+    rules = [gauss_legendre(n) for n in (*RADII[:-1], max(RADII[-1], 3 * degree))]
     y = jnp.concatenate([a + (b - a) * u for a, b, (u, _) in zip(edges, edges[1:], rules, strict=False)])
     dy = jnp.concatenate([(b - a) * w for a, b, (_, w) in zip(edges, edges[1:], rules, strict=False)])
     tan_h = jnp.exp(y)[None, :, None]

@@ -262,7 +262,8 @@ def surface_albedo(v: Values, effects: Effects, wavelengths_um: Array) -> Array:
     """
     own = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in v.items()}
     largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
-    geometry, measure = energy.half_vectors(v["beta"], v["p"], largest_B)
+    degree = effects.zonal_order if effects.diffraction == "zonal" else 0
+    geometry, measure = energy.half_vectors(v["beta"], v["p"], largest_B, degree)
     inner = replace(effects.material, order=min(effects.order, energy.ORDER))
     s = setting(geometry, inner, wavelengths_um)
     lobes = {name: f.evaluate(own, s) for name, f in factors(inner).items() if name not in ("under", "toll")}
