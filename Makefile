@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test hard-cases lint types install schema clean
+.PHONY: demo test hard-cases tables lint types install schema clean
 
 install: $(READY)
 
@@ -24,6 +24,11 @@ test: install
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases
+
+# Hours: every committed table of results/ that needs no genuine measurement.
+tables: install
+	for table in hard_cases tier_errors zonal_failure energy energy_splits grazing_exponent; do \
+		$(BIN)/python -m tests.$$table || exit 1; done
 
 lint: install
 	$(BIN)/ruff check .

@@ -141,7 +141,7 @@ def two_scale(
 
     Reciprocal in light and viewer for every choice of effects. Differentiable in every parameter, with finite gradients
     at the horizon, at theta_h = 0 and for i = o. Accuracy: that of the convolution
-    (:func:`merlfit.model.convolution.convolve`); masking 2e-6, everything else better than 1e-8.
+    (:func:`merlfit.model.convolution.convolve`); masking 5e-7, everything else better than 1e-8.
     """
     s = setting(geometry, effects, wavelengths_um)
     values = shaped(params, s)
