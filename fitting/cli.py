@@ -67,7 +67,7 @@ def fit(
     out: Out = Path("fits"),
     config: Annotated[Path | None, typer.Option(help="TOML settings; see configs/default.toml.")] = None,
     preset: Annotated[
-        str | None, typer.Option(help="hp17, conserving, microfacet, preview, fast or reference: effects by name.")
+        str | None, typer.Option(help="hp17, conserving, microfacet, preview or fast: effects by name.")
     ] = None,
     body: Annotated[str | None, typer.Option(help="auto, none (conductor), lambert, plastic or subsurface.")] = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,

@@ -32,7 +32,7 @@ class EffectsSection(_Section):
         acquisition: MERL's loss at grazing angles; unlike a material, a fit has it by default.
     """
 
-    preset: Literal["hp17", "conserving", "microfacet", "preview", "fast", "reference"] = "hp17"
+    preset: Literal["hp17", "conserving", "microfacet", "preview", "fast"] = "hp17"
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
     diffraction: Diffraction = Effects.diffraction
     order: Annotated[int, Field(ge=6, le=256)] = Effects.order
@@ -47,9 +47,11 @@ class EffectsSection(_Section):
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
-        if not (isinstance(data, dict) and data.get("preset") in PRESETS):
+        if not isinstance(data, dict) or data.get("preset", "hp17") not in PRESETS:
             return data
-        preset = asdict(PRESETS[data["preset"]])
+        preset = asdict(PRESETS[data.get("preset", "hp17")])
+        if "exact" in (preset["diffraction"], data.get("diffraction")):
+            raise ValueError("exact is a reference that takes hours on MERL's grid: fit with quadrature")
         return {**{k: v for k, v in preset.items() if k not in ("body", "acquisition", "apparatus")}, **data}
 
 
@@ -111,9 +113,18 @@ class Config(_Section):
         return Effects(**chosen, apparatus=Apparatus(**self.apparatus.model_dump()))
 
     def with_options(self, preset: str | None, body: str | None, posterior: bool | None, seed: int | None) -> "Config":
-        """A copy with what the command line gave; a preset leaves body and acquisition as they are."""
+        """A copy with what the command line gave; a preset leaves body and acquisition as they are.
+
+        Raises:
+            ConfigError: a preset, where the settings file chose other effects already.
+        """
         data = self.model_dump()
         if preset is not None:
+            chosen = self.effects.model_copy(update={k: getattr(EffectsSection(), k) for k in ("body", "acquisition")})
+            if chosen != EffectsSection():
+                raise ConfigError(
+                    f"--preset {preset} would undo the file's [effects]: set effects.preset there instead"
+                )
             kept = {k: data["effects"][k] for k in ("body", "acquisition")}
             data["effects"] = {"preset": preset, **kept}
         if body is not None:

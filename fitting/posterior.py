@@ -123,7 +123,8 @@ def _log_prob(effects: Effects, x: Array, problem: Problem, counts: Array) -> Ar
         value = log_likelihood(effects, free_of_normal(x), problem, counts) - jnp.sum(x * x) / 2
         return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
-    return jax.vmap(one)(x)
+    # under vmap both sides of the table's fallback would be computed
+    return jax.lax.map(one, x) if effects.diffraction == "scaled" else jax.vmap(one)(x)
 
 
 @partial(jax.jit, static_argnums=0)

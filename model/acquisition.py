@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .geometry import Geometry
-from .numerics import Real, Scalar, safe_pow
+from .numerics import Real, Scalar
 
+LOG_NOTHING = -80.0  # log of the base of the loss at the horizon; finite in float32, too
 FIT_ANGLES_RAD = np.radians(np.arange(10.0, 81.0, 5.0))  # where the power law is matched to the loss
 LOG_STEP = 0.05  # of theta_h: trapezoid error 3e-9 at p = 5, whose edge exp(-x^10) is the sharpest in the fit's bounds
 # From 1e-4 of the narrowest lobe of the fit's bounds (its share is the square of that) to just short of the horizon.
@@ -67,16 +68,18 @@ FOOTPRINT_RAD = Apparatus().footprint_rad
 
 
 def grazing_log_base(geometry: Geometry) -> Real:
-    """log of (1 - 4 theta_i^2/pi^2)(1 - 4 theta_o^2/pi^2); times the exponent, the log of the loss (Eq. 59-60)."""
+    """log of (1 - 4 theta_i^2/pi^2)(1 - 4 theta_o^2/pi^2); times the exponent, the log of the loss (Eq. 59-60).
+
+    At the horizon a number so low that nothing is left, and not minus infinity, which times an exponent of 0 is NaN.
+    """
     base = [1 - (2 * theta / jnp.pi) ** 2 for theta in (geometry.theta_i, geometry.theta_o)]
     positive = (base[0] > 0) & (base[1] > 0)
-    return jnp.where(positive, jnp.log(jnp.where(positive, base[0] * base[1], 1.0)), -jnp.inf)
+    return jnp.where(positive, jnp.log(jnp.where(positive, base[0] * base[1], 1.0)), LOG_NOTHING)
 
 
 def grazing(geometry: Geometry, exponent: Scalar) -> Real:
     """p(i, o) in [0, 1], HP17 Eq. 59-60, for an exponent k in [0, 1]."""
-    base = (1 - (2 * geometry.theta_i / jnp.pi) ** 2) * (1 - (2 * geometry.theta_o / jnp.pi) ** 2)
-    return safe_pow(base, exponent)
+    return jnp.exp(exponent * grazing_log_base(geometry))
 
 
 def stretch(theta: float, apparatus: Apparatus) -> tuple[float, float]:

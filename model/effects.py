@@ -66,8 +66,8 @@ class Effects:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
         if not 1 <= self.zonal_order <= 1000:
             raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
-        fixed = not isinstance(self.acquisition, str) and 0 <= self.acquisition <= 1
-        if not (fixed or self.acquisition in get_args(Acquisition)):
+        fixed = not isinstance(self.acquisition, (str, bool)) and 0 <= self.acquisition <= 1
+        if not (fixed or (isinstance(self.acquisition, str) and self.acquisition in get_args(Acquisition))):
             raise ValueError(f"acquisition {self.acquisition!r} is neither off, free, derived nor a number in [0, 1]")
 
     @property

@@ -11,12 +11,13 @@ incidence the diffraction lobe takes more light than the mirror term gives up. T
 3. **Under it.** A body gets and gives back what the surface lets through: T(theta) = 1 - min(1, E(theta)) takes the
    place of the smooth interface's transmittance, T(i) T(o) over its mean, as in Kelemen & Szirmay-Kalos 2001.
 
-Both tables are Chebyshev interpolations of quadratures, differentiable in every parameter.
+Both tables are quadratures, interpolated, differentiable in every parameter but for kinks where max() changes sides.
 """
 
 import math
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -29,8 +30,7 @@ from .quadrature import gauss_legendre
 SHARES = 24  # nodes of the renormalisation as a function of the facet's incidence: 1e-5
 LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: 1e-4
 LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
-EVEN, CROWDED = 20, 20  # nodes of the surface's albedo: even in sqrt(cos), and where masking sets in
-INCIDENCES = EVEN + CROWDED
+INCIDENCES = 40  # nodes of the surface's albedo
 ORDER = 16  # of the convolution in the surface's albedo
 RADII = (18, 32, 32)  # Gauss nodes in log tan(theta_h): below, around and beyond the edge of D
 AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
@@ -69,7 +69,7 @@ def lobe_albedo(
         renormalised: whether sigma_rel and the lobe's amplitude are renormalised (Eq. 17-19).
 
     Returns:
-        shape ``(C, *theta_d.shape)``. Accuracy: 2e-4 (``tests/model/test_energy.py``).
+        shape ``(C, *theta_d.shape)``. Accuracy: 5e-4 (``tests/model/test_energy.py``); 2e-3 at b/lambda > 100.
     """
     wavelengths = wavelength_um.reshape(-1)
     table = _lobe_albedo_table(b_um / wavelengths, c, sigma_s / wavelengths, renormalised, exact)  # (C, K)
@@ -118,14 +118,22 @@ def _lobe_albedo_table(
 
 
 def incidences(beta: Scalar) -> Array:
-    """Nodes of incidence (rad), (INCIDENCES,), ascending: even in each of the two parts of `_abscissa`."""
-    even = np.arccos((1 - (np.arange(EVEN) + 0.02) / EVEN) ** 2)
-    masked = (np.arange(CROWDED) + 0.5) / CROWDED
-    return jnp.sort(jnp.concatenate([jnp.asarray(even), jnp.arctan((masked / (1 - masked)) ** 2 / beta)]))
+    """Nodes of incidence (rad), (INCIDENCES,), even in `_abscissa`, by bisection; constants for differentiation."""
+    still = jax.lax.stop_gradient(beta)
+    wanted = 2 * (jnp.arange(INCIDENCES) + 0.02) / INCIDENCES
+
+    def halve(_: int, between: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = between
+        middle = (low + high) / 2
+        beyond = _abscissa(middle, still) > wanted
+        return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
+
+    ends = jnp.zeros(INCIDENCES), jnp.full(INCIDENCES, np.pi / 2)
+    return jax.lax.stop_gradient(jax.lax.fori_loop(0, 50, halve, ends)[0])
 
 
 def _abscissa(theta: Real, beta: Scalar) -> Real:
-    """Variable in which a surface's albedo is smooth: 1 - sqrt(cos theta) plus 1 - 1/(1 + sqrt(beta tan theta)).
+    """Variable in [0, 2] in which a surface's albedo is smooth: 1 - sqrt(cos) plus 1 - 1/(1 + sqrt(beta tan)).
 
     The first resolves Fresnel's rise, the second masking, whatever the width beta (see `shadowing.masking`).
     """
@@ -174,7 +182,8 @@ def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) ->
 def at_incidence(table: Array, beta: Scalar, theta: Real) -> Array:
     """A table over the nodes of incidence, (C, INCIDENCES), at angles ``theta``: shape (C, *theta.shape).
 
-    Cubic through the four nearest nodes, of log(1 + E), which is tame where masking is off and E grows as 1/cos.
+    Cubic through the four nearest nodes, of log(1 + E), which is tame where masking is off and E grows as 1/cos. Beyond
+    the outermost nodes, within 0.1 degrees of the normal and of the horizon, it stays what it is there.
     """
     nodes = _abscissa(incidences(beta), beta)
     x = _abscissa(jnp.asarray(theta), beta)

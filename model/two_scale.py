@@ -96,7 +96,7 @@ def factors(effects: Effects) -> dict[str, Factor]:
         table["under"] = Factor(("albedo",) if effects.body == "lambert" else ("eta", "albedo"), _under)
     if _pays_toll(effects):
         table["toll"] = Factor(every, _toll)
-    if effects.acquisition != "off":
+    if effects.acquisition not in ("off", 0.0):
         names = {"free": (GRAZING.name,), "derived": surface}.get(str(effects.acquisition), ())
         table["loss"] = Factor(names, _loss)
     return table
@@ -115,7 +115,8 @@ def assemble(at: Values, s: Setting) -> Array:
         under = None if under is None else at["toll"][1] * under
     if under is not None:
         rho = rho + under
-    return jnp.where(s.above, rho * at["loss"] if "loss" in at else rho, 0.0)
+    rho = jnp.where(s.above, rho * at["loss"] if "loss" in at else rho, 0.0)
+    return rho.astype(jnp.result_type(s.geometry.theta_h))  # the reference and the conserving split work in float64
 
 
 def two_scale(
@@ -140,8 +141,8 @@ def two_scale(
         KeyError: a parameter that the effects call for is missing from ``params``.
 
     Reciprocal in light and viewer for every choice of effects. Differentiable in every parameter, with finite gradients
-    at the horizon, at theta_h = 0 and for i = o. Accuracy: that of the convolution
-    (:func:`merlfit.model.convolution.convolve`); masking 5e-7, everything else better than 1e-8.
+    at the horizon, at theta_h = 0 and for i = o; the conserving split has kinks where an excess begins. Accuracy: that
+    of the tier (``docs/effects.md``); masking 5e-7; the conserving split's tables 1e-3; everything else 1e-8.
     """
     s = setting(geometry, effects, wavelengths_um)
     values = shaped(params, s)
