@@ -4,6 +4,7 @@ import dataclasses
 import importlib.util
 import json
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import get_args
@@ -17,7 +18,8 @@ from merlfit.fitting.levenberg_marquardt import Status
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
-from merlfit.model.effects import Effects
+from merlfit.model.acquisition import Apparatus
+from merlfit.model.effects import PRESETS, Effects
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import two_scale
 from typer.testing import CliRunner
@@ -195,21 +197,45 @@ def test_statuses_in_the_schema_are_those_of_the_fit():
 
 
 def test_default_toml_is_the_defaults():
-    data = tomllib.loads((ROOT / "configs" / "default.toml").read_text())
+    text = (ROOT / "configs" / "default.toml").read_text()
+    assert parse(tomllib.loads(text), "default.toml") == Config()
+    data = tomllib.loads(re.sub(r"^# (?=\w+ = )", "", text, flags=re.M))  # with the keys that presets set
     assert parse(data, "default.toml") == Config()
-    sections = ("effects", "fit", "posterior")
+    sections = ("effects", "apparatus", "fit", "posterior")
     assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", *sections} == set(known_keys())
 
 
 def test_settings_of_effects_are_those_of_the_model():
     section = type(Config().effects).model_fields
     for field in dataclasses.fields(Effects):
-        if field.name != "body":
+        if field.name not in ("body", "acquisition", "apparatus"):
             assert section[field.name].default == field.default
-            assert section[field.name].annotation == field.type
-    assert set(section) == {field.name for field in dataclasses.fields(Effects)}
+    assert set(section) == {field.name for field in dataclasses.fields(Effects)} - {"apparatus"} | {"preset"}
+    assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
     chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False, "acquisition": 0.5}
     assert parse({"effects": chosen}, "here").effects_of("none") == Effects(**chosen)
+    lamp = parse({"apparatus": {"lamp_sigma_rad": 0.01}}, "here").effects_of("none").apparatus
+    assert lamp == Apparatus(lamp_sigma_rad=0.01)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_those_of_the_model(name):
+    if name == "reference":  # hours on MERL's grid
+        with pytest.raises(ConfigError, match="fit with quadrature"):
+            parse({"effects": {"preset": name}}, "here")
+        return
+    expected = dataclasses.replace(PRESETS[name], body="plastic", acquisition="free")
+    assert parse({"effects": {"preset": name}}, "here").effects_of("plastic") == expected
+    assert Config().with_options(name, "plastic", None, None).effects_of("plastic") == expected
+    beside = parse({"effects": {"preset": name, "masking": "none"}}, "here")
+    assert beside.effects_of("plastic") == dataclasses.replace(expected, masking="none")
+    with pytest.raises(ConfigError, match="would undo"):
+        beside.with_options("hp17", None, None, None)
+
+
+def test_the_reference_is_refused_in_fits():
+    with pytest.raises(ConfigError, match="fit with quadrature"):
+        parse({"effects": {"diffraction": "exact"}}, "here")
 
 
 def test_shipped_schema_is_the_models(tmp_path):

@@ -22,6 +22,13 @@ def cases(count=24):
         )  # fmt: skip
         theta, phi = np.arccos(rng.uniform(0.07, 1, 2)), rng.uniform(0, 2 * np.pi, 2)
         yield material, np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]).T
+    # a lobe a thousandth wide beside a long-tailed D: most of the integral is in the azimuth's tails
+    h, d, phi = 1.3, 0.25, 0.3
+    turn = np.array([[np.cos(h), 0, np.sin(h)], [0, 1, 0], [-np.sin(h), 0, np.cos(h)]])
+    across = np.sin(d) * np.array([np.cos(phi), np.sin(phi), 0])
+    along = np.array([0, 0, np.cos(d)])
+    narrow = o_two_scale.Material(beta=1.0, p=0.2, b=250.0, c=6.0, sigma_s=0.05, n=1.5, k=0.0)
+    yield narrow, np.array([turn @ (along + across), turn @ (along - across)])
 
 
 @jax.jit
