@@ -122,7 +122,7 @@ def incidences(beta: Scalar) -> Array:
     still = jax.lax.stop_gradient(beta)
     wanted = 2 * (jnp.arange(INCIDENCES) + 0.02) / INCIDENCES
 
-    def halve(_: int, between: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Array | int, between: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = between
         middle = (low + high) / 2
         beyond = _abscissa(middle, still) > wanted

@@ -32,8 +32,10 @@ SWITCHED = [
 EVERY = [Effects(body, diffraction) for body in BODIES for diffraction in ("off", "lobe", "quadrature")]
 EVERY += [Effects(diffraction=tier) for tier in ("scaled", "zonal", "exact")]
 EVERY += [Effects(**switched) for switched in SWITCHED]
-EVERY += [Effects(body, "lobe", split="conserving") for body in BODIES]
-EVERY += [Effects("lambert", "off", masking="none", split="conserving"), Effects(diffraction="exact", colour="fresnel")]
+EVERY += [
+    Effects("subsurface", "lobe", split="conserving"),
+    Effects("lambert", "off", masking="none", split="conserving"),
+]
 EVERY += [Effects("plastic", "off", acquisition=how) for how in ("free", "derived", 0.3)]
 DEAR = [e for e in EVERY if e.diffraction == "exact" or e.split == "conserving"]  # seconds to compile
 DIFFERENTIATED = [e for e in EVERY if e not in DEAR]
