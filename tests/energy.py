@@ -144,7 +144,7 @@ def write(rows):
     )
     RESULTS.joinpath("energy.json").write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
     lines = [
-        f"Largest {what}. Made by `python -m tests.energy`.", "",
+        f"{len(rows)} of {len(EFFECT_SETS)} effect sets. Largest {what}. Made by `python -m tests.energy`.", "",
         "| effects | sets | conserving: largest | printed: largest | printed: share of sets above 1.001 |",
         "|---|---|---|---|---|",
         *(f"| {r['effects']} | {r['sets']} | {r['conserving_largest']:.4f} | {r['printed_largest']:.3f} | "

@@ -77,13 +77,17 @@ def main(names):
             rows.append(compared(path, MATERIALS[name]))
             path.unlink()
             print(json.dumps(rows[-1]), flush=True)
+            write(rows)
+
+
+def write(rows):
     what = (
         "Neural reconstructions of MERL materials (Sztrajman et al. 2021), not measurements; cost of HP17 Eq. 56 "
         "relative to the measurement's weighted energy, RMSE in 1/sr; * not converged at the step limit"
     )
     RESULTS.joinpath("splits.json").write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
     lines = [
-        f"Energy splits compared as fits. {what}. Made by `python -m tests.energy_splits`.", "",
+        f"Energy splits compared as fits, {len(rows)} of {len(MATERIALS)} materials. {what}. Made by `python -m tests.energy_splits`.", "",
         "| material | body | split | cost | RMSE | " + " | ".join(SHOWN) + " |", "|" + "---|" * (5 + len(SHOWN)),
     ]  # fmt: skip
     for row in rows:

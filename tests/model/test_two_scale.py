@@ -39,7 +39,7 @@ EVERY += [
 EVERY += [Effects("plastic", "off", acquisition=how) for how in ("free", "derived", 0.3)]
 DEAR = [e for e in EVERY if e.diffraction == "exact" or e.split == "conserving"]  # seconds to compile
 DIFFERENTIATED = [e for e in EVERY if e not in DEAR]
-DIFFERENTIATED += [Effects(diffraction="exact"), Effects("plastic", "lobe", split="conserving")]
+DIFFERENTIATED += [Effects(diffraction="exact"), Effects("subsurface", "lobe", split="conserving")]
 
 
 def material(effects, **changes):
