@@ -116,7 +116,7 @@ def _fit_all(files: list[Path], out: Path, settings: "Config") -> "list[Outcome]
             except MerlError as error:
                 outcomes.append(Outcome(path, None, str(error), bad_input=True))
                 _fail(str(error))
-            except Exception as error:
+            except Exception as error:  # whatever one file ran into, the others are fitted
                 said = f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
                 outcomes.append(Outcome(path, None, said))
                 _fail(said)

@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import platformdirs
 
-from ..model import scaled
+from . import tables
 
 
 def use_persistent_cache() -> Path:
@@ -16,7 +16,7 @@ def use_persistent_cache() -> Path:
     """
     cache = Path(os.environ.get("MERLFIT_CACHE_DIR") or platformdirs.user_cache_dir("merlfit"))
     folder = cache / "xla"
-    scaled.keep_in(cache)
+    tables.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     return folder

@@ -46,7 +46,7 @@ class EffectsSection(_Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_preset(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
+    def _from_preset(cls, data: object) -> object:
         if not isinstance(data, dict) or data.get("preset", "hp17") not in PRESETS:
             return data
         preset = asdict(PRESETS[data.get("preset", "hp17")])

@@ -64,7 +64,7 @@ class Apparatus:
             raise ValueError(f"{self}: the camera must be outside the sphere, the lamp above its surface")
 
 
-FOOTPRINT_RAD = Apparatus().footprint_rad
+APPARATUS = Apparatus()
 
 
 def grazing_log_base(geometry: Geometry) -> Real:
@@ -75,11 +75,6 @@ def grazing_log_base(geometry: Geometry) -> Real:
     base = [1 - (2 * theta / jnp.pi) ** 2 for theta in (geometry.theta_i, geometry.theta_o)]
     positive = (base[0] > 0) & (base[1] > 0)
     return jnp.where(positive, jnp.log(jnp.where(positive, base[0] * base[1], 1.0)), LOG_NOTHING)
-
-
-def grazing(geometry: Geometry, exponent: Scalar) -> Real:
-    """p(i, o) in [0, 1], HP17 Eq. 59-60, for an exponent k in [0, 1]."""
-    return jnp.exp(exponent * grazing_log_base(geometry))
 
 
 def stretch(theta: float, apparatus: Apparatus) -> tuple[float, float]:
@@ -140,7 +135,7 @@ def mirror_loss(theta: tuple[float, ...], beta: Scalar, p: Scalar, apparatus: Ap
     return signal[1:] / signal[0]
 
 
-def derived_exponent(beta: Scalar, p: Scalar, apparatus: Apparatus | float = FOOTPRINT_RAD) -> Real:
+def derived_exponent(beta: Scalar, p: Scalar, apparatus: Apparatus = APPARATUS) -> Real:
     """The exponent k(beta, p) in [0, 1] that the apparatus implies (HP17 Eq. 60).
 
     Least squares of log loss against log p1(theta)^2 = 2 k log(1 - 4 theta^2/pi^2) over 10 to 80 degrees. Near 0 for
@@ -148,15 +143,13 @@ def derived_exponent(beta: Scalar, p: Scalar, apparatus: Apparatus | float = FOO
     footprint's spread, which blurs h as much as the footprint blurs n.
 
     Args:
-        beta, p: the EPD. apparatus: or the footprint (rad) of a pixel alone.
+        beta, p: the EPD. apparatus: sphere, pixel and lamp; static.
 
     Accuracy: 3e-4 of the simulated apparatus (``test_exponent_to_3e_4``); computed in float64, whatever beta is. The
     masking of facets and the diffraction lobe are left out: with Beckmann's masking k differs by less than 0.006.
     The law itself misses the loss by up to 0.13 where the lobe is a few footprints wide, whose loss sets in abruptly;
     least squares on the loss instead of its logarithm would give k lower by up to 0.03 there.
     """
-    if not isinstance(apparatus, Apparatus):
-        apparatus = Apparatus(sphere_radius_px=1.0, pixel_sigma_px=apparatus)
     log_base = 2 * np.log(1 - (2 * FIT_ANGLES_RAD / np.pi) ** 2)
     loss = jnp.log(mirror_loss(tuple(FIT_ANGLES_RAD.tolist()), beta, p, apparatus))
     # a wide, flat lobe with D growing as 1/cos^4 would give -0.0003

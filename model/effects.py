@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args, get_origin
 
-from .acquisition import Apparatus
+from .acquisition import APPARATUS, Apparatus
 
 Fresnel = Literal["exact", "schlick"]
 Masking = Literal["smith", "height_correlated", "none"]
@@ -12,7 +12,6 @@ Split = Literal["printed", "conserving"]
 Colour = Literal["rayleigh_rice", "fresnel"]
 Body = Literal["none", "lambert", "plastic", "subsurface"]
 Acquisition = Literal["off", "free", "derived"]
-APPARATUS = Apparatus()
 BODIES: tuple[Body, ...] = get_args(Body)
 DIFFRACTIONS: tuple[Diffraction, ...] = get_args(Diffraction)
 

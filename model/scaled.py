@@ -10,15 +10,12 @@ q. It is negative, and g imaginary, where facets tilt so far that the blurred lo
 
 s and q are fitted by least squares to :func:`merlfit.model.convolution.convolve` at Chebyshev nodes of four smooth
 coordinates and interpolated by their polynomial, which has all its derivatives. The table is computed at first use,
-in memory, and kept on disk where :func:`keep_in` says. What it does not cover is left to the quadrature.
+in memory, and kept where :func:`keep_by` says. What it does not cover is left to the quadrature.
 """
 
-import hashlib
 import math
-import os
-import tempfile
+from collections.abc import Callable
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -150,54 +147,24 @@ def _build() -> np.ndarray:
     return np.stack([log_s, q - np.log1p(B**2)]).reshape(2, *NODES)
 
 
-_folder: Path | None = None
+Keep = Callable[[Callable[[], np.ndarray]], np.ndarray]
+_keep: Keep | None = None
 
 
-def keep_in(folder: str | Path | None) -> None:
-    """Keep the table in this folder, which is made if needed; None forgets the folder. Until called: memory only.
-
-    Raises:
-        OSError: at the next :func:`table`, where the folder cannot be written.
-    """
-    global _folder
-    _folder = None if folder is None else Path(folder)
+def keep_by(keep: Keep | None) -> None:
+    """Let ``keep``, which is given what computes the table, fetch it from where it is kept; None: memory only."""
+    global _keep
+    _keep = keep
     table.cache_clear()
-
-
-def _file_name() -> str:
-    """Name with a hash of the code that makes the table: what other code has made is never read."""
-    code = b"".join(
-        (Path(__file__).parent / f"{name}.py").read_bytes() for name in ("scaled", "convolution", "chebyshev")
-    )
-    return f"scaled-{hashlib.sha256(code).hexdigest()[:16]}.npz"
-
-
-def _stored(path: Path) -> np.ndarray | None:
-    """The table in this file, or None where there is no sound one."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = archive["table"]
-    except Exception:  # absent, cut short, no archive, a wrong checksum: whatever it is, it is made anew
-        return None
-    return found if found.shape == (2, *NODES) and np.all(np.isfinite(found)) else None
 
 
 @lru_cache(maxsize=1)
 def table() -> np.ndarray:
     """log s and q - log(1 + B^2) at the Chebyshev nodes of the four coordinates, shape ``(2, *NODES)``.
 
-    From memory, else from the folder given to :func:`keep_in`, else computed: 17 s on two cores, 0.44 MB.
-    Processes that compute it at the same time do no harm: each writes a file of its own and moves it in place.
+    From memory, else from where :func:`keep_by` says, else computed: 17 s on two cores, 0.44 MB.
     """
-    path = None if _folder is None else _folder / _file_name()
-    values = None if path is None else _stored(path)
-    if values is None:
-        values = _build()
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-                np.savez(file, table=values)
-            os.replace(file.name, path)
+    values = _build() if _keep is None else _keep(_build)
     values.flags.writeable = False
     return values
 
@@ -229,7 +196,7 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar) -> Real
     Gradient: that of the form and of the table's polynomial, finite everywhere in the range and at its ends.
 
     Accuracy against the quadrature at order 96, over 1000 random lobes in the range at MERL's half angles, log-uniform
-    in every parameter (``tests/model/test_tiers.py`` holds 600 to about these numbers). In percent, median, 95th
+    in every parameter (``tests/model/test_scaled.py`` holds 600 to about these numbers). In percent, median, 95th
     percentile and worst: relative error where the lobe is above 1e-3 of its peak; error in units of the peak; each
     lobe's worst error in units of its peak.
 

@@ -75,7 +75,7 @@ def legendre(x: Real, order: int) -> Real:
 def normal_moments(beta: Scalar, p: Scalar, order: int) -> Real:
     """D_l of the EPD, l = 0 .. order (HP17 Eq. 63 without the factor sqrt(pi (2 l + 1))), shape ``(order + 1,)``.
 
-    Accuracy: 1e-8 of the zeroth for beta in [1e-3, 1], p in [0.2, 5] (``tests/model/test_tiers.py``).
+    Accuracy: 1e-8 of the zeroth for beta in [1e-3, 1], p in [0.2, 5] (``tests/model/test_zonal.py``).
     """
     theta, polynomials = _rule(order)
     return epd(jnp.asarray(theta), beta, p) @ polynomials
@@ -84,7 +84,7 @@ def normal_moments(beta: Scalar, p: Scalar, order: int) -> Real:
 def lobe_moments(B: Real, c: Scalar, order: int) -> Real:
     """S_l of the K-correlation lobe times cos^2, l = 0 .. order (HP17 Eq. 62), shape ``(order + 1, *B.shape)``.
 
-    Accuracy: 1e-9 of the zeroth for B in [0, 1e3], c in [1.01, 6] (``tests/model/test_tiers.py``).
+    Accuracy: 1e-9 of the zeroth for B in [0, 1e3], c in [1.01, 6] (``tests/model/test_zonal.py``).
     """
     theta, polynomials = _rule(order)
 
@@ -115,7 +115,7 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: 
 
     Accuracy: 1e-8 of the peak as a truncated sum. As (S * D), from 2000 random lobes with beta in [0.003, 1], p in
     [0.2, 5], c in [1.03, 5], B in [0.1, 200], at MERL's half angles (``tests/zonal_failure.py``, results/zonal.json;
-    ``tests/model/test_tiers.py``):
+    ``tests/model/test_zonal.py``):
 
     - Safe: order >= 8 B, that is 16 b/lambda, whatever the normals. The error stays below 0.5 % of the peak, and at
       95 % of the angles where the lobe is above 1e-3 of its peak below 0.3 %. Order 100 then serves b up to 2.7 um.

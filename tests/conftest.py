@@ -35,3 +35,15 @@ def reconstructions():
     sys.modules["make_merl"] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def table(compilation_cache):
+    """The real table, kept with the compiled programs; its name changes with the code that makes it."""
+    from merlfit.fitting import tables  # not before the import hook
+    from merlfit.model import scaled
+
+    before = scaled._keep
+    tables.keep_in(Path(os.environ["MERLFIT_CACHE_DIR"]))
+    yield scaled.table()
+    scaled.keep_by(before)

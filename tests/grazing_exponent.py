@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting import config
 from merlfit.fitting.run import fit_file
-from merlfit.model.acquisition import FOOTPRINT_RAD, Apparatus, derived_exponent
+from merlfit.model.acquisition import APPARATUS, Apparatus, derived_exponent
 
 ROOT = Path(__file__).parents[1]
 MAKER = ROOT.parent / "shared" / "data" / "make_merl.py"
@@ -29,7 +29,9 @@ WHAT = (
     "than measured, and a network may smooth away what the apparatus did."
 )
 MAX_STEPS = 100  # without an exponent, sharp metals take more than the default
-LAMP = Apparatus(lamp_sigma_rad=2 * FOOTPRINT_RAD)  # blurs the half vector at normal incidence as the pixel does
+LAMP = Apparatus(
+    lamp_sigma_rad=2 * APPARATUS.footprint_rad
+)  # blurs the half vector at normal incidence as the pixel does
 
 
 def fitted(path, out, acquisition, body):
@@ -76,7 +78,7 @@ def with_derived(row):
     """A row with the exponents derived for its free lobe, and the footprint that its free exponent implies."""
     beta, p, k = (row["free"][name] for name in ("beta", "p", "k"))
     pixel, lamp = (
-        float(derived_exponent(jnp.asarray(beta), jnp.asarray(p), apparatus)) for apparatus in (Apparatus(), LAMP)
+        float(derived_exponent(jnp.asarray(beta), jnp.asarray(p), apparatus)) for apparatus in (APPARATUS, LAMP)
     )
     return {**row, "k_pixel": pixel, "k_lamp": lamp, "implied_footprint_rad": implied_footprint(beta, p, k)}
 
@@ -94,7 +96,8 @@ def marked(fit):
 def table(rows):
     lines = [
         "# Grazing exponent: free, derived, none", "", WHAT, "",
-        f"Footprint of `derived`: {FOOTPRINT_RAD:g} rad (a pixel of 1 px on a sphere of radius 200 px: an assumption).",
+        f"Footprint `derived` takes: {APPARATUS.footprint_rad:g} rad ({APPARATUS.pixel_sigma_px:g} px on a sphere",
+        f"of radius {APPARATUS.sphere_radius_px:g} px: an assumption).",
         "beta, p and k are of the free fit, k with its standard error (Laplace). *k pixel* and *k lamp* derive from",
         f"that lobe, for a point lamp and for one with a spread of {LAMP.lamp_sigma_rad:g} rad; *k derived* is of the",
         "fit that uses it (its own beta and p, point lamp). Cost of HP17 Eq. 56 relative to the measurement's weighted",
@@ -133,7 +136,12 @@ def main(materials):
 
 def save(rows):
     RESULTS.mkdir(exist_ok=True)
-    summary = {"what": WHAT, "footprint_rad": FOOTPRINT_RAD, "lamp_sigma_rad": LAMP.lamp_sigma_rad, "rows": rows}
+    summary = {
+        "what": WHAT,
+        "footprint_rad": APPARATUS.footprint_rad,
+        "lamp_sigma_rad": LAMP.lamp_sigma_rad,
+        "rows": rows,
+    }
     (RESULTS / "grazing.json").write_text(json.dumps(summary, indent=2) + "\n")
     (RESULTS / "grazing.md").write_text(table(rows))
 

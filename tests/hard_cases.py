@@ -59,7 +59,7 @@ def masking_table(cos_theta, beta, p):
 def grazing(cos_i, cos_o, exponent):
     """The acquisition's loss of two directions."""
     still = jnp.zeros_like(cos_i)
-    return acquisition.grazing(Geometry(still, still, cos_i, cos_o), exponent)
+    return jnp.exp(exponent * acquisition.grazing_log_base(Geometry(still, still, cos_i, cos_o)))
 
 
 def assembled(theta_h, theta_d, phi_d, wavelength_um, body, diffraction, **params):

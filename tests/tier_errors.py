@@ -4,7 +4,8 @@
 bins of MERL's grid above the horizon, one of the three wavelengths. The reference is Eq. 27 (`exact`), once with Q/2 on
 the facet and once with F in its place on both sides, which takes the frame of Q out of the comparison; and Eq. 33 at
 order 96, which the cheaper tiers approximate. Time: one BRDF on the whole of MERL's grid, three channels, after
-compilation, median of five, in the same run; `exact` is timed on a list of directions and scaled.
+compilation, median of five, in the same run; `exact` is timed on a list of directions and scaled. All bins of all sets
+would take `exact` half a year on two cores: the random bins are an unbiased sample of them.
 """
 
 import json
@@ -25,6 +26,8 @@ from merlfit.model.parameters import WAVELENGTHS_UM, parameters
 from merlfit.model.two_scale import assemble, factors, setting, shaped, two_scale
 
 SEED, SETS, DIRECTIONS = 20261121, 500, 128
+BRIGHT = 1e-3  # of the highest value of the lobe among the directions of its set
+PARTS = ("lobe", "bright_lobe", "brdf")
 TIERS = {
     "lobe": Effects(diffraction="lobe"),
     "scaled": Effects(diffraction="scaled"),
@@ -109,11 +112,11 @@ def main():
             seen = lobe > 1e-200  # far from the narrowest lobes nothing is left to compare
             in_lobe = np.abs(found_lobe - lobe)[seen] / lobe[seen]
             in_all = np.abs(found - whole)[seen] / whole[seen]
-            peak = np.max(np.abs(found_lobe - lobe), 1) / np.max(lobe, 1)
+            bright = (lobe > BRIGHT * np.max(lobe, 1, keepdims=True))[seen]
             rows.setdefault(name, {})[reference] = {
                 "lobe": summary(in_lobe),
+                "bright_lobe": summary(in_lobe[bright]),
                 "brdf": summary(in_all),
-                "lobe_over_peak": summary(peak),
             }
             errors[name, reference] = in_lobe
             print(reference, name, rows[name][reference], flush=True)
@@ -131,15 +134,19 @@ def write(rows, seconds, errors):
     (RESULTS / "tiers.json").write_text(
         json.dumps({"what": what, "errors": rows, "grid_seconds": seconds}, indent=1) + "\n"
     )
-    lines = [f"Errors of the tiers of the diffraction lobe. Data: {what}. Made by `python -m tests.tier_errors`.", ""]
+    lines = [
+        f"Relative errors of the tiers of the diffraction lobe. Data: {what}; a lobe is bright above {BRIGHT:g} of its "
+        "highest value among them. Made by `python -m tests.tier_errors`.", "",
+    ]  # fmt: skip
     for reference in REFERENCES:
         lines += [
             f"**Against {reference}**" + (" at order 96" if reference == "Eq. 33" else ""), "",
-            "| tier | lobe: median | 95 % | worst | whole BRDF: median | 95 % | worst | time on MERL's grid |",
-            "|---|---|---|---|---|---|---|---|",
+            "| tier | lobe: median | 95 % | worst | where it is bright: median | 95 % | worst "
+            "| whole BRDF: median | 95 % | worst | time on MERL's grid |",
+            "|---|" + "---|" * 10,
         ]  # fmt: skip
         for name in TIERS:
-            cells = [rows[name][reference][part][k] for part in ("lobe", "brdf") for k in ("median", "p95", "worst")]
+            cells = [rows[name][reference][part][k] for part in PARTS for k in ("median", "p95", "worst")]
             lines.append(f"| {name} | " + " | ".join(f"{x:.2g}" for x in cells) + f" | {seconds[name]:.3g} s |")
         lines.append("")
     lines.append(f"`exact` itself would take {seconds['exact']:.0f} s on MERL's grid (measured on a list, scaled).")

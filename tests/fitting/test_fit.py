@@ -69,7 +69,7 @@ def files(tmp_path_factory):
 
 @pytest.mark.parametrize(("name", "values", "body"), [("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "auto")])
 def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, values, body):
-    config = Config().with_options(body, False, None)
+    config = Config().with_options(None, body, False, None)
     result = run.fit_file(files[name], tmp_path, config)
     assert result.fit.status == "CONVERGED", result.fit
     truth = {**values, "grazing_exponent": EXPONENT}
@@ -86,7 +86,7 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
 def test_nickel_as_its_neural_reconstruction(reconstructions, tmp_path):
     """A reconstruction, not the measurement: cost and errors as they were found, which only a regression can raise."""
     reconstructions.main(tmp_path, "nickel")
-    result = run.fit_file(tmp_path / "nickel.binary", tmp_path, Config().with_options("none", False, None))
+    result = run.fit_file(tmp_path / "nickel.binary", tmp_path, Config().with_options(None, "none", False, None))
     assert result.fit.succeeded
     assert result.fit.cost < 0.0226
     assert result.metrics.rmse < 0.11
@@ -227,7 +227,7 @@ def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):
     normal = np.zeros((3, 9, 9))
     normal[:, 8, 8] = 1.0
     normal[:, 5, 5] = 1e3  # the first albedo is well determined, the second is not
-    solution = dataclasses.replace(solve(effects, z, problem, 1), z=z, normal=normal, cost=3.0, converged=True)
+    solution = dataclasses.replace(solve(effects, z, problem, 1), z=z, normal=normal, cost=0.3, converged=True)
     fitted = Fitted(effects, solution, np.full(3, 20.0), Errors(0.0, 0.0), [])
     assert fitted.at_bound == ["no"] * 6 + ["lower", "no"]
     assert fitted.status is Status.AT_BOUND
