@@ -28,7 +28,8 @@ class Effects:
             Eq. 39-41: good while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics, Appendix A: good for
             zonal_order >= 16 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33); ``exact`` (Eq. 27, the
             reference: milliseconds a direction).
-        order: radial nodes of ``quadrature``; accuracy in :func:`merlfit.model.convolution.convolve`.
+        order: radial nodes of ``quadrature``, and of ``scaled`` outside its table; accuracy in
+            :func:`merlfit.model.convolution.convolve`.
         zonal_order: highest degree of ``zonal``.
         fresnel: of the mirror term: ``exact`` (HP17 Eq. 3-4), or Schlick's polynomial.
         masking: ``smith`` (masking and shadowing independent, HP15 Eq. 6), ``height_correlated`` (Smith's joint form,

@@ -30,9 +30,10 @@ from .quadrature import gauss_legendre
 SHARES = 24  # nodes of the renormalisation as a function of the facet's incidence: 1e-5
 LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: 1e-4
 LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
-INCIDENCES = 40  # nodes of the surface's albedo
+INCIDENCES = 48  # nodes of the surface's albedo
+NEAREST = 6  # of them that an interpolation takes
 ORDER = 16  # of the convolution in the surface's albedo
-RADII = (18, 32, 32)  # Gauss nodes in log tan(theta_h): below, around and beyond the edge of D
+RADII = (18, 32, 20, 16)  # Gauss nodes in log tan(theta_h): below, around, beyond the edge of D, and above 45 degrees
 AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
 STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
 
@@ -145,12 +146,13 @@ def _abscissa(theta: Real, beta: Scalar) -> Real:
 def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Geometry, Array]:
     """Half vectors for light at the nodes of incidence, and the measure cos_o domega_o of their viewers.
 
-    The same theta_h for every incidence, in log tan(theta_h): three panels around the edge of D. Azimuths from the
-    plane of incidence to where the viewer sets, at cos(phi) = -cot(theta_i) cot(2 theta_h).
+    The same theta_h for every incidence, in log tan(theta_h): panels around the edge of D, and from 45 degrees on,
+    where at normal incidence all viewers set at once. Azimuths from the plane of incidence to where the viewer sets,
+    at cos(phi) = -cot(theta_i) cot(2 theta_h).
 
     Args:
         beta, p: the EPD. largest_B: 2 b/lambda of the narrowest lobe.
-        degree: of zonal harmonics, whose ringing three nodes a degree beyond the edge resolve; 0 for lobes without.
+        degree: of zonal harmonics, whose ringing two nodes a degree in either outer panel resolve; 0 for lobes without.
 
     Returns:
         geometry with theta_h ``(1, R, 1)`` and the rest ``(INCIDENCES, R, AZIMUTHS)``; measure of that shape.
@@ -159,8 +161,9 @@ def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) ->
     log_beta = jnp.log(beta)
     high = float(np.log(np.tan(STEEPEST)))
     low = jnp.minimum(log_beta, -jnp.log1p(largest_B)) - 5.0
-    edges = [low, log_beta - 1.0, jnp.minimum(log_beta + jnp.minimum(jnp.log(34 + 3 / p) / (2 * p), 2.0), high), high]
-    rules = [gauss_legendre(n) for n in (*RADII[:-1], max(RADII[-1], 3 * degree))]
+    edge = log_beta + jnp.minimum(jnp.log(34 + 3 / p) / (2 * p), 2.0)
+    edges = [low, log_beta - 1.0, jnp.minimum(edge, high), jnp.clip(edge, 0.0, high), high]
+    rules = [gauss_legendre(n) for n in (*RADII[:2], *(max(n, 2 * degree) for n in RADII[2:]))]
     y = jnp.concatenate([a + (b - a) * u for a, b, (u, _) in zip(edges, edges[1:], rules, strict=False)])
     dy = jnp.concatenate([(b - a) * w for a, b, (_, w) in zip(edges, edges[1:], rules, strict=False)])
     tan_h = jnp.exp(y)[None, :, None]
@@ -182,17 +185,17 @@ def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) ->
 def at_incidence(table: Array, beta: Scalar, theta: Real) -> Array:
     """A table over the nodes of incidence, (C, INCIDENCES), at angles ``theta``: shape (C, *theta.shape).
 
-    Cubic through the four nearest nodes, of log(1 + E), which is tame where masking is off and E grows as 1/cos. Beyond
-    the outermost nodes, within 0.1 degrees of the normal and of the horizon, it stays what it is there.
+    By the polynomial through the nearest nodes, of log(1 + E), which is tame where masking is off and E grows as
+    1/cos. Beyond the outermost nodes, within 0.1 degrees of the normal and of the horizon, it stays what it is there.
     """
     nodes = _abscissa(incidences(beta), beta)
     x = _abscissa(jnp.asarray(theta), beta)
-    first = jnp.clip(jnp.searchsorted(nodes, x) - 2, 0, INCIDENCES - 4)
+    first = jnp.clip(jnp.searchsorted(nodes, x) - NEAREST // 2, 0, INCIDENCES - NEAREST)
     x = jnp.clip(x, nodes[0], nodes[-1])
-    near = [nodes[first + k] for k in range(4)]
+    near = [nodes[first + k] for k in range(NEAREST)]
     value = jnp.zeros(())
-    for k in range(4):
-        others = [m for m in range(4) if m != k]
+    for k in range(NEAREST):
+        others = [m for m in range(NEAREST) if m != k]
         weight = math.prod((x - near[m]) / (near[k] - near[m]) for m in others)
         value = value + weight * jnp.log1p(table)[:, first + k]
     return jnp.expm1(value)

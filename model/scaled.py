@@ -47,7 +47,6 @@ ORDER = 24  # of the quadrature that is fitted: 5e-5, far below what the form it
 FLOOR = 1e-2  # of the peak: relative residuals above, absolute ones below
 PRIOR = 1e-4  # weight of the unblurred q, for lobes so flat that any width fits
 ROUNDING = 1e-6  # relative, by which a variable may lie outside and is taken for the end of the range
-CHUNK = 1024  # points that are convolved at a time outside the range: 1024 x 640 nodes x 8 bytes = 5 MB
 
 
 def widest_beta(p: Real | np.ndarray) -> Real | np.ndarray:
@@ -178,17 +177,17 @@ def height_and_width(B: Real, c: Scalar, beta: Scalar, p: Scalar) -> tuple[Real,
     return log_s, shift + jnp.log1p(B * B)
 
 
-def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar) -> Real:
+def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: int = 32) -> Real:
     """(S * D) of HP17 Eq. 33 without the lobe's amplitude, as a scaled lobe (Eq. 39-41, times cos^2).
 
     s and g are looked up once per B, not once per point. Where :func:`covers` says no, all points are left to
-    :func:`merlfit.model.convolution.convolve`, at run time: hundreds of times slower, and another function, so that
-    values jump by what the form misses there. Under ``vmap`` over parameters both are computed.
+    :func:`merlfit.model.convolution.convolve_many`, at run time: slower, and another function, so that values jump by
+    what the form misses there. Under ``vmap`` over parameters both are computed.
 
     Args:
         theta_h: half angle (rad).
         B: 2 (b/lambda) cos_d, >= 0, dimensionless; broadcasts with ``theta_h``.
-        c: falloff of the K-correlation spectrum, > 1. beta, p: the EPD. Scalars.
+        c: falloff of the K-correlation spectrum, > 1. beta, p: the EPD. Scalars. order: of the quadrature.
 
     Returns:
         shape of the broadcast.
@@ -214,15 +213,11 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar) -> Real
     So it is good where the nano-geometry's lobe is the wider one, and no more than a rough shape where the normals
     are: no power of 1 + 4 g^2 sin^2 has the edge of an EPD. What is missed is the form's, not the table's.
     """
-    shape = jnp.broadcast_shapes(theta_h.shape, B.shape)
 
     def look_up() -> Real:
         return scaled_lobe(theta_h, *height_and_width(B, c, beta, p), c)
 
     def integrate() -> Real:
-        # in chunks: the nodes of all points together would not fit the memory
-        points = (jnp.broadcast_to(x, shape).ravel() for x in (theta_h, jnp.maximum(B, 1e-6)))
-        each = jax.lax.map(lambda x: convolution.convolve(*x, c, beta, p), tuple(points), batch_size=CHUNK)
-        return each.reshape(shape)
+        return convolution.convolve_many(theta_h, jnp.maximum(B, 1e-6), jnp.full((), 0.5, B.dtype), c, beta, p, order)
 
     return jax.lax.cond(covers(B, c, beta, p), look_up, integrate)

@@ -142,7 +142,7 @@ def two_scale(
 
     Reciprocal in light and viewer for every choice of effects. Differentiable in every parameter, with finite gradients
     at the horizon, at theta_h = 0 and for i = o; the conserving split has kinks where an excess begins. Accuracy: that
-    of the tier (``docs/effects.md``); masking 5e-7; the conserving split's tables 1e-3; everything else 1e-8.
+    of the tier (``docs/effects.md``); the conserving split's tables 5e-4; everything else 1e-8.
     """
     s = setting(geometry, effects, wavelengths_um)
     values = shaped(params, s)
@@ -308,7 +308,7 @@ def _blurred_lobe(v: Values, s: Setting) -> Array:
         case "lobe":
             return convolution.lobe(theta_h, 2 * b * cos_over_lambda, c)
         case "scaled":
-            return scaled.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p)
+            return scaled.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.order)
         case "zonal":
             return zonal.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.zonal_order)
         case _:

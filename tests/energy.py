@@ -23,7 +23,7 @@ from merlfit.model.two_scale import two_scale
 SEED = 20261121
 WAVELENGTH_UM = 0.526
 INCIDENCES_DEG = (0.5, 20.0, 40.0, 60.0, 75.0, 83.0, 87.0, 89.0)
-RADII, AZIMUTHS = 28, 12  # Gauss nodes of a panel (of nine), of half a ring
+RADII, AZIMUTHS = 24, 12  # Gauss nodes of a panel (of eleven), of half a ring
 SETS = 1000  # parameter sets in all
 EXACT = {"incidences_deg": (20.0, 87.0), "radii": 16, "azimuths": 8}  # one set and a coarse rule: minutes each
 RESULTS = Path(__file__).parents[1] / "results"
@@ -50,7 +50,9 @@ def half_vectors(theta_i, beta, p, largest_B, radii=RADII, azimuths=AZIMUTHS):
     marks = [low, (low + np.log(beta) - 1) / 2, np.log(beta) - 1, np.log(beta), edge, edge + 1.5, high - 2.5, high]
     cut = np.log(np.tan((np.pi / 2 - theta_i) / 2))  # where rings begin to cross the viewer's horizon
     marks = np.broadcast_to(np.clip(marks, low, high), (len(theta_i), len(marks)))
-    marks = np.sort(np.concatenate([marks, np.clip([cut[:, 0], cut[:, 0] + 0.3], low, high).T], 1), 1)
+    gone = np.log(np.tan((np.pi / 2 + theta_i) / 2))  # where they are below it with all their viewers
+    rings = [cut, np.minimum(cut + 0.3, (cut + gone) / 2), np.maximum(gone - 0.3, (cut + gone) / 2), gone]
+    marks = np.sort(np.concatenate([marks, *(np.clip(x, low, high) for x in rings)], 1), 1)
     u, w = np.polynomial.legendre.leggauss(radii)
     width = np.diff(marks, axis=1)[..., None]
     y = (marks[:, :-1, None] + width * (u + 1) / 2).reshape(len(theta_i), -1)

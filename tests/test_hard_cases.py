@@ -1,10 +1,14 @@
 """The hard cases of tests/hard_cases.toml: each within its tolerance, in value and gradient and both precisions."""
 
+from dataclasses import fields
+from typing import Literal, get_args, get_origin
+
 import hard_cases as hard
 import jax
 import mpmath as mp
 import numpy as np
 import pytest
+from merlfit.model.effects import Effects
 from oracles import precise
 
 CASES, KNOWN, _ = hard.table()
@@ -14,7 +18,7 @@ FAILING = {entry["case"] for entry in KNOWN["entries"]}
 
 
 @pytest.fixture(scope="module")
-def found(compilation_cache):
+def found(compilation_cache, table):
     return hard.found()
 
 
@@ -36,7 +40,9 @@ def test_the_table_is_whole():
     assert {case.effect for case in CASES} == set(hard.MODEL)
     defaults = {case.effect: case.tolerance for case in reversed(CASES) if not case.reason}
     for case in CASES:
-        assert bool(case.reason) == (case.tolerance != defaults[case.effect]), f"{case.name}: a tolerance and a reason"
+        departs = case.tolerance != defaults[case.effect] or bool(case.unchecked)
+        assert bool(case.reason) == departs, f"{case.name}: a tolerance and a reason"
+        assert set(case.unchecked) < set(case.parameters)
         assert not case.reason or len(case.reason.split()) > 3
 
 
@@ -46,9 +52,23 @@ def test_known_failures_only_shrink():
     assert all(len(entry["reason"].split()) > 3 for entry in KNOWN["entries"])
 
 
-def test_bodies_and_ways_of_diffraction_are_there_in_all_combinations():
-    seen = {(case.static["body"], case.static["diffraction"]) for case in CASES if "body" in case.static}
-    assert seen == {(b, d) for b in ("none", "lambert", "plastic", "subsurface") for d in ("off", "lobe", "quadrature")}
+def choices(kind):
+    """What a field of this type may be; nothing for numbers."""
+    if kind is bool:
+        return {True, False}
+    return set(get_args(kind)) if get_origin(kind) is Literal else set().union(*map(choices, get_args(kind)))
+
+
+def test_every_choice_of_every_effect_is_there():
+    told = [case.static for case in CASES if case.effect.startswith("two_scale")]
+    seen = [Effects(**static) for static in told]
+    for field in fields(Effects):
+        missing = choices(field.type) - {getattr(effects, field.name) for effects in seen}
+        assert not missing, f"{field.name}: no case has {missing}"
+    assert any(isinstance(effects.acquisition, float) for effects in seen)
+    bodies, ways = (choices(field.type) for field in fields(Effects) if field.name in ("body", "diffraction"))
+    together = {(effects.body, effects.diffraction) for effects in seen}
+    assert together >= {(body, way) for body in bodies for way in ways & {"off", "lobe", "quadrature"}}
 
 
 @pytest.mark.parametrize("name", hard.ALWAYS)
@@ -85,13 +105,24 @@ WRONG = {
     "plastic": lambda cos_i, cos_o, n, albedo: precise.plastic(cos_i, cos_o, n, albedo) * n**2,  # as printed
     "subsurface": lambda **at: precise.subsurface(**{**at, "albedo": at["albedo"] * 0.999}),
     "grazing": lambda cos_i, cos_o, exponent: precise.grazing(cos_i, cos_i, exponent),
+    "zonal": lambda order, **at: precise.zonal(**at, order=order - 1),
+    "scaled": lambda theta_h, **at: hard.scaled_lobe(theta_h, **at) / mp.cos(theta_h) ** 2,  # the printed form
+    "scaled_outside": lambda theta_h, B, c, beta, p: precise.lobe(theta_h, B, c),
+    "lobe_albedo": lambda renormalised, exact, **at: 1 - precise.specular_share(**at),  # the printed split
+    "two_scale": lambda **at: precise.two_scale(**{**at, "masking": "smith", "acquisition": "off"}),
+    "two_scale_zonal": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
+    "two_scale_scaled": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
+    "two_scale_exact": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
+    "two_scale_conserving": lambda **at: precise.two_scale(**{**at, "split": "printed"}),
 }
 
 
 @pytest.mark.parametrize("effect", WRONG)
 def test_a_wrong_formula_fails(effect, found, monkeypatch):
-    monkeypatch.setitem(hard.ORACLE, effect, WRONG[effect])
-    monkeypatch.setattr(hard.precise, "slope", lambda *_: mp.mpf(0))
+    def wrong(case, precision):
+        return WRONG[effect](**case.at(precision), **case.static), dict.fromkeys(case.checked, mp.mpf(0))
+
+    monkeypatch.setattr(hard, "reference", wrong)
     rows = [hard.Row(case, found[case.name]) for case in CASES if case.effect == effect]
     assert any("value" in row.failures for row in rows)
 

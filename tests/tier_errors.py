@@ -5,10 +5,12 @@ bins of MERL's grid above the horizon, one of the three wavelengths. The referen
 the facet and once with F in its place on both sides, which takes the frame of Q out of the comparison; and Eq. 33 at
 order 96, which the cheaper tiers approximate. Time: one BRDF on the whole of MERL's grid, three channels, after
 compilation, median of five, in the same run; `exact` is timed on a list of directions and scaled. All bins of all sets
-would take `exact` half a year on two cores: the random bins are an unbiased sample of them.
+would take `exact` half a year on two cores: the random bins are an unbiased sample of them. With ``--times`` only the
+times are taken anew.
 """
 
 import json
+import sys
 import time
 from dataclasses import replace
 from functools import partial
@@ -40,6 +42,12 @@ TIERS = {
 }
 REFERENCES = {"Eq. 27": "exact", "Eq. 27, F for Q/2": "exact", "Eq. 33": "quadrature"}
 RESULTS = Path(__file__).parents[1] / "results"
+STORE = RESULTS / "tiers.json"
+SHARES = np.linspace(0, 1, 201)  # of directions, for the plot
+WHAT = (
+    f"synthetic: {SETS} conductor parameter sets drawn from the priors of the fit, {DIRECTIONS} directions each drawn "
+    "from all bins of MERL's grid above the horizon"
+)
 
 
 def draws():
@@ -73,8 +81,8 @@ def evaluate(effects, values, wavelength, geometry):
 
 
 def summary(error):
-    median, high, worst = np.quantile(error, [0.5, 0.95, 1.0])
-    return {"median": float(median), "p95": float(high), "worst": float(worst)}
+    """Median, 95th percentile and worst."""
+    return dict(zip(("median", "p95", "worst"), np.quantile(error, [0.5, 0.95, 1.0]).tolist(), strict=True))
 
 
 def grid_seconds(effects):
@@ -97,45 +105,43 @@ def grid_seconds(effects):
     return float(np.median(seconds)) * grid.above.size / g.cos_i.size
 
 
-def main():
-    use_persistent_cache()
+def measure():
+    """Errors of every tier against every reference, with the quantiles that the plot shows."""
     values, wavelength, geometry = draws()
-    rows, errors = {}, {}
+    rows = {}
     for reference, tier in REFERENCES.items():
         colour = "fresnel" if "F for" in reference else "rayleigh_rice"
         target = Effects(diffraction=tier, colour=colour, order=96)
         whole, lobe = (np.asarray(x) for x in evaluate(target, values, wavelength, geometry))
+        seen = lobe > 1e-200  # far from the narrowest lobes nothing is left to compare
+        bright = (lobe > BRIGHT * np.max(lobe, 1, keepdims=True))[seen]
         for name, effects in TIERS.items():
             found, found_lobe = (
                 np.asarray(x) for x in evaluate(replace(effects, colour=colour), values, wavelength, geometry)
             )
-            seen = lobe > 1e-200  # far from the narrowest lobes nothing is left to compare
             in_lobe = np.abs(found_lobe - lobe)[seen] / lobe[seen]
-            in_all = np.abs(found - whole)[seen] / whole[seen]
-            bright = (lobe > BRIGHT * np.max(lobe, 1, keepdims=True))[seen]
             rows.setdefault(name, {})[reference] = {
                 "lobe": summary(in_lobe),
                 "bright_lobe": summary(in_lobe[bright]),
-                "brdf": summary(in_all),
+                "brdf": summary(np.abs(found - whole)[seen] / whole[seen]),
+                "lobe_quantiles": [float(f"{x:.3g}") for x in np.quantile(in_lobe, SHARES)],
             }
-            errors[name, reference] = in_lobe
             print(reference, name, rows[name][reference], flush=True)
-    seconds = {
-        name: grid_seconds(effects) for name, effects in {**TIERS, "exact": Effects(diffraction="exact")}.items()
-    }
-    write(rows, seconds, errors)
+        STORE.write_text(json.dumps({"what": WHAT, "errors": rows, "grid_seconds": {}}, indent=1) + "\n")
+    return rows
 
 
-def write(rows, seconds, errors):
-    what = (
-        f"synthetic: {SETS} conductor parameter sets drawn from the priors of the fit, {DIRECTIONS} directions each "
-        "drawn from all bins of MERL's grid above the horizon"
-    )
-    (RESULTS / "tiers.json").write_text(
-        json.dumps({"what": what, "errors": rows, "grid_seconds": seconds}, indent=1) + "\n"
-    )
+def main(arguments):
+    use_persistent_cache()
+    rows = json.loads(STORE.read_text())["errors"] if "--times" in arguments else measure()
+    timed = {**TIERS, "exact": Effects(diffraction="exact")}
+    write(rows, {name: grid_seconds(effects) for name, effects in timed.items()})
+
+
+def write(rows, seconds):
+    STORE.write_text(json.dumps({"what": WHAT, "errors": rows, "grid_seconds": seconds}, indent=1) + "\n")
     lines = [
-        f"Relative errors of the tiers of the diffraction lobe. Data: {what}; a lobe is bright above {BRIGHT:g} of its "
+        f"Relative errors of the tiers of the diffraction lobe. Data: {WHAT}; a lobe is bright above {BRIGHT:g} of its "
         "highest value among them. Made by `python -m tests.tier_errors`.", "",
     ]  # fmt: skip
     for reference in REFERENCES:
@@ -157,15 +163,15 @@ def write(rows, seconds, errors):
     figure, axes = plt.subplots(1, 3, figsize=(15, 4.8), sharey=True, layout="constrained")
     for axis, reference in zip(axes, REFERENCES, strict=True):
         for name in TIERS:
-            error = np.sort(np.maximum(errors[name, reference], 1e-9))
-            axis.plot(error, np.linspace(0, 1, len(error)), label=f"{name} ({seconds[name]:.2g} s)")
+            error = np.maximum(rows[name][reference]["lobe_quantiles"], 1e-9)
+            axis.plot(error, SHARES, label=f"{name} ({seconds[name]:.2g} s)")
         axis.set(xscale="log", xlim=(1e-7, 1e2), title=f"against {reference}", xlabel="relative error of the lobe")
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("share of directions with less error")
     axes[0].legend(fontsize=8)
-    figure.suptitle(f"Tiers of the diffraction lobe, {what} (time: whole MERL grid, 3 channels)", fontsize=10)
+    figure.suptitle(f"Tiers of the diffraction lobe, {WHAT} (time: whole MERL grid, 3 channels)", fontsize=10)
     figure.savefig(RESULTS / "tiers.png", dpi=110)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
