@@ -32,7 +32,10 @@ def number(x: float | None, digits: int = 4) -> str:
 
 def check_table(reports: Sequence[FileReport]) -> Table:
     """What `merlfit check` prints."""
-    table = Table(title="MERL files (max: largest BRDF value, 1/sr; genuine: by SHA-1)", title_justify="left")
+    table = Table(
+        title="MERL files (inf: or above 1e15/sr; max: largest BRDF value, 1/sr; genuine: by SHA-1)",
+        title_justify="left",
+    )
     left = ("file", "genuine MERL")
     for head in ("file", "dims", "valid", "negative", "NaN", "inf", "max R", "max G", "max B", "genuine MERL"):
         table.add_column(

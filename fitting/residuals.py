@@ -31,7 +31,6 @@ from .transforms import layout_of
 
 T = TypeVar("T")
 BLOCK_BINS = 90_000  # bins (without channels) of a block: its 30-odd intermediates of 3 channels take 65 MB
-BRIGHTEST = 1e15  # 1/sr: beyond any mirror in a 1 degree bin by 11 orders; such a number is no measurement
 BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
 
 
@@ -71,14 +70,12 @@ def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
 def weighted_samples(measurement: Measurement) -> Samples:
     """Folded samples of a file with the weights of Eq. 56: quadrature weight of the bin times w_C of its value.
 
-    Bins that the horizon cuts with their centre below it are left out: the model is 0 there. So are absurdly bright
-    ones (`BRIGHTEST`), whose squares would overflow.
-    Each channel is compared with its own median, so that no channel is fitted at the expense of another.
+    Bins that the horizon cuts with their centre below it are left out: the model is 0 there. Each channel is compared
+    with its own median, so that no channel is fitted at the expense of another.
     """
     grid = merl_grid()
     weight = np.zeros(measurement.values.shape)
     used = measurement.valid & grid.above & (grid.weight > 0)
-    used &= np.all(np.nan_to_num(measurement.values) < BRIGHTEST, 0)
     for plane, out in zip(measurement.values, weight, strict=True):
         if not used.any():
             break

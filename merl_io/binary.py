@@ -24,6 +24,7 @@ SCALES = np.array([1.0 / 1500, 1.15 / 1500, 1.66 / 1500])
 HEADER = struct.Struct("<3i")
 FILE_BYTES = HEADER.size + CHANNELS * int(np.prod(DIMS)) * 8
 NO_DATUM = -1.0
+BRIGHTEST = 1e15  # 1/sr: beyond any mirror in a 1 degree bin by 11 orders; such a number is no measurement
 MAGIC = {
     b"\x89PNG": "a PNG picture",
     b"v/1\x01": "an OpenEXR picture",
@@ -47,8 +48,8 @@ class Measurement:
 
     Attributes:
         path: where it was read. values: BRDF (1/sr), shape (3, 90, 90, 180), NaN where there is no datum.
-        valid: shape (90, 90, 180), False where any channel is negative or not finite.
-        negative, nan, inf: how many stored numbers were so.
+        valid: shape (90, 90, 180), False where any channel is negative, not finite or absurdly bright (`BRIGHTEST`).
+        negative, nan, inf: how many stored numbers were so; the last with those that are absurdly bright.
         sha1: of the whole file. blob_sha1: the same as git names its blob, by which genuine files are known.
     """
 
@@ -112,13 +113,13 @@ def _measurement(path: Path, stored: np.ndarray, sha1: str, blob_sha1: str) -> M
     invalid = np.zeros(DIMS, bool)
     counts = np.zeros(3, int)
     for plane, (numbers, scale) in enumerate(zip(stored, SCALES, strict=True)):
-        negative, finite = numbers < 0, np.isfinite(numbers)
-        counts += (negative.sum(), np.isnan(numbers).sum(), np.isinf(numbers).sum())
-        invalid |= negative | ~finite
+        kinds = numbers < 0, np.isnan(numbers), numbers * scale >= BRIGHTEST
+        counts += [kind.sum() for kind in kinds]
+        invalid |= np.logical_or.reduce(kinds)
         np.multiply(numbers, scale, out=values[plane])
     if invalid.all():
         raise MerlError(
-            f"{path}: holds no valid bin (every one is negative or not finite); nothing can be fitted to it"
+            f"{path}: holds no valid bin: all are negative, not finite or above {BRIGHTEST:g}/sr; nothing can be fitted"
         )
     values[:, invalid] = np.nan
     return Measurement(path, values, ~invalid, int(counts[0]), int(counts[1]), int(counts[2]), sha1, blob_sha1)

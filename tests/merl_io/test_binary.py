@@ -49,15 +49,17 @@ def test_invalid_numbers_become_a_mask_and_never_zero(tmp_path, values):
     write(target, values)
     stored = np.memmap(target, "<f8", "r+", 12, (3, *DIMS))
     stored[0, 1, 2, 3], stored[1, 4, 5, 6], stored[2, 7, 8, 9], stored[0, 0, 0, 0] = -2.0, np.nan, np.inf, 0.0
+    stored[0, 3, 2, 1], stored[0, 3, 2, 2] = 1.6e18, 1.4e18  # 1.07e15/sr is no measurement, 0.93e15/sr might be
     stored.flush()
     found = read(target)
-    assert (found.negative, found.nan, found.inf) == (1, 1, 1)
-    assert (~found.valid).sum() == 3
+    assert (found.negative, found.nan, found.inf) == (1, 1, 2)
+    assert (~found.valid).sum() == 4
     assert np.isnan(found.values[:, ~found.valid]).all()
     assert found.values[0, 0, 0, 0] == 0
     assert found.valid[0, 0, 0]
+    assert found.valid[3, 2, 2]
     report = check.summarise(found)
-    assert report.fraction_valid == pytest.approx(1 - 3 / np.prod(DIMS))
+    assert report.fraction_valid == pytest.approx(1 - 4 / np.prod(DIMS))
     assert report.genuine is None
 
 
