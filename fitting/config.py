@@ -107,6 +107,18 @@ class Config(_Section):
     fit: FitSection = FitSection()
     posterior: PosteriorSection = PosteriorSection()
 
+    @model_validator(mode="after")
+    def _refuse_idle_keys(self) -> "Config":
+        """What was changed and would have no effect is a mistake, better told than passed over."""
+        effects, default = self.effects, EffectsSection()
+        if effects.order != default.order and effects.diffraction not in ("quadrature", "scaled"):
+            raise ValueError(f"effects.order has no effect with diffraction = {effects.diffraction!r}: leave it out")
+        if effects.zonal_order != default.zonal_order and effects.diffraction != "zonal":
+            raise ValueError("effects.zonal_order has an effect with diffraction = 'zonal' only: leave it out")
+        if self.apparatus != ApparatusSection() and effects.acquisition != "derived":
+            raise ValueError("[apparatus] has an effect with effects.acquisition = 'derived' only: leave it out")
+        return self
+
     def effects_of(self, body: Body) -> Effects:
         """The effects to fit with one body."""
         chosen = self.effects.model_copy(update={"body": body}).model_dump(exclude={"preset"})
@@ -162,6 +174,9 @@ def parse(data: dict[str, Any], where: str) -> Config:
         if key.startswith("effects.acquisition."):  # each alternative of the union complains apart
             wanted = "'off', 'free', 'derived' or a number in [0, 1]"
             raise ConfigError(f"{where}: effects.acquisition: should be {wanted}, not {first.get('input')!r}") from None
+        if first["type"] == "value_error":  # raised here, complete
+            said = first["msg"].removeprefix("Value error, ")
+            raise ConfigError(f"{where}: {said}" if not key else f"{where}: {key}: {said}") from None
         if first["type"] == "extra_forbidden":
             near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.3) or difflib.get_close_matches(
                 str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0

@@ -214,7 +214,8 @@ def test_settings_of_effects_are_those_of_the_model():
     assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
     chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False, "acquisition": 0.5}
     assert parse({"effects": chosen}, "here").effects_of("none") == Effects(**chosen)
-    lamp = parse({"apparatus": {"lamp_sigma_rad": 0.01}}, "here").effects_of("none").apparatus
+    derived = {"effects": {"acquisition": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
+    lamp = parse(derived, "here").effects_of("none").apparatus
     assert lamp == Apparatus(lamp_sigma_rad=0.01)
 
 
@@ -236,6 +237,20 @@ def test_presets_are_those_of_the_model(name):
 def test_the_reference_is_refused_in_fits():
     with pytest.raises(ConfigError, match="fit with quadrature"):
         parse({"effects": {"diffraction": "exact"}}, "here")
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"effects": {"order": 48, "diffraction": "lobe"}}, "order has no effect with diffraction = 'lobe'"),
+        ({"effects": {"zonal_order": 50}}, "diffraction = 'zonal' only"),
+        ({"apparatus": {"lamp_sigma_rad": 0.01}}, "acquisition = 'derived' only"),
+    ],
+)
+def test_keys_that_would_have_no_effect_are_refused(data, words):
+    with pytest.raises(ConfigError, match=words) as error:
+        parse(data, "here")
+    assert "Value error" not in str(error.value)
 
 
 def test_shipped_schema_is_the_models(tmp_path):

@@ -32,6 +32,20 @@ def test_the_albedo_is_not_the_printed_share():
     assert given_back > printed + 5e-3
 
 
+@pytest.mark.parametrize("kind", ["lambert", "plastic", "subsurface"])
+def test_bodies_below_the_surface_give_back_no_more_than_they_get(kind):
+    u, w = np.polynomial.legendre.leggauss(60)
+    u, w = (u + 1) / 2, w / 2
+    cos_i = jnp.linspace(0.0, 1.0, 21)[:, None]
+    rng = np.random.default_rng(20261121)
+    given = []
+    for n, white in zip(rng.uniform(1, 3, 30), [True, False] * 15, strict=True):
+        albedo = 1.0 if white else rng.uniform()
+        brdf = energy.unlit_body(kind, cos_i, jnp.asarray(u), jnp.asarray(albedo), jnp.asarray(n))
+        given.append(np.max(np.sum(2 * np.pi * u * w * (brdf + 0 * cos_i), -1)))
+    assert 1 - 1e-6 < max(given) < 1 + 1e-6  # at albedo 1 all of it
+
+
 QUICK = [
     FULL, replace(FULL, body="lambert", masking="none"), replace(FULL, body="plastic", diffraction="lobe"),
     replace(FULL, body="subsurface", diffraction="off"),
