@@ -14,13 +14,15 @@ def nodes(count: int) -> np.ndarray:
 def weights(x: Real, count: int) -> Real:
     """Weights by which values at the nodes make the interpolating polynomial at ``x`` in [0, 1].
 
+    Where rounding has put x just beyond an end the polynomial goes on, and its slope; farther out it stays what it is.
+
     Returns:
         shape ``(count, *x.shape)``; summed with the values over the first axis they give the polynomial.
     """
     k = np.arange(count)
     to_coefficients = np.cos(np.outer(k, np.pi * (k + 0.5) / count)) * (2 / count)
     to_coefficients[0] /= 2
-    x = jnp.clip(2 * x - 1, -1.0, 1.0)
+    x = jnp.clip(2 * x - 1, -1.01, 1.01)
     rows = [jnp.ones_like(x), x]
     for _ in range(count - 2):
         rows.append(2 * x * rows[-1] - rows[-2])

@@ -32,8 +32,8 @@ LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: 1e-4
 LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
 INCIDENCES = 48  # nodes of the surface's albedo
 NEAREST = 6  # of them that an interpolation takes
-ORDER = 16  # of the convolution in the surface's albedo
-RADII = (18, 32, 20, 16)  # Gauss nodes in log tan(theta_h): below, around, beyond the edge of D, and above 45 degrees
+ORDER = 24  # of the convolution in the surface's albedo
+RADII = (18, 32, 48, 32)  # Gauss nodes in log tan(theta_h): below, around, beyond the edge of D, and above 45 degrees
 AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
 STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
 

@@ -47,7 +47,9 @@ DEAR = ("convolve", "convolve_256", "zonal", "scaled_outside", "lobe_albedo", "t
         "two_scale_zonal", "two_scale_exact", "two_scale_conserving")  # fmt: skip
 ALWAYS = (
     "theta_h = 0, p = 5 and B beta = 2",
+    "zonal of enough degrees",
     "plastic of albedo 1, retro-reflection",
+    "conserving without masking: both at 89 degrees",
 )  # dear ones that tests compute anew
 
 
@@ -69,8 +71,8 @@ def grazing(cos_i, cos_o, exponent):
 
 
 def facet_albedo(theta_d, wavelength_um, b, c, sigma_s, renormalised, exact):
-    """The conserving split's lobe albedo at one wavelength."""
-    return energy.lobe_albedo(theta_d, b, c, sigma_s, wavelength_um[None], renormalised, exact)[0]
+    """The conserving split's lobe albedo at one wavelength, of the angle's dtype, as the assembled model makes it."""
+    return energy.lobe_albedo(theta_d, b, c, sigma_s, wavelength_um[None], renormalised, exact)[0].astype(theta_d.dtype)
 
 
 def assembled(theta_h, theta_d, phi_d, wavelength_um, **rest):

@@ -155,6 +155,20 @@ def test_the_precise_oracle_knows_beckmann_and_converges():
         assert abs(precise.renormalisation(0.0, 2.0, 3.0) - mp.mpf("0.8")) < 1e-25
         for case in ((1.5, 2e4, 8.0, 2.0, 5.0),):
             assert abs(precise.convolve(*case, order=18) / precise.convolve(*case) - 1) < 1e-8
+        # the sum of all degrees is the convolution
+        case = (0.3, 2.0, 2.0, 0.2, 1.0)
+        assert abs(precise.zonal(*case, order=100) / precise.convolve(*case) - 1) < 1e-12
+        case = (1.5, 0.5, 0.5, 2.0, 0.3, False, True)
+        assert abs(precise.lobe_albedo(*case, order=14) / precise.lobe_albedo(*case) - 1) < 1e-6
+
+
+def test_the_precise_oracle_of_the_exact_lobe_converges():
+    """Narrow normals and a sharp lobe; and, where both are wide, facets turned away from light or viewer."""
+    with mp.workdps(30):
+        for case in ((0.3, 0.7, 1, 32, 1, 1, 0, 2.5, 0.01, 0.8), (0.05, 1.4, 1, 2, 1, 1, 0, 2, 0.5, 1)):
+            case = tuple(map(mp.mpf, case))
+            coarse, fine = (precise.exact_lobe(*case, coloured=False, order=order) for order in (8, 10))
+            assert abs(coarse / fine - 1) < 1e-7
 
 
 def test_functions_keep_float32_and_float64(found):

@@ -452,7 +452,7 @@ def lobe_albedo(theta_d, wavelength_um, b, c, sigma_s, renormalised, exact, orde
     ratio, s, cos_i = b / wavelength_um, mp.sin(theta_d), mp.cos(theta_d)
     share_of = _share(ratio, c) if renormalised else lambda cos2: mp.mpf(1)
     strength, total = (4 * mp.pi * sigma_s / wavelength_um) ** 2, mp.mpf(0)
-    ladder = [mp.mpf(4) ** -j for j in range(10)]
+    ladder = [x for x in (mp.mpf(4) ** -j for j in range(10)) if 8 * x > cos_i]
     points = sorted([mp.mpf(0), mp.pi / 2, mp.pi, *(mp.pi / 2 - x for x in ladder), *(mp.pi / 2 + x for x in ladder)])
     for phi, weight in panels(points, order):
         cosine, root = s * mp.cos(phi), mp.sqrt(1 - (s * mp.sin(phi)) ** 2)
@@ -670,14 +670,14 @@ def _viewers(theta_i, narrowest):
     Elevations in panels geometric towards the horizon; azimuths from the mirror direction, stretched onto it.
     """
     cos_i, sin_i, nodes = mp.cos(theta_i), mp.sin(theta_i), []
-    ladder = [(mp.pi / 2 - theta_i) * mp.mpf(2) ** j for j in range(-1, 20)]
-    for up, weight in panels([mp.mpf(0), *(x for x in ladder if x < mp.pi / 2), mp.pi / 2], 10):
+    ladder = [(mp.pi / 2 - theta_i) * mp.mpf(3) ** j for j in range(-1, 12)]
+    for up, weight in panels([mp.mpf(0), *(x for x in ladder if x < mp.pi / 2), mp.pi / 2], 8):
         cos_o, sin_o = mp.sin(up), mp.cos(up)
         near = mp.hypot(narrowest * (cos_i + cos_o), sin_i - sin_o)
         width = near / mp.sqrt(sin_i * sin_o)
         last = mp.asinh(mp.pi / width)
         count = int(last / 1.5) + 1
-        for s, ds in panels([last * j / count for j in range(count + 1)], 8):
+        for s, ds in panels([last * j / count for j in range(count + 1)], 6):
             half = mp.sin(width * mp.sinh(s) / 2) ** 2
             across = mp.sqrt((sin_i - sin_o) ** 2 + 4 * sin_i * sin_o * half)  # |i_p + o_p|
             theta_h = mp.atan2(across, cos_i + cos_o)
