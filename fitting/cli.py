@@ -82,10 +82,10 @@ def fit(
 def _settings(
     config: Path | None, preset: str | None, body: str | None, posterior: bool | None, seed: int | None
 ) -> "Config":
-    from .config import Config, ConfigError, load
+    from .config import ConfigError, load
 
     try:
-        return (load(config) if config else Config()).with_options(preset, body, posterior, seed)
+        return load(config, preset=preset, body=body, posterior=posterior, seed=seed)
     except ConfigError as error:
         raise _fail(str(error)) from None
 

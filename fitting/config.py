@@ -20,7 +20,7 @@ class ConfigError(ValueError):
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class EffectsSection(_Section):
@@ -47,9 +47,10 @@ class EffectsSection(_Section):
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, data: object) -> object:
-        if not isinstance(data, dict) or data.get("preset", "hp17") not in PRESETS:
-            return data
-        preset = asdict(PRESETS[data.get("preset", "hp17")])
+        name = data.get("preset", "hp17") if isinstance(data, dict) else None
+        if not isinstance(data, dict) or not isinstance(name, str) or name not in PRESETS:
+            return data  # which the fields will complain about
+        preset = asdict(PRESETS[name])
         if "exact" in (preset["diffraction"], data.get("diffraction")):
             raise ValueError("exact is a reference that takes hours on MERL's grid: fit with quadrature")
         return {**{k: v for k, v in preset.items() if k not in ("body", "acquisition", "apparatus")}, **data}
@@ -109,14 +110,19 @@ class Config(_Section):
 
     @model_validator(mode="after")
     def _refuse_idle_keys(self) -> "Config":
-        """What was changed and would have no effect is a mistake, better told than passed over."""
-        effects, default = self.effects, EffectsSection()
-        if effects.order != default.order and effects.diffraction not in ("quadrature", "scaled"):
-            raise ValueError(f"effects.order has no effect with diffraction = {effects.diffraction!r}: leave it out")
-        if effects.zonal_order != default.zonal_order and effects.diffraction != "zonal":
-            raise ValueError("effects.zonal_order has an effect with diffraction = 'zonal' only: leave it out")
+        """What was changed from the preset and would have no effect is a mistake, better told than passed over."""
+        effects, lit = self.effects, self.effects.diffraction != "off"
+        useful = {
+            "order": (effects.diffraction in ("quadrature", "scaled"), "effects.diffraction is quadrature or scaled"),
+            "zonal_order": (effects.diffraction == "zonal", "effects.diffraction is zonal"),
+            "renormalised": (lit, "effects.diffraction is not off"),
+            "colour": (lit, "effects.diffraction is not off"),
+        }
+        for key, (used, when) in useful.items():
+            if not used and getattr(effects, key) != getattr(PRESETS[effects.preset], key):
+                raise ValueError(f"effects.{key} has an effect only where {when}: leave it out")
         if self.apparatus != ApparatusSection() and effects.acquisition != "derived":
-            raise ValueError("[apparatus] has an effect with effects.acquisition = 'derived' only: leave it out")
+            raise ValueError("[apparatus] has an effect only where effects.acquisition is derived: leave it out")
         return self
 
     def effects_of(self, body: Body) -> Effects:
@@ -124,44 +130,40 @@ class Config(_Section):
         chosen = self.effects.model_copy(update={"body": body}).model_dump(exclude={"preset"})
         return Effects(**chosen, apparatus=Apparatus(**self.apparatus.model_dump()))
 
-    def with_options(self, preset: str | None, body: str | None, posterior: bool | None, seed: int | None) -> "Config":
-        """A copy with what the command line gave; a preset leaves body and acquisition as they are.
 
-        Raises:
-            ConfigError: a preset, where the settings file chose other effects already.
-        """
-        data = self.model_dump()
-        if preset is not None:
-            chosen = self.effects.model_copy(update={k: getattr(EffectsSection(), k) for k in ("body", "acquisition")})
-            if chosen != EffectsSection():
-                raise ConfigError(
-                    f"--preset {preset} would undo the file's [effects]: set effects.preset there instead"
-                )
-            kept = {k: data["effects"][k] for k in ("body", "acquisition")}
-            data["effects"] = {"preset": preset, **kept}
-        if body is not None:
-            data["effects"]["body"] = body
-        if posterior is not None:
-            data["posterior"]["enabled"] = posterior
-        if seed is not None:
-            data["seed"] = seed
-        return parse(data, "command line")
+def load(
+    path: str | os.PathLike[str] | None = None,
+    *,
+    preset: str | None = None,
+    body: str | None = None,
+    posterior: bool | None = None,
+    seed: int | None = None,
+) -> Config:
+    """Settings of a TOML file, or the defaults; keys left out keep their defaults.
 
-
-def load(path: str | os.PathLike[str]) -> Config:
-    """Read a TOML file; keys it leaves out keep their defaults.
+    What is given beside the file, by the command line, replaces the file's own: a preset its ``effects.preset``, while
+    keys that stand beside that in the file go on replacing those of the preset.
 
     Raises:
         ConfigError: missing file, bad TOML, unknown key (the nearest known one is named), value out of range.
     """
-    path = Path(path)
+    data = {} if path is None else _read(Path(path))
+    given = {("effects", "preset"): preset, ("effects", "body"): body, ("posterior", "enabled"): posterior}
+    for (section, key), value in given.items():
+        if value is not None and isinstance(data.setdefault(section, {}), dict):
+            data[section][key] = value
+    if seed is not None:
+        data["seed"] = seed
+    return parse(data, "command line" if path is None else str(path))
+
+
+def _read(path: Path) -> dict[str, Any]:
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: is not TOML: {error}") from None
-    return parse(data, str(path))
 
 
 def parse(data: dict[str, Any], where: str) -> Config:

@@ -1,6 +1,7 @@
 """The table of ``diffraction = "scaled"`` on disk: computed when it is first asked for, then read."""
 
 import hashlib
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -9,16 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from ..merl_io.atomic import write_atomically
-from ..model import chebyshev, convolution, scaled
+from ..model import chebyshev, convolution, ndf, numerics, quadrature, scaled
 
+MAKERS = (scaled, convolution, chebyshev, ndf, numerics, quadrature)
 UNSOUND = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)  # what reading a broken file raises
 
 
 def keep_in(folder: Path | None) -> None:
     """Keep the table in this folder, which is made if needed; None: in memory only.
 
-    Raises:
-        OSError: when the table is next asked for, where the folder cannot be written.
+    Where the folder cannot be written the table is made anew by every process, with a warning.
     """
 
     def keep(build: Callable[[], np.ndarray]) -> np.ndarray:
@@ -27,8 +28,11 @@ def keep_in(folder: Path | None) -> None:
         values = stored(path)
         if values is None:
             values = build()
-            folder.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, lambda file: np.savez(file, table=values))
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                write_atomically(path, lambda file: np.savez(file, table=values))
+            except OSError as error:
+                warnings.warn(f"{folder}: the table of the scaled lobe cannot be kept there ({error})", stacklevel=2)
         return values
 
     scaled.keep_by(None if folder is None else keep)
@@ -36,7 +40,7 @@ def keep_in(folder: Path | None) -> None:
 
 def file_name() -> str:
     """Name with a hash of the code that makes the table: what other code has made is never read."""
-    code = b"".join(Path(str(module.__file__)).read_bytes() for module in (scaled, convolution, chebyshev))
+    code = b"".join(Path(str(module.__file__)).read_bytes() for module in MAKERS)
     return f"scaled-{hashlib.sha256(code).hexdigest()[:16]}.npz"
 
 

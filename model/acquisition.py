@@ -14,7 +14,7 @@ ways. A lamp of finite size does nearly that: its spread a moves h by a/2 in tha
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import lru_cache
 
 import jax.numpy as jnp
@@ -58,6 +58,8 @@ class Apparatus:
 
     def __post_init__(self) -> None:
         """Refuse lengths that are no lengths, and a camera inside the sphere."""
+        if not all(math.isfinite(x) for x in astuple(self)):
+            raise ValueError(f"{self}: all lengths and angles must be finite")
         if not (self.sphere_radius_px > 0 and self.pixel_sigma_px > 0 and self.lamp_sigma_rad >= 0):
             raise ValueError(f"{self}: radius and pixel must be positive, the lamp's spread not negative")
         if not (0 <= self.camera_nearness < 1 and self.lamp_nearness >= 0):

@@ -62,12 +62,14 @@ class Effects:
             value, choices = getattr(self, field.name), get_args(field.type)
             if get_origin(field.type) is Literal and value not in choices:
                 raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
+            if field.type in (bool, int) and type(value) is not field.type:
+                raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
         if not 6 <= self.order <= 256:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
         if not 1 <= self.zonal_order <= 1000:
             raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
-        fixed = not isinstance(self.acquisition, (str, bool)) and 0 <= self.acquisition <= 1
-        if not (fixed or (isinstance(self.acquisition, str) and self.acquisition in get_args(Acquisition))):
+        number = type(self.acquisition) in (int, float)
+        if not (0 <= float(self.acquisition) <= 1 if number else self.acquisition in get_args(Acquisition)):
             raise ValueError(f"acquisition {self.acquisition!r} is neither off, free, derived nor a number in [0, 1]")
 
     @property

@@ -27,12 +27,6 @@ def safe_acos(x: Real) -> Real:
     return jnp.where(inside, jnp.arccos(jnp.where(inside, x, 0.0)), jnp.where(x > 0, 0.0, jnp.pi))
 
 
-def safe_pow(x: Real, p: Real | float) -> Real:
-    """``x**p`` for ``p > 0``; 0 with zero gradient (in ``x`` and in ``p``) where ``x <= 0``."""
-    positive = x > 0
-    return jnp.where(positive, jnp.exp(p * jnp.log(jnp.where(positive, x, 1.0))), 0.0)
-
-
 def total(x: Real) -> Real:
     """Sum over the last axis in the precision of ``x``, accumulated in float64."""
     return jnp.sum(x, -1, dtype=jnp.float64).astype(x.dtype)

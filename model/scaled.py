@@ -14,6 +14,7 @@ in memory, and kept where :func:`keep_by` says. What it does not cover is left t
 """
 
 import math
+import threading
 from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -148,21 +149,27 @@ def _build() -> np.ndarray:
 
 Keep = Callable[[Callable[[], np.ndarray]], np.ndarray]
 _keep: Keep | None = None
+_ONE_AT_A_TIME = threading.Lock()  # two programs that are traced at once wait for one table
 
 
 def keep_by(keep: Keep | None) -> None:
     """Let ``keep``, which is given what computes the table, fetch it from where it is kept; None: memory only."""
     global _keep
     _keep = keep
-    table.cache_clear()
+    _table.cache_clear()
 
 
-@lru_cache(maxsize=1)
 def table() -> np.ndarray:
     """log s and q - log(1 + B^2) at the Chebyshev nodes of the four coordinates, shape ``(2, *NODES)``.
 
     From memory, else from where :func:`keep_by` says, else computed: 17 s on two cores, 0.44 MB.
     """
+    with _ONE_AT_A_TIME:
+        return _table()
+
+
+@lru_cache(maxsize=1)
+def _table() -> np.ndarray:
     values = _build() if _keep is None else _keep(_build)
     values.flags.writeable = False
     return values

@@ -227,11 +227,25 @@ def test_presets_are_those_of_the_model(name):
         return
     expected = dataclasses.replace(PRESETS[name], body="plastic", acquisition="free")
     assert parse({"effects": {"preset": name}}, "here").effects_of("plastic") == expected
-    assert Config().with_options(name, "plastic", None, None).effects_of("plastic") == expected
+    assert load(preset=name, body="plastic").effects_of("plastic") == expected
     beside = parse({"effects": {"preset": name, "masking": "none"}}, "here")
     assert beside.effects_of("plastic") == dataclasses.replace(expected, masking="none")
-    with pytest.raises(ConfigError, match="would undo"):
-        beside.with_options("hp17", None, None, None)
+
+
+def test_the_command_line_replaces_the_preset_and_leaves_the_keys_beside_it(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text('seed = 3\n[effects]\npreset = "conserving"\nmasking = "none"\nacquisition = 0.5\n')
+    found = load(path, preset="preview", body="plastic", posterior=False)
+    expected = dataclasses.replace(PRESETS["preview"], body="plastic", masking="none", acquisition=0.5)
+    assert found.effects_of("plastic") == expected
+    assert found.seed == 3
+    assert not found.posterior.enabled
+    assert load(path, seed=5).seed == 5
+    assert load(path).effects.split == "conserving"
+
+
+def test_presets_that_only_switch_things_off_are_not_refused():
+    assert parse({"effects": {"preset": "preview", "diffraction": "off"}}, "here").effects.colour == "fresnel"
 
 
 def test_the_reference_is_refused_in_fits():
@@ -242,9 +256,11 @@ def test_the_reference_is_refused_in_fits():
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"effects": {"order": 48, "diffraction": "lobe"}}, "order has no effect with diffraction = 'lobe'"),
-        ({"effects": {"zonal_order": 50}}, "diffraction = 'zonal' only"),
-        ({"apparatus": {"lamp_sigma_rad": 0.01}}, "acquisition = 'derived' only"),
+        ({"effects": {"order": 48, "diffraction": "lobe"}}, "order has an effect only where .* quadrature or scaled"),
+        ({"effects": {"zonal_order": 50}}, "diffraction is zonal"),
+        ({"effects": {"preset": "microfacet", "colour": "fresnel"}}, "colour has an effect only where"),
+        ({"effects": {"diffraction": "off", "renormalised": False}}, "renormalised has an effect only where"),
+        ({"apparatus": {"lamp_sigma_rad": 0.01}}, "acquisition is derived"),
     ],
 )
 def test_keys_that_would_have_no_effect_are_refused(data, words):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting import run
-from merlfit.fitting.config import Config
+from merlfit.fitting.config import Config, load
 from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
@@ -69,7 +69,7 @@ def files(tmp_path_factory):
 
 @pytest.mark.parametrize(("name", "values", "body"), [("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "auto")])
 def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, values, body):
-    config = Config().with_options(None, body, False, None)
+    config = load(body=body, posterior=False)
     result = run.fit_file(files[name], tmp_path, config)
     assert result.fit.status == "CONVERGED", result.fit
     truth = {**values, "grazing_exponent": EXPONENT}
@@ -86,7 +86,7 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
 def test_nickel_as_its_neural_reconstruction(reconstructions, tmp_path):
     """A reconstruction, not the measurement: cost and errors as they were found, which only a regression can raise."""
     reconstructions.main(tmp_path, "nickel")
-    result = run.fit_file(tmp_path / "nickel.binary", tmp_path, Config().with_options(None, "none", False, None))
+    result = run.fit_file(tmp_path / "nickel.binary", tmp_path, load(body="none", posterior=False))
     assert result.fit.succeeded
     assert result.fit.cost < 0.0226
     assert result.metrics.rmse < 0.11

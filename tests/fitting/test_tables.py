@@ -1,5 +1,8 @@
 """The table of the scaled lobe on disk."""
 
+import re
+from concurrent.futures import ThreadPoolExecutor
+from inspect import getsource as source
 from pathlib import Path
 
 import jax
@@ -61,10 +64,29 @@ def test_broken_file_is_made_anew(small, how):
 
 def test_file_of_other_code_is_not_read(small, monkeypatch):
     name, read = tables.file_name(), Path.read_bytes
-    for changed in ("scaled", "convolution"):
+    imported = {name for maker in tables.MAKERS for name in re.findall(r"^from \.(\w+) import", source(maker), re.M)}
+    makers = {maker.__name__.rpartition(".")[2] for maker in tables.MAKERS}
+    assert imported <= makers
+    for changed in makers:
         with monkeypatch.context() as patch:
             patch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path.stem == changed))
             assert tables.file_name() != name
+
+
+def test_a_folder_that_cannot_be_written_is_told_and_the_table_used(tmp_path, small):
+    (tmp_path / "file").write_text("in the way")
+    tables.keep_in(tmp_path / "file" / "tables")
+    with pytest.warns(UserWarning, match="cannot be kept"):
+        assert scaled.table().shape == (2, 4, 3, 3, 3)
+
+
+def test_two_threads_make_one_table(small, monkeypatch):
+    build, made = scaled._build, []
+    monkeypatch.setattr(scaled, "_build", lambda: made.append(1) or build())
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(lambda _: scaled.table(), range(2))
+    assert first is second
+    assert len(made) == 1
 
 
 def test_table_can_be_made_while_a_program_is_traced(small):

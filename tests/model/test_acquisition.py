@@ -169,6 +169,7 @@ def test_an_apparatus_is_static():
         ({"lamp_sigma_rad": -0.1}, "not negative"),
         ({"camera_nearness": 1.0}, "outside the sphere"),
         ({"lamp_nearness": -1.0}, "above its surface"),
+        ({"sphere_radius_px": float("inf")}, "must be finite"),
     ],
 )
 def test_impossible_apparatus_is_refused(wrong, words):
