@@ -87,7 +87,8 @@ def write(rows):
     )
     RESULTS.joinpath("splits.json").write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
     lines = [
-        f"Energy splits compared as fits, {len(rows)} of {len(MATERIALS)} materials. {what}. "
+        f"Energy splits compared as fits, {len(rows)} of {len(MATERIALS)} materials. {what}. The printed split is "
+        "searched for as `merlfit fit` does; the conserving one goes on from its optimum, which favours the former. "
         "Made by `python -m tests.energy_splits`.", "",
         "| material | body | split | cost | RMSE | " + " | ".join(SHOWN) + " |", "|" + "---|" * (5 + len(SHOWN)),
     ]  # fmt: skip

@@ -89,7 +89,7 @@ def number(x, digits):
 
 def marked(fit):
     """Cost; starred where the solver met its limit of steps, with a dagger where no light at all would fit better."""
-    star = "" if fit["status"] in ("CONVERGED", "AT_BOUND") else f"\\*({fit['max_steps']})"
+    star = f"\\*({fit['max_steps']})" if fit["status"] == "STEP_LIMIT" else ""
     return number(fit["cost"], 5) + star + ("†" if fit["cost"] > 1 else "")
 
 

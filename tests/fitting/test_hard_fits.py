@@ -130,25 +130,37 @@ def small(coarse):
     return make_problem(coarse)
 
 
+OTHERS = {
+    "conserving": Effects("plastic", "lobe", split="conserving"),
+    "zonal": Effects(diffraction="zonal", zonal_order=25),
+    "scaled": Effects(diffraction="scaled", order=8),
+    "subsurface, derived": Effects("subsurface", "lobe", acquisition="derived"),
+}
+
+
 def edges():
     """Free coordinates far out: all low, all high, corners, so far out that the logistic function is 0 or 1."""
     size = layout_of(WHOLE).size
     corners = np.sign(np.random.default_rng(3).normal(size=(4, size)))
-    signs = [-np.ones(size), np.ones(size), *corners]
-    return [pytest.param(14 * s, id=f"corner {i}") for i, s in enumerate(signs)] + [
-        pytest.param(800 * signs[0], id="beyond"), pytest.param(800 * signs[1], id="beyond, high")
-    ]  # fmt: skip
+    starts = {"low": -14 * np.ones(size), "high": 14 * np.ones(size), "beyond": -800 * np.ones(size)}
+    starts |= {"beyond, high": 800 * np.ones(size), **{f"corner {i}": 14 * s for i, s in enumerate(corners)}}
+    whole = [pytest.param(WHOLE, start, id=name) for name, start in starts.items()]
+    return whole + [
+        pytest.param(effects, sign * np.full(layout_of(effects).size, 14.0), id=f"{name}, {side}")
+        for name, effects in OTHERS.items()
+        for side, sign in (("low", -1), ("high", 1))
+    ]
 
 
-@pytest.mark.parametrize("start", edges())
-def test_a_start_at_the_edge_of_every_range_stays_finite(start, small):
-    first, found = solve(WHOLE, start, small, 1), solve(WHOLE, start, small, 12)
+@pytest.mark.parametrize(("effects", "start"), edges())
+def test_a_start_at_the_edge_of_every_range_stays_finite(effects, start, small, table):
+    first, found = solve(effects, start, small, 1), solve(effects, start, small, 12)
     assert np.all(np.isfinite(found.z))
     assert np.all(np.isfinite(found.normal))
     assert np.isfinite(found.cost)
     assert found.cost <= first.cost * (1 + 1e-9)
-    values = layout_of(WHOLE).values(jnp.asarray(found.z))
-    for q in layout_of(WHOLE).parameters:
+    values = layout_of(effects).values(jnp.asarray(found.z))
+    for q in layout_of(effects).parameters:
         assert np.all((np.asarray(values[q.name]) >= q.lower * (1 - 1e-12)) & (values[q.name] <= q.upper * (1 + 1e-12)))
 
 

@@ -142,9 +142,9 @@ def convolution_cases(count, seed=SEED):
 
 
 @pytest.mark.parametrize(
-    ("order", "median", "largest"), [(16, 3e-4, 5e-2), (32, 5e-5, 6e-3), (48, 1e-5, 1e-3), (96, 2e-6, 2e-4)]
+    ("order", "median", "largest"), [(16, 3e-4, 5e-2), (32, 5e-5, 3e-3), (48, 1e-5, 1e-3), (96, 2e-6, 2e-4)]
 )
-def test_convolution_is_within_one_percent_everywhere_in_bounds(order, median, largest):
+def test_convolution_in_all_bounds(order, median, largest):
     cases = convolution_cases(300)
     expected = np.array([o_convolution.convolve(*case) for case in cases])
     found = jax.jit(jax.vmap(lambda x: convolution.convolve(x[0], x[1], x[2], x[3], x[4], order)))(cases)
@@ -186,7 +186,7 @@ def test_convolution_gradients_against_differences():
         assert np.median(np.abs(slope[:, k] - difference) / scale) < 1e-4
 
 
-def test_default_order_is_within_one_percent_on_thousands_of_sets():
+def test_default_order_to_3e_3_on_thousands_of_sets():
     """Against order 96, which the test above holds to 2e-4 of the oracle."""
     cases = convolution_cases(3000, SEED + 1)
 
@@ -196,11 +196,11 @@ def test_default_order_is_within_one_percent_on_thousands_of_sets():
 
     reference = at(96)
     error = np.abs(at(Effects().order) / reference - 1)
-    assert error.max() < 1e-2, cases[error.argmax()]
+    assert error.max() < 3e-3, cases[error.argmax()]
     assert np.abs(at(16) / reference - 1).max() > 2e-2  # the comparison sees a quadrature that is too coarse
 
 
-@pytest.mark.parametrize(("order", "median", "largest"), [(16, 1e-3, 0.15), (24, 1e-4, 2.5e-2), (32, 3e-5, 1e-2)])
+@pytest.mark.parametrize(("order", "median", "largest"), [(16, 3e-4, 4e-2), (24, 5e-5, 6e-3), (32, 1.5e-5, 3e-3)])
 def test_grid_table_is_as_good_as_its_quadrature(order, median, largest):
     """What fits use: table and quadrature together, over all bounds, against order 96 point by point."""
     theta_h = jnp.asarray(((np.arange(4, 90, 15) + 0.5) / 90) ** 2 * np.pi / 2)

@@ -136,7 +136,7 @@ def test_against_the_oracle(body):
             assert value != pytest.approx(printed_q, rel=1e-3)
 
 
-AXES = np.ix_([0.001, 0.05, 0.4, 1.1], np.linspace(0.02, 1.5, 9), [0.1, 1.5, 3.0])
+AXES = np.ix_([0.001, 0.05, 0.4, 1.1], np.linspace(0.02, np.pi / 2, 9), [0.1, 1.5, 3.0])  # to both at the horizon
 EDGES = [0.0, np.pi / 2, 0.3, np.pi / 2], [0.0, 0.0, np.pi / 2, np.pi / 2], [0.0] * 4
 PAIRS = 40
 
@@ -166,6 +166,22 @@ def test_lists_and_grids_are_the_same_function(effects, table):
     below = ((np.asarray(grid.cos_i) <= 0) | (np.asarray(grid.cos_o) <= 0)).ravel()
     assert np.any(below)
     assert np.all(on_list[:, below] == 0)
+
+
+@pytest.mark.parametrize("tier", ["quadrature", "zonal", "scaled"])
+def test_single_precision_on_a_grid_to_the_horizon(tier, table):
+    effects = Effects(diffraction=tier, order=16)
+    half, double = (
+        Geometry.from_half_difference(*(jnp.asarray(x, kind) for x in AXES)) for kind in (jnp.float32, jnp.float64)
+    )
+    found, expected = (
+        np.asarray(jax.jit(lambda g: two_scale(material(effects), g, effects))(g)) for g in (half, double)
+    )
+    assert found.dtype == np.float32
+    shown = np.asarray(double.cos_i > 1e-6) & np.asarray(double.cos_o > 1e-6)  # float32 puts some below the horizon
+    assert np.all(np.isfinite(found))
+    assert shown.sum() > 60
+    np.testing.assert_allclose(found[:, shown], expected[:, shown], rtol=2e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("effects", EVERY, ids=str)
