@@ -35,8 +35,8 @@ def interpolation_nodes(order: int) -> int:
     """Chebyshev nodes in log(1 + B^2) over the range of a grid, as many as the quadrature's own error calls for.
 
     Measured over all bounds of the fit and the whole of MERL's range of cos_d and wavelength, table and quadrature
-    together (``tests/model/test_against_oracles.py``), which is what the quadrature errs by alone: order 16 median 2e-4,
-    worst 2.5e-2; 24: 3e-5, 4e-3; 32: 8e-6, 1e-3; 48: 9e-7, 3e-4.
+    together (``tests/model/test_against_oracles.py``), which is what the quadrature errs by alone: order 16 median
+    2e-4, worst 2.5e-2; 24: 3e-5, 4e-3; 32: 8e-6, 1e-3; 48: 9e-7, 3e-4.
     """
     return max(8, min(20, order * 5 // 8))
 

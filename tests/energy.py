@@ -29,6 +29,7 @@ SETS = 1000  # parameter sets in all
 EXCESS = 1e-3  # that is allowed
 EXACT = {"incidences_deg": (20.0, 87.0), "radii": 16, "azimuths": 8}  # one set and a coarse rule: minutes each
 RESULTS = Path(__file__).parents[1] / "results"
+STORE = RESULTS / "energy.json"
 
 FULL = Effects(split="conserving")
 EFFECT_SETS = [
@@ -44,12 +45,27 @@ EFFECT_SETS = [
 ]
 
 
-def half_vectors(theta_i, beta, p, largest_B, radii=RADII, azimuths=AZIMUTHS):
-    """Geometry and measure cos_o domega_o, (A, R, P), for light at the angles theta_i (A,)."""
+def half_vectors(theta_i, beta, p, largest_B, radii=RADII, azimuths=AZIMUTHS, ringing=False):
+    """Geometry and measure cos_o domega_o, (A, R, P), for light at the angles theta_i (A,).
+
+    Args:
+        ringing: more panels where zonal harmonics oscillate, far from the normal.
+    """
     theta_i = np.asarray(theta_i)[:, None]
     edge = np.log(beta) + min(np.log(34 + 3 / p) / (2 * p), 3.0)
     low, high = min(np.log(beta), -np.log1p(largest_B)) - 6, np.log(np.tan(np.radians(89.99)))
-    marks = [low, (low + np.log(beta) - 1) / 2, np.log(beta) - 1, np.log(beta), edge, edge + 1.5, high - 2.5, high]
+    far = [-1.5, 0.0, 1.5] if ringing else []
+    marks = [
+        *far,
+        low,
+        (low + np.log(beta) - 1) / 2,
+        np.log(beta) - 1,
+        np.log(beta),
+        edge,
+        edge + 1.5,
+        high - 2.5,
+        high,
+    ]
     cut = np.log(np.tan((np.pi / 2 - theta_i) / 2))  # where rings begin to cross the viewer's horizon
     marks = np.broadcast_to(np.clip(marks, low, high), (len(theta_i), len(marks)))
     gone = np.log(np.tan((np.pi / 2 + theta_i) / 2))  # where they are below it with all their viewers
@@ -81,10 +97,11 @@ def _albedo(effects, values, geometry, measure):
 
 def albedo(effects, values, incidences_deg=INCIDENCES_DEG, radii=RADII, azimuths=AZIMUTHS):
     """Directional albedo at some incidences, (A,); to 1e-4."""
-    if effects.diffraction == "zonal":
-        radii = 3 * radii  # resolves the ringing
+    ringing = effects.diffraction == "zonal"
     B = 2 * values.get("b", 1.0) / WAVELENGTH_UM
-    rule = half_vectors(np.radians(incidences_deg), values["beta"], values["p"], B, radii, azimuths)
+    rule = half_vectors(
+        np.radians(incidences_deg), values["beta"], values["p"], B, radii * (3 if ringing else 1), azimuths, ringing
+    )
     return np.asarray(_albedo(effects, values, *rule))
 
 
@@ -98,45 +115,44 @@ def draw(rng, effects):
     return values
 
 
-def worst_of(effects, sets, rng, **rule):
-    """Directional albedos with the conserving split, and of every third set with the printed one: (sets, incidences).
-
-    Every other body is white.
-    """
-    found = {"conserving": [], "printed": []}
-    for k in range(sets):
-        values = draw(rng, effects)
-        if "albedo" in values and k % 2:
+def sets_of(effects, count, rng):
+    """Parameter sets; every other body is white."""
+    sets = [draw(rng, effects) for _ in range(count)]
+    for values in sets[1::2]:
+        if "albedo" in values:
             values["albedo"] = np.array([1.0])
-        for split in ("conserving", *(["printed"] if k % 3 == 0 else [])):
-            found[split].append(albedo(replace(effects, split=split), values, **rule))
-    return tuple(np.array(x) for x in found.values())
+    return sets
 
 
-def main():
+def row_of(effects, sets):
+    """Largest directional albedos with the conserving split, and of every third set with the printed one."""
+    rule = EXACT if effects.diffraction == "exact" else {}
+    incidences = rule.get("incidences_deg", INCIDENCES_DEG)
+    conserving = np.array([albedo(effects, values, **rule) for values in sets])
+    printed = np.array([albedo(replace(effects, split="printed"), values, **rule) for values in sets[::3]])
+    default = asdict(FULL)
+    changed = ", ".join(f"{name} {x}" for name, x in asdict(effects).items() if x != default[name])
+    by_incidence = printed.max(0).round(4).tolist()
+    return {
+        "effects": changed or "default, conductor", "sets": len(sets), "conserving_largest": float(conserving.max()),
+        "printed_largest": float(printed.max()),
+        "printed_above_1.001": float(np.mean(printed.max(1) > 1 + EXCESS)),
+        "printed_largest_by_incidence": dict(zip(map(str, incidences), by_incidence, strict=True)),
+    }  # fmt: skip
+
+
+def main(arguments):
+    """All rows, or those of the given numbers anew; every row's sets are the same either way."""
     use_persistent_cache()
     rng = np.random.default_rng(SEED)
-    rows = []
-    for effects in EFFECT_SETS:
-        slow = effects.diffraction == "exact"
-        fast = [e for e in EFFECT_SETS if e.diffraction != "exact"]
-        share = 1 if slow else SETS // len(fast) + 1
-        conserving, printed = worst_of(effects, share, rng, **(EXACT if slow else {}))
-        default = asdict(FULL)
-        label = (
-            ", ".join(f"{name} {x}" for name, x in asdict(effects).items() if x != default[name])
-            or "default, conductor"
-        )
-        incidences = EXACT["incidences_deg"] if slow else INCIDENCES_DEG
-        rows.append({
-            "effects": label, "sets": share, "conserving_largest": float(conserving.max()),
-            "printed_largest": float(printed.max()),
-            "printed_above_1.001": float(np.mean(printed.max(1) > 1 + EXCESS)),
-            "printed_largest_by_incidence": dict(
-                zip(map(str, incidences), printed.max(0).round(4).tolist(), strict=True)
-            ),
-        })  # fmt: skip
-        print(rows[-1], flush=True)
+    rows = json.loads(STORE.read_text())["rows"] if arguments else []
+    fast = sum(effects.diffraction != "exact" for effects in EFFECT_SETS)
+    for number, effects in enumerate(EFFECT_SETS):
+        sets = sets_of(effects, 1 if effects.diffraction == "exact" else SETS // fast + 1, rng)
+        if arguments and str(number) not in arguments:
+            continue
+        rows[number : number + 1] = [row_of(effects, sets)]
+        print(number, rows[number], flush=True)
         write(rows)
     over = [r["effects"] for r in rows if r["conserving_largest"] > 1 + EXCESS]
     if over:
@@ -148,7 +164,7 @@ def write(rows):
         f"directional albedo at {WAVELENGTH_UM} um, {sum(r['sets'] for r in rows)} synthetic parameter sets from the "
         "priors of the fit, every other one with a body of albedo 1 (the printed split on every third)"
     )
-    RESULTS.joinpath("energy.json").write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
+    STORE.write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
     lines = [
         f"{len(rows)} of {len(EFFECT_SETS)} effect sets. Largest {what}. Made by `python -m tests.energy`.", "",
         "| effects | sets | incidences (degrees) | conserving: largest | printed: largest "
@@ -165,4 +181,4 @@ def write(rows):
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
