@@ -249,7 +249,7 @@ def convolve_many(
     else in chunks that fit the cache.
 
     Args:
-        theta_h: half angle (rad). cos_over_lambda: cos_d/lambda (1/um), of at least as many axes; they broadcast.
+        theta_h: half angle (rad). cos_over_lambda: cos_d/lambda (1/um) > 0, of at least as many axes; they broadcast.
         b: correlation length (um). c, beta, p, order: as for `convolve`.
 
     Accuracy: see `interpolation_nodes`.
@@ -260,7 +260,7 @@ def convolve_many(
         return _in_chunks(theta_h, 2 * b * cos_over_lambda, c, beta, p, order)
     # nodes in cos_d/lambda, placed as b is now: with b they only scale, so that weights need no derivative
     sharpest = 2 * jax.lax.stop_gradient(b)
-    x = jnp.log1p((sharpest * jnp.maximum(cos_over_lambda, 0.0)) ** 2)
+    x = jnp.log1p((sharpest * cos_over_lambda) ** 2)
     low, high = jnp.min(x), jnp.max(x)
     width = jnp.maximum(high - low, 1e-6)
     nodes = low + width * jnp.asarray(chebyshev.nodes(count), x.dtype).reshape(-1, *(1,) * theta_h.ndim)

@@ -32,6 +32,7 @@ from .parameters import GRAZING, WAVELENGTHS_UM, parameters
 from .shadowing import height_correlated, masking
 
 TABLE = "surface_albedo"  # may be among the values: see `surface_albedo`
+LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
 Values = Mapping[str, Array]
 
 
@@ -303,7 +304,7 @@ def grazing_exponent(values: Values, effects: Effects) -> Array:
 def _blurred_lobe(v: Values, s: Setting) -> Array:
     """(S * D) without amplitude, (C, ...), by the chosen tier."""
     b, c, beta, p, effects = v["b"], v["c"], v["beta"], v["p"], s.effects
-    theta_h, cos_over_lambda = s.geometry.theta_h, s.geometry.cos_d / s.wavelength_um
+    theta_h, cos_over_lambda = s.geometry.theta_h, jnp.maximum(s.geometry.cos_d, LEAST_COSINE) / s.wavelength_um
     match effects.diffraction:
         case "lobe":
             return convolution.lobe(theta_h, 2 * b * cos_over_lambda, c)

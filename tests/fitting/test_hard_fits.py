@@ -149,12 +149,13 @@ def edges():
         pytest.param(effects, sign * np.full(layout_of(effects).size, 14.0), id=f"{name}, {side}")
         for name, effects in OTHERS.items()
         for side, sign in (("low", -1), ("high", 1))
+        if name != "conserving" or side == "low"  # seconds a step
     ]
 
 
 @pytest.mark.parametrize(("effects", "start"), edges())
 def test_a_start_at_the_edge_of_every_range_stays_finite(effects, start, small, table):
-    first, found = solve(effects, start, small, 1), solve(effects, start, small, 12)
+    first, found = solve(effects, start, small, 1), solve(effects, start, small, 12 if effects == WHOLE else 5)
     assert np.all(np.isfinite(found.z))
     assert np.all(np.isfinite(found.normal))
     assert np.isfinite(found.cost)
