@@ -10,7 +10,7 @@ ALLOWED = {"model": {"model"}, "merl_io": {"merl_io"}, "fitting": {"model", "mer
 LIBRARIES = {"model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"}}
 STANDARD = {
     "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "itertools", "json", "math",
-    "os", "pathlib", "stat", "struct", "tempfile", "types", "typing",
+    "os", "pathlib", "stat", "struct", "tempfile", "threading", "types", "typing",
 }  # fmt: skip
 
 

@@ -109,7 +109,7 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
         def residuals(z, effects=effects):
             return predict(effects, layout_of(effects).values(z), problem) * jnp.sqrt(problem.weight)
 
-        jacobian = np.moveaxis(np.asarray(jax.jacfwd(residuals)(z)), 1, 0).reshape(3, -1, len(z))
+        jacobian = np.moveaxis(np.asarray(jax.jit(jax.jacfwd(residuals))(z)), 1, 0).reshape(3, -1, len(z))
         left = np.moveaxis(np.asarray((problem.value * jnp.sqrt(problem.weight)) - residuals(z)), 1, 0).reshape(
             3, -1, 1
         )
