@@ -27,6 +27,7 @@ from merlfit.merl_io.samples import thin
 ROOT = Path(__file__).parents[1]
 MAKER = ROOT.parent / "shared" / "data" / "make_merl.py"
 RESULTS = ROOT / "results"
+STORE = RESULTS / "splits.json"
 MATERIALS = {
     "nickel": "none", "brass": "none", "gold-metallic-paint2": "none", "aluminium": "none", "alum-bronze": "none",
     "gray-plastic": "plastic", "alumina-oxide": "plastic", "red-plastic": "plastic", "white-marble": "plastic",
@@ -68,8 +69,9 @@ def compared(path, body):
 
 
 def main(names):
+    """All materials, or those named anew beside what is there."""
     use_persistent_cache()
-    rows = []
+    rows = [r for r in json.loads(STORE.read_text())["rows"] if r["material"] not in names] if names else []
     with tempfile.TemporaryDirectory() as folder:
         for name in names or MATERIALS:
             subprocess.run([sys.executable, str(MAKER), folder, name], check=True, stdout=subprocess.DEVNULL)
@@ -85,7 +87,7 @@ def write(rows):
         "Neural reconstructions of MERL materials (Sztrajman et al. 2021), not measurements; cost of HP17 Eq. 56 "
         "relative to the measurement's weighted energy, RMSE in 1/sr; * not converged at the step limit"
     )
-    RESULTS.joinpath("splits.json").write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
+    STORE.write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
     lines = [
         f"Energy splits compared as fits, {len(rows)} of {len(MATERIALS)} materials. {what}. The printed split is "
         "searched for as `merlfit fit` does; the conserving one goes on from its optimum, which favours the former. "
