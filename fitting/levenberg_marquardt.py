@@ -48,8 +48,7 @@ class Status(Enum):
         "try body = 'auto' and acquisition = 'free'"
     )
     NO_DATA = (
-        "failed: fewer than 30 usable bins (valid, brighter than 1e-30 and darker than 1e15 1/sr), on all bins or on a "
-        "thinned grid; see `merlfit check`"
+        "failed: fewer than 30 valid bins brighter than 1e-30/sr, on all bins or on a thinned grid; see `merlfit check`"
     )
 
     @property

@@ -13,7 +13,6 @@ Colour = Literal["rayleigh_rice", "fresnel"]
 Body = Literal["none", "lambert", "plastic", "subsurface"]
 Acquisition = Literal["off", "free", "derived"]
 BODIES: tuple[Body, ...] = get_args(Body)
-DIFFRACTIONS: tuple[Diffraction, ...] = get_args(Diffraction)
 
 
 @dataclass(frozen=True)

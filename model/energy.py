@@ -14,7 +14,6 @@ incidence the diffraction lobe takes more light than the mirror term gives up. T
 Both tables are quadratures, interpolated, differentiable in every parameter but for kinks where max() changes sides.
 """
 
-import math
 from collections.abc import Callable
 
 import jax
@@ -22,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from . import body, chebyshev, diffraction
+from . import body, chebyshev, diffraction, piecewise
 from .geometry import Geometry
 from .numerics import Real, Scalar, safe_acos, safe_divide, safe_sqrt
 from .quadrature import gauss_legendre
@@ -31,7 +30,6 @@ SHARES = 24  # nodes of the renormalisation as a function of the facet's inciden
 LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: 1e-4
 LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
 INCIDENCES = 48  # nodes of the surface's albedo
-NEAREST = 6  # of them that an interpolation takes
 ORDER = 24  # of the convolution in the surface's albedo
 RADII = (18, 32, 48, 32)  # Gauss nodes in log tan(theta_h): below, around, beyond the edge of D, and above 45 degrees
 AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
@@ -119,28 +117,28 @@ def _lobe_albedo_table(
 
 
 def incidences(beta: Scalar) -> Array:
-    """Nodes of incidence (rad), (INCIDENCES,), even in `_abscissa`, by bisection; constants for differentiation."""
-    still = jax.lax.stop_gradient(beta)
-    wanted = 2 * (jnp.arange(INCIDENCES) + 0.02) / INCIDENCES
+    """Nodes of incidence (rad), (INCIDENCES,), even in `_position`, by bisection; constants for differentiation."""
+    wanted = jnp.arange(float(INCIDENCES))
 
     def halve(_: Array | int, between: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = between
         middle = (low + high) / 2
-        beyond = _abscissa(middle, still) > wanted
+        beyond = _position(middle, beta) > wanted
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
     ends = jnp.zeros(INCIDENCES), jnp.full(INCIDENCES, np.pi / 2)
     return jax.lax.stop_gradient(jax.lax.fori_loop(0, 50, halve, ends)[0])
 
 
-def _abscissa(theta: Real, beta: Scalar) -> Real:
-    """Variable in [0, 2] in which a surface's albedo is smooth: 1 - sqrt(cos) plus 1 - 1/(1 + sqrt(beta tan)).
+def _position(theta: Real, beta: Scalar) -> Real:
+    """Where an incidence lies among the nodes, as beta is now: 0 is the first, within 0.1 degrees of the normal.
 
-    The first resolves Fresnel's rise, the second masking, whatever the width beta (see `shadowing.masking`).
+    Even in 1 - sqrt(cos) plus 1 - 1/(1 + sqrt(beta tan)), from 0 to 2, in which a surface's albedo is smooth: the first
+    resolves Fresnel's rise, the second masking, whatever the width beta (see `shadowing.masking`).
     """
     theta = jnp.clip(theta, 0.0, np.pi / 2 - 1e-9)
-    root = safe_sqrt(beta * jnp.tan(theta))
-    return 1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)
+    root = safe_sqrt(jax.lax.stop_gradient(beta) * jnp.tan(theta))
+    return (1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)) * INCIDENCES / 2 - 0.02
 
 
 def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Geometry, Array]:
@@ -185,20 +183,10 @@ def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) ->
 def at_incidence(table: Array, beta: Scalar, theta: Real) -> Array:
     """A table over the nodes of incidence, (C, INCIDENCES), at angles ``theta``: shape (C, *theta.shape).
 
-    By the polynomial through the nearest nodes, of log(1 + E), which is tame where masking is off and E grows as
-    1/cos. Beyond the outermost nodes, within 0.1 degrees of the normal and of the horizon, it stays what it is there.
+    Of log(1 + E), which is tame where masking is off and E grows as 1/cos. Beyond the outermost nodes, within 0.1
+    degrees of the normal and of the horizon, it stays what it is there.
     """
-    nodes = _abscissa(incidences(beta), beta)
-    x = _abscissa(jnp.asarray(theta), beta)
-    first = jnp.clip(jnp.searchsorted(nodes, x) - NEAREST // 2, 0, INCIDENCES - NEAREST)
-    x = jnp.clip(x, nodes[0], nodes[-1])
-    near = [nodes[first + k] for k in range(NEAREST)]
-    value = jnp.zeros(())
-    for k in range(NEAREST):
-        others = [m for m in range(NEAREST) if m != k]
-        weight = math.prod((x - near[m]) / (near[k] - near[m]) for m in others)
-        value = value + weight * jnp.log1p(table)[:, first + k]
-    return jnp.expm1(value)
+    return jnp.expm1(piecewise.interpolate(jnp.log1p(table), _position(jnp.asarray(theta), beta)))
 
 
 def mean_transmittance(table: Array, beta: Scalar) -> Array:

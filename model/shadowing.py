@@ -14,13 +14,13 @@ a trapezoid rule in log x, whose error falls exponentially with the number of no
 """
 
 import math
-from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 
+from . import piecewise
 from .numerics import Real, Scalar, safe_divide, safe_sqrt, softplus, total
 
 # log x runs over q in [-11, 4.7] at spacing 0.2. The integrand's narrowest peak is x^a e^(-x), a = 3/(2 p), at
@@ -30,7 +30,6 @@ NODES = np.arange(-11.0, 4.7, 0.2)
 BEND = 3.0  # where the left tail begins to be stretched for p > 1/2
 LARGEST_EXPONENT = 650.0  # e^-650 = 1e-282: masking is 1 to the last digit long before
 TABLE_SIZE = 321  # nodes of the interpolation table
-NEAREST = 8  # of them that a cell's polynomial goes through
 
 
 def _excess(w_minus_1: Real) -> Real:
@@ -98,25 +97,12 @@ def _masking_of_x(x: Real, p: Scalar) -> Real:
     return jnp.where(inside, 1 / (1 + smith_lambda(((1 - x) / x) ** 2 / _mean_slope(p), p)), 0.0)
 
 
-@lru_cache
-def _cell_rule() -> tuple[np.ndarray, np.ndarray]:
-    """Per cell of the table the nodes it looks at, and what takes their values to coefficients of t in [-1/2, 1/2].
-
-    Shapes (cells, `NEAREST`) and (cells, coefficients, `NEAREST`).
-    """
-    cells = np.arange(TABLE_SIZE - 1)
-    first = np.clip(cells - NEAREST // 2 + 1, 0, TABLE_SIZE - NEAREST)
-    near = first[:, None] + np.arange(NEAREST)
-    powers = (near - cells[:, None] - 0.5)[..., None] ** np.arange(NEAREST)
-    return near, np.linalg.inv(powers)
-
-
 def masking(cos_theta: Real, beta: Scalar, p: Scalar) -> Real:
     """Smith's G1 (HP17 Eq. 38) in [0, 1]; 0 below the horizon.
 
     Many directions share one parameter set, so beyond ``TABLE_SIZE`` of them G1 is tabulated in
     ``x = 1 / (1 + sqrt(tau mean slope))``, in which it does not depend on beta and is smooth at both ends, and
-    interpolated by polynomials of degree seven.
+    interpolated (`piecewise.interpolate`).
 
     Args:
         cos_theta: cosine between normal and direction, any shape.
@@ -127,17 +113,10 @@ def masking(cos_theta: Real, beta: Scalar, p: Scalar) -> Real:
     """
     if cos_theta.size <= TABLE_SIZE:
         return masking_direct(cos_theta, beta, p)
-    near, rule = _cell_rule()
-    value = _masking_of_x(jnp.linspace(0.0, 1.0, TABLE_SIZE, dtype=beta.dtype), p)
-    powers = jnp.einsum("cpk,ck->pc", jnp.asarray(rule, value.dtype), value[near])
+    table = _masking_of_x(jnp.linspace(0.0, 1.0, TABLE_SIZE, dtype=beta.dtype), p)
     above = cos_theta > 0
     cos = jnp.where(above, cos_theta, 1.0)
     root_cos = jnp.sqrt(cos)
     root_tan = safe_sqrt(beta * _mean_slope(p) * safe_sqrt((1 - cos) * (1 + cos)))
     position = root_cos / (root_cos + root_tan) * (TABLE_SIZE - 1)
-    cell = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, TABLE_SIZE - 2)
-    t = position - cell - 0.5
-    polynomial = powers[-1][cell]
-    for power in powers[-2::-1]:
-        polynomial = polynomial * t + power[cell]
-    return jnp.where(above, polynomial, 0.0)
+    return jnp.where(above, piecewise.interpolate(table, position), 0.0)
