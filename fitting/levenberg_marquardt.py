@@ -22,7 +22,7 @@ import optimistix as optx
 from jax import Array
 
 from ..model.effects import Effects
-from .residuals import Problem, compiled_normal_equations
+from .residuals import Problem, normal_equations
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
 # Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
@@ -220,7 +220,7 @@ def solve(
     """
 
     def evaluate(z: Array) -> Array:
-        return compiled_normal_equations(effects, z, problem)
+        return normal_equations(effects, z, problem)
 
     start = np.asarray(z, dtype=float)
     if backend == "scipy":

@@ -10,6 +10,7 @@ Nothing of the size bins x parameters is ever held: blocks of theta_h rows add u
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeVar
 
 import equinox as eqx
@@ -107,9 +108,9 @@ def make_problem(samples: Samples) -> Problem:
     return Problem(geometry, log_base, jnp.asarray(value), jnp.asarray(weight), scatter)
 
 
+@partial(jax.jit, static_argnums=0)
 def predict(effects: Effects, values: Mapping[str, Array], problem: Problem) -> Array:
     """What the apparatus would have measured, shape (N, C, h, D, P)."""
-
     values = with_tables(effects, values)
 
     def block(b: Problem) -> Array:
@@ -119,6 +120,7 @@ def predict(effects: Effects, values: Mapping[str, Array], problem: Problem) -> 
     return jax.lax.map(block, problem_blocks(problem))
 
 
+@partial(jax.jit, static_argnums=0)
 def cost(effects: Effects, z: Array, problem: Problem) -> Array:
     """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
     values = with_tables(effects, layout_of(effects).values(z))
@@ -131,6 +133,8 @@ def cost(effects: Effects, z: Array, problem: Problem) -> Array:
     return jax.lax.scan(step, jnp.zeros(channels), problem_blocks(problem))[0]
 
 
+# XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
+@partial(jax.jit, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False})
 def normal_equations(effects: Effects, z: Array, problem: Problem) -> Array:
     """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
 
@@ -149,12 +153,6 @@ def normal_equations(effects: Effects, z: Array, problem: Problem) -> Array:
     index = np.array([*where, [layout.size] * channels]).T  # (C, groups): row of the full matrix
     full = jnp.zeros((channels, layout.size + 1, layout.size + 1))
     return full.at[np.arange(channels)[:, None, None], index[:, :, None], index[:, None, :]].set(compact)
-
-
-# XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
-compiled_normal_equations = jax.jit(
-    normal_equations, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False}
-)
 
 
 def problem_blocks(problem: Problem) -> Problem:

@@ -6,10 +6,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -137,12 +135,9 @@ def fit_coarse(effects: Effects, samples: Samples, problem: Problem, config: Con
     return best if best.converged or rest <= 0 else follow(best.z, rest)
 
 
-_predict = partial(jax.jit, static_argnums=0)(predict)
-
-
 def predict_samples(effects: Effects, z: np.ndarray, samples: Samples, problem: Problem) -> np.ndarray:
     """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
-    blocks = np.asarray(_predict(effects, layout_of(effects).values(jnp.asarray(z)), problem))
+    blocks = np.asarray(predict(effects, layout_of(effects).values(jnp.asarray(z)), problem))
     return np.moveaxis(blocks, 1, 0).reshape(samples.value.shape)
 
 
