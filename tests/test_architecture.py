@@ -43,6 +43,15 @@ def test_arrows_of_the_architecture(package):
             assert other <= LIBRARIES[package] | STANDARD, f"{path} imports {other - LIBRARIES[package] - STANDARD}"
 
 
+def test_oracles_know_nothing_of_what_they_judge():
+    files = sorted((ROOT / "tests" / "oracles").rglob("*.py"))
+    assert len(files) > 20
+    for path in files:
+        own, other = imports(path, "oracles")
+        assert own <= {"oracles"}, f"{path} imports {own - {'oracles'}}"
+        assert not other & {"merlfit", "jax"}, f"{path} imports {other & {'merlfit', 'jax'}}"
+
+
 def test_the_arrows_test_sees_a_forbidden_import(tmp_path):
     cases = (
         ("model/wrong.py", "from ..merl_io.binary import read"),

@@ -4,14 +4,16 @@ from dataclasses import fields
 from typing import Literal, get_args, get_origin
 
 import hard_cases as hard
+import hard_table
 import jax
 import mpmath as mp
 import numpy as np
 import pytest
+from hard_effects import MODEL, scaled_lobe
 from merlfit.model.effects import Effects
 from oracles import precise
 
-CASES, KNOWN, _ = hard.table()
+CASES, KNOWN, _ = hard_table.table()
 NAMES = {case.name for case in CASES}
 MOST_KNOWN_FAILURES = 0  # as hard_cases.toml has it; only ever lowered
 FAILING = {entry["case"] for entry in KNOWN["entries"]}
@@ -26,7 +28,7 @@ def found(compilation_cache, table):
 def test_hard_case(case, found):
     row = hard.Row(case, found[case.name])
     for precision, dtype in row.found.dtype.items():
-        assert dtype == hard.PRECISIONS[precision], f"the result is {dtype}"
+        assert dtype == hard_table.PRECISIONS[precision], f"the result is {dtype}"
     for modes in row.found.gradient.values():
         assert all(np.isfinite(x) for mode in modes for x in mode.values())
     if case.name in FAILING:
@@ -37,7 +39,7 @@ def test_hard_case(case, found):
 
 def test_the_table_is_whole():
     assert len(NAMES) == len(CASES) >= 80
-    assert {case.effect for case in CASES} == set(hard.MODEL)
+    assert {case.effect for case in CASES} == set(MODEL)
     defaults = {case.effect: case.tolerance for case in reversed(CASES) if not case.reason}
     for case in CASES:
         departs = case.tolerance != defaults[case.effect] or bool(case.unchecked)
@@ -71,10 +73,10 @@ def test_every_choice_of_every_effect_is_there():
     assert together >= {(body, way) for body in bodies for way in ways & {"off", "lobe", "quadrature"}}
 
 
-@pytest.mark.parametrize("name", hard.ALWAYS)
+@pytest.mark.parametrize("name", hard_table.ALWAYS)
 def test_stored_references_are_those_of_the_oracle(name):
     case = next(case for case in CASES if case.name == name)
-    value, gradient = hard.reference(case, "")
+    value, gradient = hard_table.reference(case, "")
     anew, slopes = case.compute("")
     assert abs(value / anew - 1) < 1e-15
     for q, slope in slopes.items():
@@ -82,11 +84,11 @@ def test_stored_references_are_those_of_the_oracle(name):
 
 
 def test_a_changed_case_is_noticed():
-    case = next(filter(hard.dear, CASES))
+    case = next(filter(hard_table.dear, CASES))
     name = next(iter(case.inputs))
-    changed = hard.Case(case.name, case.effect, {**case.inputs, name: 0.123}, case.static, case.parameters, {})
+    changed = hard_table.Case(case.name, case.effect, {**case.inputs, name: 0.123}, case.static, case.parameters, {})
     with pytest.raises(LookupError, match="--references"):
-        hard.reference(changed, "")
+        hard_table.reference(changed, "")
 
 
 # --- The comparison rejects formulas that are wrong by little, one an effect
@@ -106,7 +108,7 @@ WRONG = {
     "subsurface": lambda **at: precise.subsurface(**{**at, "albedo": at["albedo"] * 0.999}),
     "grazing": lambda cos_i, cos_o, exponent: precise.grazing(cos_i, cos_i, exponent),
     "zonal": lambda order, **at: precise.zonal(**at, order=order - 1),
-    "scaled": lambda theta_h, **at: hard.scaled_lobe(theta_h, **at) / mp.cos(theta_h) ** 2,  # the printed form
+    "scaled": lambda theta_h, **at: scaled_lobe(theta_h, **at) / mp.cos(theta_h) ** 2,  # the printed form
     "scaled_outside": lambda theta_h, B, c, beta, p: precise.lobe(theta_h, B, c),
     "lobe_albedo": lambda renormalised, exact, **at: 1 - precise.specular_share(**at),  # the printed split
     "two_scale": lambda **at: precise.two_scale(**{**at, "masking": "smith", "acquisition": "off"}),
@@ -137,7 +139,7 @@ def test_a_wrong_gradient_fails(found):
             assert row.failures == ["gradient"]
 
 
-@pytest.mark.parametrize("name", hard.ALWAYS)
+@pytest.mark.parametrize("name", hard_table.ALWAYS)
 def test_dear_cases_reject_the_lobe_without_blur_and_the_body_without_surface(name, found):
     case = next(case for case in CASES if case.name == name)
     wrong = precise.lobe(*(case.inputs[q] for q in ("theta_h", "B", "c"))) if "B" in case.inputs else 0

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
-import hard_cases
+import hard_table
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +21,7 @@ from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import two_scale
 
-FILES = hard_cases.table()[2]
+FILES = hard_table.table()[2]
 TRUTH = {"beta": 0.15, "p": 0.7, "eta": np.array([1.4, 1.5, 1.6]), "albedo": np.array([0.5, 0.2, 0.05])}
 CONFIG = parse(
     {

@@ -1,0 +1,100 @@
+"""What the hard cases are about: the model's functions and their oracles of 30 digits, by the name of the effect."""
+
+from dataclasses import fields
+from functools import cache
+
+import jax.numpy as jnp
+from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel, ndf, scaled, shadowing, zonal
+from merlfit.model.effects import Effects
+from merlfit.model.geometry import Geometry
+from merlfit.model.two_scale import two_scale
+
+if __package__:  # python -m tests.hard_cases; pytest has tests/ on its path
+    from .oracles import precise
+else:
+    from oracles import precise
+
+CHOICES = tuple(x.name for x in fields(Effects))
+TIERS = ("quadrature", "zonal", "scaled", "exact", "conserving")  # with accuracies of their own
+DEAR = ("convolve", "convolve_256", "zonal", "scaled_outside", "lobe_albedo", "two_scale", "two_scale_quadrature",
+        "two_scale_zonal", "two_scale_exact", "two_scale_conserving")  # fmt: skip
+
+
+def specular_share(theta_d, wavelength_um, b, c, sigma_s):
+    """A_spec as the assembled model has it."""
+    share = diffraction.renormalisation(jnp.sin(theta_d), b / wavelength_um, c)
+    return jnp.exp(-diffraction.phase_variance(share * sigma_s**2, jnp.cos(theta_d), wavelength_um))
+
+
+def masking_table(cos_theta, beta, p):
+    """Masking where there are more directions than the table has nodes."""
+    return shadowing.masking(jnp.full(shadowing.TABLE_SIZE + 1, cos_theta), beta, p)[0]
+
+
+def grazing(cos_i, cos_o, exponent):
+    """The acquisition's loss of two directions."""
+    still = jnp.zeros_like(cos_i)
+    return jnp.exp(exponent * acquisition.grazing_log_base(Geometry(still, still, cos_i, cos_o)))
+
+
+def facet_albedo(theta_d, wavelength_um, b, c, sigma_s, renormalised, exact):
+    """The conserving split's lobe albedo at one wavelength, of the angle's dtype, as the assembled model makes it."""
+    return energy.lobe_albedo(theta_d, b, c, sigma_s, wavelength_um[None], renormalised, exact)[0].astype(theta_d.dtype)
+
+
+def convolve(theta_h, B, c, beta, p, order):
+    """The convolution by position: so its custom derivative rules bind."""
+    return convolution.convolve(theta_h, B, c, beta, p, order)
+
+
+def assembled(theta_h, theta_d, phi_d, wavelength_um, **rest):
+    """The BRDF at one wavelength; ``rest`` are effects and parameters."""
+    effects = Effects(**{name: rest.pop(name) for name in CHOICES if name in rest})
+    geometry = Geometry.from_half_difference(theta_h, theta_d, phi_d)
+    return two_scale(rest, geometry, effects, wavelength_um[None])[0]
+
+
+def convolved(order, **at):
+    """The convolution itself, whatever the order it is to be had by."""
+    return precise.convolve(**at)
+
+
+@cache
+def scaled_oracle():
+    """The oracle of ``scaled`` by the table there is."""
+    return precise.scaled(scaled.table())
+
+
+def scaled_lobe(theta_h, B, c, beta, p, order=None):
+    """What `precise` lacks, for it knows no table."""
+    return scaled_oracle()(theta_h, B, c, beta, p)
+
+
+precise.BLURS["scaled"] = scaled_lobe
+
+# Stored references are marked by the oracle's name: renaming one makes them out of date.
+PAIRS = {
+    "fresnel": (fresnel.fresnel, precise.fresnel),
+    "schlick": (fresnel.schlick, precise.schlick),
+    "diffraction_colour": (fresnel.diffraction_colour, precise.diffraction_colour),
+    "epd": (ndf.epd, precise.epd),
+    "smith_lambda": (shadowing.smith_lambda, precise.smith_lambda),
+    "masking": (shadowing.masking, precise.masking),
+    "masking_table": (masking_table, precise.masking),
+    "renormalisation": (diffraction.renormalisation, precise.renormalisation),
+    "lobe": (convolution.lobe, precise.lobe),
+    "specular_share": (specular_share, precise.specular_share),
+    "convolve": (convolve, convolved),
+    "convolve_256": (convolve, convolved),
+    "zonal": (zonal.convolve, precise.zonal),
+    "scaled": (scaled.convolve, scaled_lobe),
+    "scaled_outside": (scaled.convolve, precise.convolve),
+    "lobe_albedo": (facet_albedo, precise.lobe_albedo),
+    "lambert": (body.lambert, precise.lambert),
+    "plastic": (body.plastic, precise.plastic),
+    "subsurface": (body.subsurface, precise.subsurface),
+    "grazing": (grazing, precise.grazing),
+    **dict.fromkeys(("two_scale", *(f"two_scale_{tier}" for tier in TIERS)), (assembled, precise.two_scale)),
+}
+MODEL = {effect: pair[0] for effect, pair in PAIRS.items()}
+ORACLE = {effect: pair[1] for effect, pair in PAIRS.items()}
