@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -83,11 +82,7 @@ def layout_of(effects: Effects) -> Layout:
 
 def from_free(parameter: Parameter, z: Array) -> Array:
     """Physical value at free coordinate z."""
-    u = jax.nn.sigmoid(z)
-    lower, upper = parameter.lower - parameter.offset, parameter.upper - parameter.offset
-    if parameter.scale == "linear":
-        return parameter.lower + (upper - lower) * u
-    return parameter.offset + lower * jnp.exp(jnp.log(upper / lower) * u)
+    return parameter.between(jax.nn.sigmoid(z))
 
 
 def to_free(parameter: Parameter, value: np.ndarray) -> np.ndarray:

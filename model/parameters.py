@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .effects import Effects
+from .numerics import Real
 
 CHANNELS = ("R", "G", "B")
 WAVELENGTHS_UM = (0.645, 0.526, 0.444)  # HP17 Section 5: one wavelength stands for each MERL channel
@@ -45,6 +46,13 @@ class Parameter:
             return f"uniform in [{self.lower:g}, {self.upper:g}]"
         shifted = f"{self.name} - {self.offset:g}" if self.offset else self.name
         return f"{shifted} log-uniform, {self.name} in [{self.lower:g}, {self.upper:g}]"
+
+    def between(self, u: Real) -> Real:
+        """Value at the position u in [0, 1] between the bounds, in the parameter's own scale."""
+        if self.scale == "linear":
+            return self.lower + (self.upper - self.lower) * u
+        lower, upper = self.lower - self.offset, self.upper - self.offset
+        return self.offset + lower * (upper / lower) ** u
 
 
 SURFACE = (

@@ -109,9 +109,7 @@ def draw(rng, effects):
     """One parameter set from the priors (uniform in each parameter's own scale), for one wavelength."""
     values = {}
     for q in parameters(effects):
-        lower, upper, u = q.lower - q.offset, q.upper - q.offset, rng.uniform()
-        value = q.offset + (lower + (upper - lower) * u if q.scale == "linear" else lower * (upper / lower) ** u)
-        values[q.name] = np.array([value]) if q.per_channel else value
+        values[q.name] = q.between(jnp.asarray(rng.uniform(size=1 if q.per_channel else None)))
     return values
 
 

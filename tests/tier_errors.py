@@ -54,12 +54,7 @@ WHAT = (
 def draws():
     """Parameters (S,) each, uniform in their own scale between their bounds, wavelengths (S,), geometry (S, N)."""
     rng = np.random.default_rng(SEED)
-    values = {}
-    for q in parameters(Effects()):
-        lower, upper, u = q.lower - q.offset, q.upper - q.offset, rng.uniform(size=SETS)
-        values[q.name] = q.offset + (
-            lower + (upper - lower) * u if q.scale == "linear" else lower * (upper / lower) ** u
-        )
+    values = {q.name: q.between(jnp.asarray(rng.uniform(size=SETS))) for q in parameters(Effects())}
     grid = merl_grid()
     bins = np.argwhere(grid.above)
     h, d, p = np.moveaxis(bins[rng.integers(len(bins), size=(SETS, DIRECTIONS))], -1, 0)
