@@ -122,7 +122,7 @@ def measure():
                 "brdf": summary(np.abs(found - whole)[seen] / whole[seen]),
                 "lobe_quantiles": [float(f"{x:.3g}") for x in np.quantile(in_lobe, SHARES)],
             }
-            print(reference, name, rows[name][reference], flush=True)
+            print(reference, name, {part: rows[name][reference][part] for part in PARTS}, flush=True)
         STORE.write_text(json.dumps({"what": WHAT, "errors": rows, "grid_seconds": {}}, indent=1) + "\n")
     return rows
 
