@@ -33,6 +33,7 @@ RESIDUAL_SCALE = 100.0
 PULL = 3e-4
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
 NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected
+CLEAR = 8  # steps since a trial where the model was not finite: before that, short steps are a wall, not a minimum
 OFFSET_TOLERANCE = 1e-3  # of the relative offset: a further step would lower the cost by less than 1e-6 of itself
 
 
@@ -139,7 +140,7 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
     y, state = jnp.asarray(z), eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(z))
     kept = normal = evaluate(y)
     pull = PULL * jnp.nan_to_num(kept[:, -1, -1].sum())
-    offset, converged, steps = float("inf"), False, 0
+    offset, converged, steps, blocked = float("inf"), False, 0, -CLEAR
     if not bool(jnp.all(jnp.isfinite(kept))):
         return Solution(np.asarray(y), float("nan"), np.asarray(kept), 1, offset, False)
     while steps < limit and not converged:
@@ -148,7 +149,9 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
         steps += 1
         if steps == 1 or bool(accepted):
             kept, offset = normal, float(trial_offset)
-        converged = bool(stop) or offset < OFFSET_TOLERANCE
+        if not bool(jnp.all(jnp.isfinite(normal))):
+            blocked = steps
+        converged = (bool(stop) and steps > blocked + CLEAR) or offset < OFFSET_TOLERANCE
     return Solution(np.asarray(y), float(kept[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
 
 

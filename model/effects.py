@@ -19,14 +19,16 @@ BODIES: tuple[Body, ...] = get_args(Body)
 class Effects:
     """The effects of one two-scale material; what is not chosen is absent from the compiled program.
 
+    Options of what is not chosen take their defaults, so that equal programs are equal values and compile once.
+
     Attributes:
         body: ``none`` is a conductor (complex index per channel); the others are dielectrics (real index per channel)
             over a body with an albedo per channel.
         diffraction: how the facets' diffraction lobe is blurred by the distribution of their normals, cheapest first:
             ``off``; ``lobe`` (normals taken as all alike); ``scaled`` (a lobe of another width and height, HP17
-            Eq. 39-41: good while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics, Appendix A: good for
-            zonal_order >= 16 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33); ``exact`` (Eq. 27, the
-            reference: milliseconds a direction).
+            Eq. 39-41: good for most lobes while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics,
+            Appendix A: good for zonal_order >= 32 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33);
+            ``exact`` (Eq. 27, the reference: milliseconds a direction).
         order: radial nodes of ``quadrature``, and of ``scaled`` outside its table; accuracy in
             :func:`merlfit.model.convolution.convolve`.
         zonal_order: highest degree of ``zonal``.
@@ -56,12 +58,12 @@ class Effects:
     apparatus: Apparatus = APPARATUS
 
     def __post_init__(self) -> None:
-        """Refuse names that are not effects, and numbers out of range."""
+        """Refuse names that are not effects, and numbers out of range; forget options that nothing asks for."""
         for field in fields(self):
             value, choices = getattr(self, field.name), get_args(field.type)
             if get_origin(field.type) is Literal and value not in choices:
                 raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
-            if field.type in (bool, int) and type(value) is not field.type:
+            if field.type in (bool, int, Apparatus) and type(value) is not field.type:
                 raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
         if not 6 <= self.order <= 256:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
@@ -70,6 +72,15 @@ class Effects:
         number = type(self.acquisition) in (int, float)
         if not (0 <= float(self.acquisition) <= 1 if number else self.acquisition in get_args(Acquisition)):
             raise ValueError(f"acquisition {self.acquisition!r} is neither off, free, derived nor a number in [0, 1]")
+        used = {
+            "order": self.diffraction in ("quadrature", "scaled"),
+            "zonal_order": self.diffraction == "zonal",
+            "renormalised": self.diffraction != "off",
+            "colour": self.diffraction != "off",
+            "apparatus": self.acquisition == "derived",
+        }
+        for name in (name for name, asked in used.items() if not asked):
+            object.__setattr__(self, name, getattr(type(self), name))
 
     @property
     def material(self) -> "Effects":

@@ -27,7 +27,8 @@ INCIDENCES_DEG = (0.5, 20.0, 40.0, 60.0, 75.0, 83.0, 87.0, 89.0)
 RADII, AZIMUTHS = 24, 12  # Gauss nodes of a panel (of eleven), of half a ring
 SETS = 1000  # parameter sets in all
 EXCESS = 1e-3  # that is allowed
-EXACT = {"incidences_deg": (20.0, 87.0), "radii": 16, "azimuths": 8}  # one set and a coarse rule: minutes each
+BRIGHTEST = {"albedo": np.array([1.0]), "n": np.array([0.02]), "k": np.array([15.0])}  # within the bounds of the fit
+EXACT = {"incidences_deg": (20.0, 87.0), "radii": 16, "azimuths": 8}  # two sets and a coarse rule: minutes each
 RESULTS = Path(__file__).parents[1] / "results"
 STORE = RESULTS / "energy.json"
 
@@ -114,20 +115,19 @@ def draw(rng, effects):
 
 
 def sets_of(effects, count, rng):
-    """Parameter sets; every other body is white."""
+    """Parameter sets; every other body is white, every other metal a mirror."""
     sets = [draw(rng, effects) for _ in range(count)]
     for values in sets[1::2]:
-        if "albedo" in values:
-            values["albedo"] = np.array([1.0])
+        values |= {name: x for name, x in BRIGHTEST.items() if name in values}
     return sets
 
 
 def row_of(effects, sets):
-    """Largest directional albedos with the conserving split, and of every third set with the printed one."""
+    """Largest directional albedos with either split."""
     rule = EXACT if effects.diffraction == "exact" else {}
     incidences = rule.get("incidences_deg", INCIDENCES_DEG)
     conserving = np.array([albedo(effects, values, **rule) for values in sets])
-    printed = np.array([albedo(replace(effects, split="printed"), values, **rule) for values in sets[::3]])
+    printed = np.array([albedo(replace(effects, split="printed"), values, **rule) for values in sets])
     default = asdict(FULL)
     changed = ", ".join(f"{name} {x}" for name, x in asdict(effects).items() if x != default[name])
     by_incidence = printed.max(0).round(4).tolist()
@@ -146,7 +146,7 @@ def main(arguments):
     rows = json.loads(STORE.read_text())["rows"] if arguments else []
     fast = sum(effects.diffraction != "exact" for effects in EFFECT_SETS)
     for number, effects in enumerate(EFFECT_SETS):
-        sets = sets_of(effects, 1 if effects.diffraction == "exact" else SETS // fast + 1, rng)
+        sets = sets_of(effects, 2 if effects.diffraction == "exact" else SETS // fast + 1, rng)
         if arguments and str(number) not in arguments:
             continue
         rows[number : number + 1] = [row_of(effects, sets)]
@@ -160,7 +160,7 @@ def main(arguments):
 def write(rows):
     what = (
         f"directional albedo at {WAVELENGTH_UM} um, {sum(r['sets'] for r in rows)} synthetic parameter sets from the "
-        "priors of the fit, every other one with a body of albedo 1 (the printed split on every third)"
+        "priors of the fit, every other one with a body of albedo 1 or, where there is no body, with n = 0.02, k = 15"
     )
     STORE.write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
     lines = [

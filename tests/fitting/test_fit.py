@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import run
+from merlfit.fitting import levenberg_marquardt, run
 from merlfit.fitting.config import Config, load
 from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
@@ -216,6 +216,21 @@ def test_equations_that_are_not_finite_are_a_failure(coarse):
     assert np.isnan(solution.cost)
     fitted = Fitted(effects, solution, np.ones(3), Errors(0.0, 0.0), [])
     assert fitted.status is Status.NON_FINITE
+
+
+@pytest.mark.parametrize(("edge", "converged"), [(1.0, False), (10.0, True)])
+def test_short_steps_before_a_wall_are_no_convergence(edge, converged):
+    """A linear problem with its minimum at 5, not finite beyond the edge."""
+
+    def equations(z):
+        slope, target = jnp.eye(3)[:, :2], jnp.array([5.0, 0.3, 0.1])
+        both = jnp.concatenate([slope, (target - slope @ z)[:, None]], 1)
+        return jnp.stack([jnp.where(jnp.any(z > edge), jnp.nan, both.T @ both) / 3] * 3)
+
+    found = levenberg_marquardt._optimistix(equations, np.zeros(2), 60, 1e-5)
+    assert found.converged == converged
+    assert np.all(np.isfinite(found.z))
+    np.testing.assert_allclose(found.z[0], min(edge, 5.0), rtol=2e-2)  # the pull towards 0
 
 
 def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):

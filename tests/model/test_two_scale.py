@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
+from merlfit.model.acquisition import Apparatus
 from merlfit.model.effects import BODIES, Effects
 from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
@@ -253,6 +254,15 @@ def test_effects_refuse_unknown_names():
         # the runtime type checks of the tests refuse a wrong name before Effects itself does
         with pytest.raises((ValueError, TypeCheckError), match=str(next(iter(wrong.values())))):
             Effects(**wrong)
+
+
+def test_options_of_what_is_not_chosen_make_no_other_program():
+    for idle in ({"order": 16}, {"zonal_order": 7}, {"apparatus": Apparatus(100.0)}):
+        assert Effects(diffraction="lobe", **idle) == Effects(diffraction="lobe")
+    assert Effects(diffraction="off", colour="fresnel", renormalised=False) == Effects(diffraction="off")
+    assert Effects(order=16) != Effects()
+    assert Effects(diffraction="scaled", order=16) != Effects(diffraction="scaled")
+    assert Effects(acquisition="derived", apparatus=Apparatus(100.0)).apparatus == Apparatus(100.0)
 
 
 @given(
