@@ -35,6 +35,7 @@ class Source(_Part):
     git_blob_sha1: str
     genuine_merl: str | None
     fraction_valid: float
+    outliers: int
 
 
 class Model(_Part):

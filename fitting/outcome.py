@@ -22,6 +22,10 @@ from .transforms import layout_of
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
 UNRESOLVED = 0.5  # standard error of logit(u), that is two standard errors from the bound: nearer it is at it
+OUTLIERS = (
+    "{count} bins of the file are outliers, over 1e4 times brighter than what is beside them: they dominate the RMSE, "
+    "and the cost hardly feels them"
+)
 Bound = Literal["no", "lower", "upper"]
 
 
@@ -67,6 +71,13 @@ class Fitted:
         return Status.CONVERGED if set(self.at_bound) == {"no"} else Status.AT_BOUND
 
 
+def said(status: Status, measurement: Measurement) -> str:
+    """What a status says, and what is wrong with the file however the fit ended."""
+    if not (count := measurement.outliers):
+        return status.value
+    return f"{status.value}; {OUTLIERS.format(count=count)}"
+
+
 def make_result(
     measurement: Measurement,
     samples: Samples,
@@ -79,7 +90,7 @@ def make_result(
     source = export.Source(
         path=str(measurement.path), material=measurement.name, sha1=measurement.sha1,
         git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
-        fraction_valid=float(measurement.valid.mean()),
+        fraction_valid=float(measurement.valid.mean()), outliers=measurement.outliers,
     )  # fmt: skip
     bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {
@@ -89,7 +100,7 @@ def make_result(
     if fitted is None or not np.isfinite(fitted.solution.cost):
         status = Status.NO_DATA if fitted is None else Status.NON_FINITE
         fit_part = export.Fit(
-            status=status.name, message=status.value, succeeded=False, cost=None, cost_per_channel=None,
+            status=status.name, message=said(status, measurement), succeeded=False, cost=None, cost_per_channel=None,
             folding_scatter=None, steps=0, relative_offset=None, bins=bins, candidates=[],
         )  # fmt: skip
         return export.Result(
@@ -98,8 +109,9 @@ def make_result(
         )  # fmt: skip
     s, unit = fitted.solution, float(np.sum(samples.weight * samples.value**2)) + samples.scatter
     fit_part = export.Fit(
-        status=fitted.status.name, message=fitted.status.value, succeeded=fitted.status.succeeded, cost=s.cost,
-        cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit, steps=s.steps,
+        status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
+        cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
+        steps=s.steps,
         relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
     )  # fmt: skip
     errors = export.Metrics(rmse=export.finite(fitted.errors.rmse), smape=export.finite(fitted.errors.smape))

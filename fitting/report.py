@@ -33,18 +33,20 @@ def number(x: float | None, digits: int = 4) -> str:
 def check_table(reports: Sequence[FileReport]) -> Table:
     """What `merlfit check` prints."""
     table = Table(
-        title="MERL files (inf: or above 1e15/sr; max: largest BRDF value, 1/sr; genuine: by SHA-1)",
+        title="MERL files (inf: or above 1e15/sr; outliers: over 1e4 times what is beside them; max: largest value, "
+        "1/sr; genuine: by SHA-1)",
         title_justify="left",
     )
     left = ("file", "genuine MERL")
-    for head in ("file", "dims", "valid", "negative", "NaN", "inf", "max R", "max G", "max B", "genuine MERL"):
+    numbers = ("valid", "negative", "NaN", "inf", "outliers", "max R", "max G", "max B")
+    for head in ("file", "dims", *numbers, "genuine MERL"):
         table.add_column(
             head, justify="left" if head in left else "right", overflow="fold" if head in left else "ellipsis"
         )
     for r in reports:
         table.add_row(
             escape(r.path.name), "x".join(map(str, r.dims)), f"{r.fraction_valid:.1%}",
-            str(r.negative), str(r.nan), str(r.inf),
+            str(r.negative), str(r.nan), str(r.inf), str(r.outliers),
             *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no",
         )  # fmt: skip
     return table

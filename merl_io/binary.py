@@ -25,6 +25,7 @@ HEADER = struct.Struct("<3i")
 FILE_BYTES = HEADER.size + CHANNELS * int(np.prod(DIMS)) * 8
 NO_DATUM = -1.0
 BRIGHTEST = 1e15  # 1/sr: beyond any mirror in a 1 degree bin by 11 orders; such a number is no measurement
+OUTLIER = 1e4  # times the median over phi_d at the same theta_h and theta_d: masking and 1/cos alone vary along it
 MAGIC = {
     b"\x89PNG": "a PNG picture",
     b"v/1\x01": "an OpenEXR picture",
@@ -66,6 +67,15 @@ class Measurement:
     def name(self) -> str:
         """Name of the material: that of the file without ``.binary``."""
         return self.path.stem
+
+    @cached_property
+    def outliers(self) -> int:
+        """Valid bins that are brighter than `OUTLIER` times both the median of their row of phi_d and that of all."""
+        brightest = self.values.max(0)
+        bright = brightest > OUTLIER * np.median(brightest[self.valid])
+        some = bright.any(-1)  # few rows, of most files none
+        beside = np.nanmedian(brightest[some], -1, keepdims=True)
+        return int(np.sum(bright[some] & (brightest[some] > OUTLIER * beside)))
 
     @cached_property
     def genuine(self) -> str | None:

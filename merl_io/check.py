@@ -11,7 +11,7 @@ from .binary import DIMS, Measurement, read
 
 @dataclass(frozen=True)
 class FileReport:
-    """Summary of one file: dims, fraction of valid bins, counts of bad numbers, largest value per channel (1/sr)."""
+    """Summary of one file: dims, fraction of valid bins, counts of bad numbers, outliers, largest values (1/sr)."""
 
     path: Path
     dims: tuple[int, int, int]
@@ -19,6 +19,7 @@ class FileReport:
     negative: int
     nan: int
     inf: int
+    outliers: int
     largest: tuple[float, float, float]
     genuine: str | None
 
@@ -28,7 +29,7 @@ def summarise(measurement: Measurement) -> FileReport:
     largest = [float(np.nanmax(plane)) for plane in measurement.values]
     return FileReport(
         measurement.path, DIMS, float(measurement.valid.mean()), measurement.negative, measurement.nan, measurement.inf,
-        (largest[0], largest[1], largest[2]), measurement.genuine,
+        measurement.outliers, (largest[0], largest[1], largest[2]), measurement.genuine,
     )  # fmt: skip
 
 

@@ -43,7 +43,8 @@ def transmittance(cos_i: Real, cos_o: Real, n: Real) -> Real:
 def lambert(albedo: Real) -> Real:
     """rho_d / pi: a diffuse term that does not know of the interface, as Cook-Torrance models add it.
 
-    Together with the surface lobes it may reflect more than it receives; ``plastic`` and ``subsurface`` may not.
+    Together with the surface lobes it may reflect more than it receives, as every body may beside a diffraction lobe
+    (results/energy.md); the split ``conserving`` mends that.
     """
     return albedo / jnp.pi
 
@@ -73,5 +74,8 @@ def scattered(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
 
 
 def subsurface(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
-    """Single and multiple scattering in a half space of single-scattering ``albedo`` (HP17 Eq. 44-47, Jensen 2001)."""
+    """Single and multiple scattering in a half space of single-scattering ``albedo`` (HP17 Eq. 44-47, Jensen 2001).
+
+    Gives back up to 1.38 of the light by itself, as albedo and index tend to 1; the split ``conserving`` mends it.
+    """
     return transmittance(cos_i, cos_o, n) * scattered(cos_i, cos_o, n, albedo)

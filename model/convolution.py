@@ -34,9 +34,8 @@ from .quadrature import gauss_legendre
 def interpolation_nodes(order: int) -> int:
     """Chebyshev nodes in log(1 + B^2) over the range of a grid, as many as the quadrature's own error calls for.
 
-    Measured over all bounds of the fit and the whole of MERL's range of cos_d and wavelength, table and quadrature
-    together (``tests/model/test_against_oracles.py``), which is what the quadrature errs by alone: order 16 median
-    2e-4, worst 2.5e-2; 24: 3e-5, 4e-3; 32: 8e-6, 1e-3; 48: 9e-7, 3e-4.
+    Over all bounds of the fit and the whole of MERL's range of cos_d and wavelength, table and quadrature together err
+    by what the quadrature errs by alone (`convolve`; ``tests/model/test_against_oracles.py``).
     """
     return max(8, min(20, order * 5 // 8))
 
@@ -213,9 +212,10 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: 
     lobe cancel, is less accurate by a factor B.
 
     Accuracy, relative, over beta in [1e-3, 1], p in [0.2, 5], c in [1.01, 6], B in [0.01, 900], all theta_h
-    (``tests/model/test_against_oracles.py``): order 16 median 2e-4, worst 5e-2; 24: 4e-5, 6e-3; 32: 1e-5, 3e-3;
-    48: 1e-6, 3e-4. Over beta in [1e-4, 2], p in [0.12, 5], c in [1.001, 8], B in [1e-3, 2e4]: 32: 1e-5, 99 % below
-    3e-3; 256: 1e-13, worst 1e-6 (``tests/hard_cases.toml``). Float32 is kept, and adds 1e-4 in the former range.
+    (``tests/model/test_against_oracles.py``; worst of 28 000 sets): order 16 median 1.5e-4, worst 4e-2; 24: 4e-5, 9e-3;
+    32: 9e-6, 2.5e-3; 48: 9e-7, 6e-4. Over beta in [1e-4, 2], p in [0.12, 5], c in [1.001, 8], B in [1e-3, 2e4]: 32:
+    1e-5, 99 % below 3e-3; 256: 1e-13, worst 1e-6 (``tests/hard_cases.toml``). Float32 is kept, and adds 4e-4 in the
+    former range.
     """
     theta_h, B = jnp.broadcast_arrays(theta_h, B)
     return _integrate(theta_h, B, c, beta, p, order).value
@@ -252,7 +252,7 @@ def convolve_many(
         theta_h: half angle (rad). cos_over_lambda: cos_d/lambda (1/um) > 0, of at least as many axes; they broadcast.
         b: correlation length (um). c, beta, p, order: as for `convolve`.
 
-    Accuracy: see `interpolation_nodes`.
+    Accuracy: that of :func:`convolve`, see `interpolation_nodes`.
     """
     shape = jnp.broadcast_shapes(theta_h.shape, cos_over_lambda.shape)
     count = interpolation_nodes(order)

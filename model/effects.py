@@ -27,7 +27,7 @@ class Effects:
         diffraction: how the facets' diffraction lobe is blurred by the distribution of their normals, cheapest first:
             ``off``; ``lobe`` (normals taken as all alike); ``scaled`` (a lobe of another width and height, HP17
             Eq. 39-41: good for most lobes while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics,
-            Appendix A: good for zonal_order >= 32 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33);
+            Appendix A: good for zonal_order >= 24 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33);
             ``exact`` (Eq. 27, the reference: milliseconds a direction).
         order: radial nodes of ``quadrature``, and of ``scaled`` outside its table; accuracy in
             :func:`merlfit.model.convolution.convolve`.

@@ -68,7 +68,8 @@ def lobe_albedo(
         renormalised: whether sigma_rel and the lobe's amplitude are renormalised (Eq. 17-19).
 
     Returns:
-        shape ``(C, *theta_d.shape)``. Accuracy: 5e-4 (``tests/model/test_energy.py``); 2e-3 at b/lambda > 100.
+        shape ``(C, *theta_d.shape)``. Accuracy: 5e-4 (``tests/model/test_energy.py``); 2e-3 at b/lambda > 100, or
+        where c > 5 and sigma_s > lambda/2 beyond 80 degrees.
     """
     wavelengths = wavelength_um.reshape(-1)
     table = _lobe_albedo_table(b_um / wavelengths, c, sigma_s / wavelengths, renormalised, exact)  # (C, K)

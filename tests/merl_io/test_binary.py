@@ -63,6 +63,22 @@ def test_invalid_numbers_become_a_mask_and_never_zero(tmp_path, values):
     assert report.genuine is None
 
 
+def test_outliers_are_what_is_far_brighter_than_its_row(tmp_path):
+    steep = 1e-3 * np.geomspace(1e9, 1, 90)[:, None, None] * np.ones(DIMS)  # a sharp lobe has none
+    values = np.broadcast_to(steep, (3, *DIMS)).copy()
+    values[:, 50, 50, ::3] = np.nan
+    assert measured(values, tmp_path).outliers == 0
+    values[1, 2, 10, 90] *= 1e5
+    values[:, 80, 10, [3, 4]] = 1e7
+    values[0, 80, 20, 7] *= 1e2  # bright beside its row, but not beside the whole
+    assert measured(values, tmp_path).outliers == 3
+
+
+def measured(values, tmp_path):
+    write(tmp_path / "made.binary", values)
+    return read(tmp_path / "made.binary")
+
+
 def broken(name, tmp_path, path):
     target = tmp_path / f"{name}.binary"
     raw = path.read_bytes()
