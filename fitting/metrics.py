@@ -68,9 +68,11 @@ def effective_count(field: np.ndarray, used: np.ndarray) -> float:
     may carry most of the cost (participation, 3 (sum e^2)^2 / sum e^4, which is the number of bins for equal Gaussian
     ones), and neighbours err alike (the product of correlation lengths along the three axes).
     """
-    e2 = field[used] ** 2
-    if e2.size == 0 or e2.sum() == 0:
+    largest = np.max(np.abs(field[used]), initial=0.0)
+    if largest == 0:
         return float(used.sum())
+    field = field / largest  # its square may be no number otherwise
+    e2 = field[used] ** 2
     participation = min(3 * e2.sum() ** 2 / np.sum(e2**2), e2.size)
     lengths = np.prod([correlation_length(field, used, axis) for axis in range(3)])
     return float(max(participation / lengths, 2.0))

@@ -113,11 +113,15 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         effects, whole = config.effects_of(bodies[chosen]), make_problem(samples)
         solution = solve(effects, found[chosen].z, whole, config.fit.max_steps, backend=config.fit.backend)
     with clock.stage("metrics"):
-        predicted = predict_samples(effects, solution.z, samples, whole)
-        counts = counts_of(samples, predicted)
-        unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
-        errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid())
-    return Fitted(effects, solution, counts, errors, candidates)
+        return replace(judge(effects, solution, measurement, samples, whole), candidates=candidates)
+
+
+def judge(effects: Effects, solution: Solution, measurement: Measurement, samples: Samples, problem: Problem) -> Fitted:
+    """A solution on all bins with its errors and the effective counts of its residuals."""
+    predicted = predict_samples(effects, solution.z, samples, problem)
+    unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
+    errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid())
+    return Fitted(effects, solution, counts_of(samples, predicted), errors, [])
 
 
 def fit_coarse(effects: Effects, samples: Samples, problem: Problem, config: Config) -> Solution:

@@ -1,18 +1,19 @@
 """Shared by all tests: compiled programs are cached, runtime type checks are on, data of the reconstructions."""
 
-import importlib.util
 import os
-import sys
 from pathlib import Path
+
+# XLA's older CPU emitters compile in half the time (CONTRIBUTING.md, compile times); before jax makes its backend
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 import jax
 import pytest
+import reconstructions
 from jaxtyping import install_import_hook
 
 install_import_hook(["merlfit.model", "merlfit.merl_io"], "beartype.beartype")
 
 ROOT = Path(__file__).parents[1]
-DATA = ROOT.parent / "shared" / "data"
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -24,17 +25,11 @@ def compilation_cache(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def reconstructions():
+def make_merl():
     """The module that makes MERL files of the neural reconstructions, and their networks."""
-    if not (DATA / "merl_networks.npz").is_file():
-        if os.environ.get("CI"):
-            pytest.fail("the neural reconstructions are required in CI: ../shared/data is absent")
-        pytest.skip("needs the neural reconstructions in ../shared/data")
-    spec = importlib.util.spec_from_file_location("make_merl", DATA / "make_merl.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["make_merl"] = module
-    spec.loader.exec_module(module)
-    return module
+    if not reconstructions.there():
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(reconstructions.ABSENT)
+    return reconstructions.maker()
 
 
 @pytest.fixture(scope="module")

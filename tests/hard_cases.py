@@ -1,8 +1,9 @@
 """The table of hard cases: values and gradients of the model at its extremes against 30 digits, in both precisions.
 
-``python -m tests.hard_cases`` prints it and writes results/hard_cases.md; with ``--references`` it first computes the
-references of the dear cases (two-dimensional integrals) anew into tests/hard_references.json. All cases of an effect go
-through one compiled, vmapped function, in forward and reverse mode.
+``python -m tests.hard_cases`` prints it, with the degenerate files of tests/hard_fits.py as a second one, and writes
+both to results/hard_cases.md; with ``--references`` it first computes the references of the dear cases (two-dimensional
+integrals) into tests/hard_references.json: those that are missing, and all where an oracle's source has changed. All
+cases of an effect go through one compiled, vmapped function, in forward and reverse mode.
 
 The error of ``diffraction = "scaled"`` and ``"zonal"`` against HP17 Eq. 33 is no matter of this table but of
 results/tiers.md: here they are held to what they say they are, a table's polynomial and a truncated sum.
@@ -20,9 +21,11 @@ import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
 
 if __package__:
+    from . import hard_fits
     from .hard_effects import MODEL
     from .hard_table import HERE, PRECISIONS, Case, reference, table, write_references
 else:
+    import hard_fits
     from hard_effects import MODEL
     from hard_table import HERE, PRECISIONS, Case, reference, table, write_references
 
@@ -126,23 +129,30 @@ def markdown(lines):
 
 
 def main(arguments):
-    """Print the table, write it to results/; 1 where a case fails that is not known to."""
+    """Print the tables, write them to results/; 1 where a case fails that is not known to, or a file's fit."""
     jax.config.update("jax_enable_x64", True)
     use_persistent_cache()
     if "--references" in arguments:
         write_references()
     lines, known = rows(), {entry["case"] for entry in table()[1]["entries"]}
-    text = markdown(lines)
     failing = [row for row in lines if row.failures]
     unknown = [row for row in failing if row.case.name not in known]
-    summary = f"{len(lines)} cases, {len(lines) - len(failing)} pass, {len(failing) - len(unknown)} known failures"
-    print(text, summary, sep="\n\n")
+    files = hard_fits.rows()
+    wrong = [row for row in files if row.failures]
+    text = [
+        markdown(lines),
+        f"{len(lines)} cases, {len(lines) - len(failing)} pass, {len(failing) - len(unknown)} known failures",
+        "## Degenerate files",
+        hard_fits.markdown(files),
+        f"{len(files)} files, {len(files) - len(wrong)} end as they should",
+    ]
+    print(*text, sep="\n\n")
     folder = HERE.parent / "results"
     folder.mkdir(exist_ok=True)
-    (folder / "hard_cases.md").write_text(f"# Hard cases\n\n{text}\n\n{summary}\n")
-    for row in unknown:
-        print(f"FAILED {row.case.name}: {', '.join(row.failures)}")
-    return 1 if unknown else 0
+    (folder / "hard_cases.md").write_text("\n\n".join(["# Hard cases", *text]) + "\n")
+    for name, failures in [(row.case.name, row.failures) for row in unknown] + [(r.name, r.failures) for r in wrong]:
+        print(f"FAILED {name}: {', '.join(failures)}")
+    return 1 if unknown or wrong else 0
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The hard cases of tests/hard_cases.toml: arguments, tolerances, and references of 30 digits.
 
-Dear references, two-dimensional integrals, are read from tests/hard_references.json, each under a mark of all that it
-depends on; `write_references` makes them anew.
+Dear references, two-dimensional integrals, are read from tests/hard_references.json, each under a mark of its
+arguments, all under one of the oracles' sources; `write_references` makes anew what is out of date.
 """
 
 import hashlib
@@ -24,6 +24,7 @@ else:
 
 HERE = Path(__file__).parent
 TABLE, REFERENCES = HERE / "hard_cases.toml", HERE / "hard_references.json"
+ORACLES = Path(precise.__file__).parent
 PRECISIONS = {"": np.float64, "32": np.float32}
 LOGARITHMIC = {"beta": 0.0, "p": 0.0, "b": 0.0, "b_over_lambda": 0.0, "B": 0.0, "tau": 0.0, "c": 1.0}  # log(x - offset)
 EDGES = {"k": (0, None), "sigma_s": (0, None), "eta": (1, None), "albedo": (0, 1), "exponent": (0, 1), "tau": (0, None),
@@ -85,7 +86,7 @@ class Case:
         return self.at(precision)[name] - LOGARITHMIC[name] if name in LOGARITHMIC else 1.0
 
     def mark(self):
-        """Hash of all that a reference depends on."""
+        """Hash of what a reference depends on, the oracles' sources aside."""
         told = json.dumps([ORACLE[self.effect].__name__, self.static, self.at("")])
         return hashlib.sha1(told.encode()).hexdigest()[:12]
 
@@ -125,17 +126,30 @@ def dear(case):
     return case.effect in DEAR
 
 
+def oracles():
+    """Hash of the sources of all oracles: what others have computed is never read."""
+    code = b"".join(path.read_bytes() for path in sorted(ORACLES.glob("*.py")))
+    return hashlib.sha256(code).hexdigest()[:16]
+
+
 @cache
 def stored():
-    """References of the dear cases by name and precision."""
-    return json.loads(REFERENCES.read_text()) if REFERENCES.is_file() else {}
+    """References of the dear cases by name.
+
+    Raises:
+        LookupError: an oracle is not what it was when they were computed.
+    """
+    found = json.loads(REFERENCES.read_text()) if REFERENCES.is_file() else {"oracles": oracles()}
+    if found.pop("oracles", None) != oracles():
+        raise LookupError("the oracles have changed: run python -m tests.hard_cases --references")
+    return found
 
 
 def reference(case, precision):
     """Value and gradient at 30 digits: computed where that is cheap, else read.
 
     Raises:
-        LookupError: there is no stored reference for the case as it is now.
+        LookupError: there is no stored reference for the case as it is now, or the oracles have changed.
     """
     if not dear(case):
         return case.compute(precision)
@@ -147,15 +161,23 @@ def reference(case, precision):
 
 def write_references():
     """Compute the references that are missing or out of date, drop those of cases that are gone."""
+    try:
+        before = stored()
+    except LookupError:
+        before = {}
     kept = {}
     for case in filter(dear, table()[0]):
-        if stored().get(case.name, {}).get("inputs") == case.mark():
-            kept[case.name] = stored()[case.name]
+        if before.get(case.name, {}).get("inputs") == case.mark():
+            kept[case.name] = before[case.name]
         else:
             value, gradient = case.compute("")
             text = {name: mp.nstr(x, 20) for name, x in gradient.items()}
             kept[case.name] = {"inputs": case.mark(), "value": mp.nstr(value, 20), "gradient": text}
             print(case.name, kept[case.name]["value"], flush=True)
-        REFERENCES.write_text(json.dumps({**stored(), **kept}, indent=1) + "\n")  # what is done is not lost
-    REFERENCES.write_text(json.dumps(kept, indent=1) + "\n")
+            _write({**before, **kept})  # what is done is not lost
+    _write(kept)
     stored.cache_clear()
+
+
+def _write(references):
+    REFERENCES.write_text(json.dumps({"oracles": oracles(), **references}, indent=1) + "\n")

@@ -4,6 +4,7 @@ from dataclasses import fields
 from typing import Literal, get_args, get_origin
 
 import hard_cases as hard
+import hard_fits
 import hard_table
 import jax
 import mpmath as mp
@@ -91,6 +92,48 @@ def test_a_changed_case_is_noticed():
         hard_table.reference(changed, "")
 
 
+@pytest.fixture
+def one_reference(tmp_path, monkeypatch):
+    """A file of references with a single case, of value 0, and its case."""
+    case = next(case for case in CASES if case.name == "plastic of albedo 1, retro-reflection")
+    monkeypatch.setattr(hard_table, "REFERENCES", tmp_path / "references.json")
+    monkeypatch.setattr(hard_table, "table", lambda: ([case], {}, []))
+    gradient = dict.fromkeys(case.checked, "0")
+    hard_table._write({case.name: {"inputs": case.mark(), "value": "0", "gradient": gradient}})
+    hard_table.stored.cache_clear()
+    yield case
+    hard_table.stored.cache_clear()
+
+
+def test_references_that_are_up_to_date_are_kept(one_reference):
+    hard_table.write_references()
+    assert hard_table.reference(one_reference, "")[0] == 0
+
+
+def test_a_changed_oracle_is_noticed_and_everything_computed_anew(one_reference, tmp_path, monkeypatch):
+    for path in hard_table.ORACLES.glob("*.py"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(hard_table, "ORACLES", tmp_path)
+    assert hard_table.reference(one_reference, "")[0] == 0  # the same sources elsewhere
+    hard_table.stored.cache_clear()
+    with (tmp_path / "body.py").open("a") as file:
+        file.write("# another\n")
+    with pytest.raises(LookupError, match=r"oracles have changed.*--references"):
+        hard_table.reference(one_reference, "")
+    hard_table.write_references()
+    assert hard_table.reference(one_reference, "")[0] == mp.mpf(mp.nstr(one_reference.compute("")[0], 20))
+
+
+@pytest.mark.parametrize("failures", [[], ["status CONVERGED"]])
+def test_the_command_fails_with_a_file_whose_status_is_wrong(failures, tmp_path, monkeypatch):
+    monkeypatch.setattr(hard, "use_persistent_cache", lambda: None)
+    monkeypatch.setattr(hard, "HERE", tmp_path / "tests")
+    monkeypatch.setattr(hard, "rows", list)
+    monkeypatch.setattr(hard_fits, "rows", lambda: [hard_fits.Row("all black", "CONVERGED", "so", failures)])
+    assert hard.main([]) == bool(failures)
+    assert "| all black |" in (tmp_path / "results" / "hard_cases.md").read_text()
+
+
 # --- The comparison rejects formulas that are wrong by little, one an effect
 
 WRONG = {
@@ -100,9 +143,12 @@ WRONG = {
     "epd": lambda theta, beta, p: precise.epd(theta, beta, p) * mp.cos(theta) ** 2,
     "smith_lambda": lambda tau, p: precise.smith_lambda(tau, p) / 2,  # the printed half line
     "masking": lambda cos_theta, beta, p: 1 / (2 / precise.masking(cos_theta, beta, p) - 1) if cos_theta else 0,
+    "masking_table": lambda cos_theta, beta, p: 1 / (2 / precise.masking(cos_theta, beta, p) - 1) if cos_theta else 0,
     "renormalisation": lambda sin_theta, b_over_lambda, c: 1 - (1 + b_over_lambda**2) ** (-(c - 1) / 2),  # centred
     "lobe": lambda theta_h, B, c: precise.lobe(theta_h, B, c) / mp.cos(theta_h),
     "specular_share": lambda **at: precise.specular_share(**{**at, "sigma_s": at["sigma_s"] * 1.001}),
+    "convolve": lambda theta_h, B, c, beta, p, order: precise.lobe(theta_h, B, c),
+    "convolve_256": lambda theta_h, B, c, beta, p, order: precise.convolve(theta_h, B, c, beta * (1 + 1e-4), p),
     "lambert": lambda albedo: albedo,
     "plastic": lambda cos_i, cos_o, n, albedo: precise.plastic(cos_i, cos_o, n, albedo) * n**2,  # as printed
     "subsurface": lambda **at: precise.subsurface(**{**at, "albedo": at["albedo"] * 0.999}),
@@ -112,11 +158,16 @@ WRONG = {
     "scaled_outside": lambda theta_h, B, c, beta, p: precise.lobe(theta_h, B, c),
     "lobe_albedo": lambda renormalised, exact, **at: 1 - precise.specular_share(**at),  # the printed split
     "two_scale": lambda **at: precise.two_scale(**{**at, "masking": "smith", "acquisition": "off"}),
+    "two_scale_quadrature": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
     "two_scale_zonal": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
     "two_scale_scaled": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
     "two_scale_exact": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
     "two_scale_conserving": lambda **at: precise.two_scale(**{**at, "split": "printed"}),
 }
+
+
+def test_every_effect_has_a_wrong_formula():
+    assert set(WRONG) == set(MODEL)
 
 
 @pytest.mark.parametrize("effect", WRONG)
@@ -125,18 +176,20 @@ def test_a_wrong_formula_fails(effect, found, monkeypatch):
         return WRONG[effect](**case.at(precision), **case.static), dict.fromkeys(case.checked, mp.mpf(0))
 
     monkeypatch.setattr(hard, "reference", wrong)
-    rows = [hard.Row(case, found[case.name]) for case in CASES if case.effect == effect]
+    rows = (hard.Row(case, found[case.name]) for case in CASES if case.effect == effect)
     assert any("value" in row.failures for row in rows)
 
 
-def test_a_wrong_gradient_fails(found):
+BETA_2 = ("beta 2 at the peak, p = 0.12", "beta 2, p = 5 on its edge", "beta 2 at 89.99 degrees, p = 0.12")
+
+
+@pytest.mark.parametrize("name", BETA_2)
+def test_a_wrong_gradient_fails(name, found):
     """One that leaves out the parameter's own scale, as if d/dx were d/dlog x."""
-    for case in CASES:
-        if case.effect == "epd" and case.name.startswith("beta 2"):
-            mine = found[case.name]
-            wrong = [{**mode, "beta": mode["beta"] / 2} for mode in mine.gradient[""]]
-            row = hard.Row(case, hard.Found(mine.value, {**mine.gradient, "": wrong}, mine.dtype))
-            assert row.failures == ["gradient"]
+    case, mine = next(case for case in CASES if case.name == name), found[name]
+    wrong = [{**mode, "beta": mode["beta"] / 2} for mode in mine.gradient[""]]
+    row = hard.Row(case, hard.Found(mine.value, {**mine.gradient, "": wrong}, mine.dtype))
+    assert row.failures == ["gradient"]
 
 
 @pytest.mark.parametrize("name", hard_table.ALWAYS)

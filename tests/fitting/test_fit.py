@@ -83,9 +83,9 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
     assert (tmp_path / f"{name}.json").is_file()
 
 
-def test_nickel_as_its_neural_reconstruction(reconstructions, tmp_path):
+def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):
     """A reconstruction, not the measurement: cost and errors as they were found, which only a regression can raise."""
-    reconstructions.main(tmp_path, "nickel")
+    make_merl.main(tmp_path, "nickel")
     result = run.fit_file(tmp_path / "nickel.binary", tmp_path, load(body="none", posterior=False))
     assert result.fit.succeeded
     assert result.fit.cost < 0.0226

@@ -141,21 +141,26 @@ def convolution_cases(count, seed=SEED):
     return np.array(cases)
 
 
+@pytest.fixture(scope="module")
+def convolutions():
+    """Random cases and what the oracle says of them."""
+    cases = convolution_cases(300)
+    return cases, np.array([o_convolution.convolve(*case) for case in cases])
+
+
 @pytest.mark.parametrize(
     ("order", "median", "largest"), [(16, 3e-4, 5e-2), (32, 5e-5, 3e-3), (48, 1e-5, 1e-3), (96, 2e-6, 2e-4)]
 )
-def test_convolution_in_all_bounds(order, median, largest):
-    cases = convolution_cases(300)
-    expected = np.array([o_convolution.convolve(*case) for case in cases])
+def test_convolution_in_all_bounds(order, median, largest, convolutions):
+    cases, expected = convolutions
     found = jax.jit(jax.vmap(lambda x: convolution.convolve(x[0], x[1], x[2], x[3], x[4], order)))(cases)
     error = np.abs(np.asarray(found) / expected - 1)
     assert np.median(error) < median
     assert error.max() < largest, cases[error.argmax()]
 
 
-def test_convolution_check_rejects_the_dirac_limit():
-    cases = convolution_cases(60)
-    expected = np.array([o_convolution.convolve(*case) for case in cases])
+def test_convolution_check_rejects_the_dirac_limit(convolutions):
+    cases, expected = convolutions
     lobe = np.asarray(jax.vmap(convolution.lobe)(*j(cases[:, 0], cases[:, 1], cases[:, 2])))
     assert np.median(np.abs(lobe / expected - 1)) > 1e-2
 

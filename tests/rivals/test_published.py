@@ -1,16 +1,12 @@
 """Published parameters: names, bounds, and the median errors over MERL that an independent evaluator found."""
 
-import importlib.util
-import os
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
 from merlfit.model.geometry import Geometry
 from merlfit.model.published import MERL_SCALE, SOURCES, evaluate, materials, published
 
-SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 # median RMSE and sMAPE: those of the data's own README, and what this project measured where it has none
 TARGETS = {
     "smooth": (0.045, 0.100),
@@ -124,20 +120,6 @@ class Reference:
         rmse = np.sqrt(np.sum(self.weight[:, None] * difference**2) / 3)
         total = np.where(valid, np.abs(measured) + np.abs(predicted), 1.0)
         return rmse, np.mean(np.abs(difference[valid]) / total[valid])
-
-
-@pytest.fixture(scope="module")
-def make_merl():
-    script = SHARED / "make_merl.py"
-    if not script.exists():
-        reason = f"the neural reconstructions of MERL are not at {Path('..') / 'shared' / 'data'}"
-        if os.environ.get("CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
-    spec = importlib.util.spec_from_file_location("make_merl", script)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,44 @@
+"""Fits that go on from another fit's optimum with other effects: what is compared is optima, not two searches."""
+
+from merlfit.fitting import run
+from merlfit.fitting.config import parse
+from merlfit.fitting.levenberg_marquardt import solve
+from merlfit.fitting.residuals import make_problem, weighted_samples
+from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.binary import read
+from merlfit.merl_io.samples import thin
+
+WHAT = (
+    "Neural reconstructions of MERL materials (Sztrajman et al. 2021), not measurements: their sharp peaks are lower "
+    "than measured, and a network may smooth away what the apparatus did. Cost of HP17 Eq. 56 relative to the "
+    "measurement's weighted energy, RMSE in 1/sr"
+)
+STARS = "\\* not converged at the step limit, † no light at all would cost less: no global minimum"
+
+
+class Material:
+    """A MERL file, ready for several fits."""
+
+    def __init__(self, path):
+        self.measurement = read(path)
+        self.samples = weighted_samples(self.measurement)
+        self.whole, self.coarse = make_problem(self.samples), make_problem(thin(self.samples, run.COARSE))
+
+    def searched(self, body, max_steps=40):
+        """The fit of `merlfit fit` with default effects and one body."""
+        config = parse(
+            {"effects": {"body": body}, "fit": {"max_steps": max_steps}, "posterior": {"enabled": False}}, ""
+        )
+        return run.fit(self.measurement, self.samples, config, lambda _: None, run._Clock())
+
+    def continued(self, fitted, effects, coarse_steps=60, max_steps=20):
+        """A fit with other effects from where another one ended, coarse grid first."""
+        start = layout_of(effects).free(layout_of(fitted.effects).values(fitted.solution.z))
+        near = solve(effects, start, self.coarse, coarse_steps)
+        solution = solve(effects, near.z, self.whole, max_steps)
+        return run.judge(effects, solution, self.measurement, self.samples, self.whole)
+
+
+def cost(solution_cost, converged):
+    """A cost as the tables print it."""
+    return f"{solution_cost:.4g}" + ("" if converged else "\\*") + ("†" if solution_cost > 1 else "")
