@@ -311,6 +311,8 @@ def _blurred_lobe(v: Values, s: Setting) -> Array:
         case "scaled":
             return scaled.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.order)
         case "zonal":
-            return zonal.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.zonal_order)
+            truncated = zonal.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.zonal_order)
+            # no bound on the albedo holds for a lobe that is negative somewhere
+            return jnp.maximum(truncated, 0.0) if effects.split == "conserving" else truncated
         case _:
             return convolution.convolve_many(theta_h, cos_over_lambda, b, c, beta, p, effects.order)
