@@ -1,6 +1,7 @@
 """Neural reconstructions of the MERL materials (Sztrajman et al. 2021), not measurements, from ../shared/data."""
 
 import importlib.util
+from contextlib import redirect_stdout
 from functools import cache
 from pathlib import Path
 
@@ -31,5 +32,6 @@ def maker():
 
 def make(folder, material):
     """Path of the MERL file of one material, made in the folder; 35 MB."""
-    maker().main(folder, material)
+    with redirect_stdout(None):  # it prints the path
+        maker().main(folder, material)
     return Path(folder) / f"{material}.binary"
