@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..merl_io.binary import Measurement
+from ..merl_io.binary import OUTLIER, Measurement
 from ..merl_io.samples import Samples
 from ..model.effects import Effects
 from ..model.parameters import WAVELENGTHS_UM
@@ -23,8 +23,8 @@ EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter 
 UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
 UNRESOLVED = 0.5  # standard error of logit(u), that is two standard errors from the bound: nearer it is at it
 OUTLIERS = (
-    "{count} bins of the file are outliers, over 1e4 times brighter than what is beside them: they dominate the RMSE, "
-    "and the cost hardly feels them"
+    "{count} bins of the file are outliers, over {times:g} times brighter than what is beside them: they dominate the "
+    "RMSE, and the cost hardly feels them"
 )
 Bound = Literal["no", "lower", "upper"]
 
@@ -75,7 +75,7 @@ def said(status: Status, measurement: Measurement) -> str:
     """What a status says, and what is wrong with the file however the fit ended."""
     if not (count := measurement.outliers):
         return status.value
-    return f"{status.value}; {OUTLIERS.format(count=count)}"
+    return f"{status.value}; {OUTLIERS.format(count=count, times=OUTLIER)}"
 
 
 def make_result(
@@ -100,7 +100,7 @@ def make_result(
     if fitted is None or not np.isfinite(fitted.solution.cost):
         status = Status.NO_DATA if fitted is None else Status.NON_FINITE
         fit_part = export.Fit(
-            status=status.name, message=said(status, measurement), succeeded=False, cost=None, cost_per_channel=None,
+            status=status.name, message=status.value, succeeded=False, cost=None, cost_per_channel=None,
             folding_scatter=None, steps=0, relative_offset=None, bins=bins, candidates=[],
         )  # fmt: skip
         return export.Result(
@@ -111,8 +111,7 @@ def make_result(
     fit_part = export.Fit(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
-        steps=s.steps,
-        relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
+        steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
     )  # fmt: skip
     errors = export.Metrics(rmse=export.finite(fitted.errors.rmse), smape=export.finite(fitted.errors.smape))
     posterior = None if chain is None else _posterior_part(chain, fitted, measurement.name)

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from ..merl_io.binary import BRIGHTEST, OUTLIER
 from ..merl_io.check import FileReport
 from .export import ParameterResult, Result
 
@@ -33,8 +34,8 @@ def number(x: float | None, digits: int = 4) -> str:
 def check_table(reports: Sequence[FileReport]) -> Table:
     """What `merlfit check` prints."""
     table = Table(
-        title="MERL files (inf: or above 1e15/sr; outliers: over 1e4 times what is beside them; max: largest value, "
-        "1/sr; genuine: by SHA-1)",
+        title=f"MERL files (inf: or above {BRIGHTEST:g}/sr; outliers: over {OUTLIER:g} times what is beside them; "
+        "max: largest value, 1/sr; genuine: by SHA-1)",
         title_justify="left",
     )
     left = ("file", "genuine MERL")

@@ -77,7 +77,7 @@ def fit_file(path: str | os.PathLike[str], out: Path, config: Config, report: Re
         with clock.stage("posterior"):
             try:
                 chain = sample_posterior(fitted, samples, config, report)
-            except Exception as error:
+            except Exception as error:  # raised again: whatever stops a sampler, the fit is kept and named
                 raise RuntimeError(f"the sampler: {error}; {target} holds the fit without a posterior") from error
             save_chain(out / f"{measurement.name}.chain.npz", fitted, chain)
         result = make_result(measurement, samples, fitted, chain, config, clock.times())

@@ -27,7 +27,7 @@ from .numerics import Real, Scalar, safe_acos, safe_divide, safe_sqrt
 from .quadrature import gauss_legendre
 
 SHARES = 24  # nodes of the renormalisation as a function of the facet's incidence: 1e-5
-LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: 1e-4
+LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: see `lobe_albedo`
 LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
 INCIDENCES = 48  # nodes of the surface's albedo
 ORDER = 24  # of the convolution in the surface's albedo
