@@ -22,7 +22,8 @@ import optimistix as optx
 from jax import Array
 
 from ..model.effects import Effects
-from .residuals import Problem, normal_equations
+from .problem import Problem
+from .residuals import normal_equations
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
 # Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so

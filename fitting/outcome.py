@@ -17,6 +17,7 @@ from . import export, metrics
 from .config import Config
 from .levenberg_marquardt import Solution, Status
 from .posterior import Posterior, laplace_covariance
+from .problem import energy
 from .transforms import layout_of
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
@@ -107,7 +108,7 @@ def make_result(
             model=None, parameters=[], fit=fit_part, metrics=export.Metrics(rmse=None, smape=None), posterior=None,
             **common,
         )  # fmt: skip
-    s, unit = fitted.solution, float(np.sum(samples.weight * samples.value**2)) + samples.scatter
+    s, unit = fitted.solution, energy(samples)
     fit_part = export.Fit(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,

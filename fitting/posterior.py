@@ -24,7 +24,8 @@ from scipy.special import expit, ndtri
 from scipy.stats import chi2
 
 from ..model.effects import Effects
-from .residuals import Problem, cost
+from .problem import Problem
+from .residuals import cost
 from .transforms import Layout
 
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
@@ -125,12 +126,6 @@ def _log_prob(effects: Effects, x: Array, problem: Problem, counts: Array) -> Ar
 
     # under vmap both sides of the table's fallback would be computed
     return jax.lax.map(one, x) if effects.diffraction == "scaled" else jax.vmap(one)(x)
-
-
-@partial(jax.jit, static_argnums=0)
-def _log_likelihoods(effects: Effects, z: Array, problem: Problem, counts: Array) -> Array:
-    """Log likelihood of points (N, P), one after the other."""
-    return jax.lax.map(lambda z: log_likelihood(effects, z, problem, counts), z)
 
 
 def independent_proposal(samples: np.ndarray, log_prob: np.ndarray) -> Callable:
@@ -245,8 +240,11 @@ def _extend(
 
 def thinning_error(fitted: Target, thinned: Target, draws: np.ndarray, counts: Array) -> float:
     """Standard deviation, over ``draws`` (N, P), of log L on all bins minus log L on the thinned grid."""
-    thin, whole = (_log_likelihoods(model, jnp.asarray(draws), samples, counts) for model, samples in (thinned, fitted))
-    return float(jnp.std(whole - thin))
+    thin, whole = (
+        np.array([log_likelihood(model, jnp.asarray(z), samples, counts) for z in draws])
+        for model, samples in (thinned, fitted)
+    )
+    return float(np.std(whole - thin))
 
 
 def _verdict(steps: int, ratio: float, steady: bool, error: float) -> tuple[bool, str]:

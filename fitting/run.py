@@ -21,14 +21,16 @@ from .config import Config
 from .levenberg_marquardt import Solution, solve
 from .outcome import Fitted, make_result
 from .posterior import Posterior, sample
-from .residuals import Problem, make_problem, predict, weighted_samples
+from .problem import Problem, directions, energy, make_problem, weighted_samples
+from .residuals import predict
 from .selection import bic
 from .starts import starting_points
 from .transforms import layout_of
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
 # every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
-COARSE = ((1, 1, 3, *(5,) * 17), 5, 10)  # 20 x 18 x 9 bins
+COARSE = ((1, 1, 3, *(5,) * 17), 5, 1)  # 20 x 18 rows of all azimuths
+COARSE_AZIMUTHS, COARSE_ORDER = 4, 16  # nodes of a row, order of the convolution
 SAMPLING = ((1, 1, 1, 2, 3, 4, 6, 6, 6, *(10,) * 6), 6, 30)  # 15 x 15 x 3 bins, for the posterior
 SAMPLING_ORDER = 16  # of the convolution in the posterior: median error 2e-4
 TRIAL_STEPS = 25  # that a screened start is followed before the best is chosen
@@ -95,12 +97,12 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         bodies: tuple[Body, ...] = BODIES if config.effects.body == "auto" else (config.effects.body,)
         report(f"coarse grid: {', '.join(bodies)}")
         coarse = thin(samples, COARSE)
-        problem = make_problem(coarse)
+        problem = make_problem(coarse, COARSE_AZIMUTHS)
         with ThreadPoolExecutor(max_workers=2) as pool:
-            found = list(pool.map(lambda body: fit_coarse(config.effects_of(body), coarse, problem, config), bodies))
+            found = list(pool.map(lambda body: fit_coarse(cheaper(config.effects_of(body), COARSE_ORDER), coarse, problem, config), bodies))
         lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
         effects = config.effects_of(bodies[lowest])
-        counts = counts_of(coarse, predict_samples(effects, found[lowest].z, coarse, problem))
+        counts = counts_of(coarse, predict_samples(effects, found[lowest].z, coarse))
         candidates = [
             export.Candidate(
                 body=body, cost=export.finite(s.cost), bic=export.finite(bic(s.normal[:, -1, -1], counts, len(s.z)))
@@ -113,15 +115,19 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         effects, whole = config.effects_of(bodies[chosen]), make_problem(samples)
         solution = solve(effects, found[chosen].z, whole, config.fit.max_steps, backend=config.fit.backend)
     with clock.stage("metrics"):
-        return replace(judge(effects, solution, measurement, samples, whole), candidates=candidates)
+        return replace(judge(effects, solution, measurement, samples), candidates=candidates)
 
 
-def judge(effects: Effects, solution: Solution, measurement: Measurement, samples: Samples, problem: Problem) -> Fitted:
-    """A solution on all bins with its errors and the effective counts of its residuals."""
-    predicted = predict_samples(effects, solution.z, samples, problem)
+def judge(effects: Effects, solution: Solution, measurement: Measurement, samples: Samples) -> Fitted:
+    """A solution with its cost on all bins, its errors and the effective counts of its residuals."""
+    predicted = predict_samples(effects, solution.z, samples)
     unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
     errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid())
-    return Fitted(effects, solution, counts_of(samples, predicted), errors, [])
+    costs = np.sum(samples.weight * (samples.value - predicted) ** 2, (1, 2, 3)) / energy(samples)
+    normal = solution.normal.copy()
+    normal[:, -1, -1] = costs
+    exact = replace(solution, cost=float(costs.sum()), normal=normal)
+    return Fitted(effects, exact, counts_of(samples, predicted), errors, [])
 
 
 def fit_coarse(effects: Effects, samples: Samples, problem: Problem, config: Config) -> Solution:
@@ -139,10 +145,15 @@ def fit_coarse(effects: Effects, samples: Samples, problem: Problem, config: Con
     return best if best.converged or rest <= 0 else follow(best.z, rest)
 
 
-def predict_samples(effects: Effects, z: np.ndarray, samples: Samples, problem: Problem) -> np.ndarray:
+def cheaper(effects: Effects, order: int) -> Effects:
+    """The same with a convolution of no more than this order."""
+    return replace(effects, order=min(order, effects.order))
+
+
+def predict_samples(effects: Effects, z: np.ndarray, samples: Samples) -> np.ndarray:
     """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
-    blocks = np.asarray(predict(effects, layout_of(effects).values(jnp.asarray(z)), problem))
-    return np.moveaxis(blocks, 1, 0).reshape(samples.value.shape)
+    where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    return predict(effects, layout_of(effects).values(jnp.asarray(z)), where)
 
 
 def counts_of(samples: Samples, predicted: np.ndarray) -> np.ndarray:
@@ -154,7 +165,7 @@ def counts_of(samples: Samples, predicted: np.ndarray) -> np.ndarray:
 
 def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: Report) -> Posterior:
     """The posterior on the sampling grid."""
-    cheap = replace(fitted.effects, order=min(SAMPLING_ORDER, fitted.effects.order))
+    cheap = cheaper(fitted.effects, SAMPLING_ORDER)
     whole, thinned = make_problem(samples), make_problem(thin(samples, SAMPLING))
     return sample(
         (fitted.effects, whole), (cheap, thinned), fitted.solution.z, fitted.solution.normal, fitted.counts,

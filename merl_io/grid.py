@@ -46,8 +46,18 @@ class MerlGrid:
 
 def cosines(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """cos_i and cos_o of half and difference angles (rad)."""
-    even = np.cos(theta_h) * np.cos(theta_d)
-    odd = np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
+    return _cosines(_trigonometry(theta_h), _trigonometry(theta_d), _trigonometry(phi_d))
+
+
+Trigonometry = tuple[np.ndarray, np.ndarray]  # sine and cosine
+
+
+def _trigonometry(angle: np.ndarray) -> Trigonometry:
+    return np.sin(angle), np.cos(angle)
+
+
+def _cosines(h: Trigonometry, d: Trigonometry, phi: Trigonometry) -> tuple[np.ndarray, np.ndarray]:
+    even, odd = h[1] * d[1], h[0] * d[0] * phi[1]
     return even - odd, even + odd
 
 
@@ -95,11 +105,13 @@ def bin_volume(edges: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
 def _integrate(edges: tuple[np.ndarray, ...], bins: np.ndarray, nodes: int) -> np.ndarray:
     """Weights of some bins by Gauss-Legendre nodes inside them."""
     x, w = np.polynomial.legendre.leggauss(nodes)
-    low = [e[i] for e, i in zip(edges, bins.T, strict=True)]
-    size = [e[i + 1] - e[i] for e, i in zip(edges, bins.T, strict=True)]
+    size = [np.diff(e) for e in edges]
+    # sines and cosines by node and bin of every axis: there are far fewer than points
+    axes = [[_trigonometry(e[:-1] + (u + 1) / 2 * s) for u in x] for e, s in zip(edges, size, strict=True)]
     total = np.zeros(len(bins))
-    for a, b, c in np.ndindex(nodes, nodes, nodes):
-        h, d, p = (lo + (x[k] + 1) / 2 * s for lo, s, k in zip(low, size, (a, b, c), strict=True))
-        density = 4 * np.cos(d) * np.sin(d) * np.sin(h) * _cotangent(*cosines(h, d, p))
-        total += w[a] * w[b] * w[c] / 8 * density
-    return total * np.prod(size, axis=0)
+    for node in np.ndindex(nodes, nodes, nodes):
+        h, d, p = (
+            (sine[i], cosine[i]) for (sine, cosine), i in zip((a[k] for a, k in zip(axes, node)), bins.T, strict=True)
+        )
+        total += np.prod(w[list(node)]) / 8 * d[1] * d[0] * h[0] * _cotangent(*_cosines(h, d, p))
+    return 4 * total * np.prod([s[i] for s, i in zip(size, bins.T, strict=True)], axis=0)

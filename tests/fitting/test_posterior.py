@@ -9,7 +9,7 @@ import pytest
 from merlfit.fitting import run
 from merlfit.fitting.levenberg_marquardt import solve
 from merlfit.fitting.posterior import free_of_normal, independent_proposal, laplace_covariance, normal_of_free, sample
-from merlfit.fitting.residuals import make_problem
+from merlfit.fitting.problem import make_problem
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
@@ -99,7 +99,7 @@ def noisy_posteriors():
     grid = merl_grid()
     ones = np.ones((3, 90, 90, 180))
     blank = thin(fold(grid, ones, np.where(grid.above, 1.0, 0.0) * ones), (10, 10, 45))
-    clean = run.predict_samples(effects, layout_of(effects).free(TRUTH), blank, make_problem(blank))
+    clean = run.predict_samples(effects, layout_of(effects).free(TRUTH), blank)
     counts = (blank.weight > 0).sum((1, 2, 3)).astype(float)
     size = (NOISE * np.sqrt(np.sum(blank.weight * clean**2) / counts.sum()))[:, None, None, None]
     rng = np.random.default_rng(6)
