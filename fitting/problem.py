@@ -6,8 +6,8 @@ w is the quadrature weight of the fitting measure times the compressive weight o
 azimuths is a quadratic form of a few of them (``merl_io.azimuth``), so that all bins count and few are evaluated.
 """
 
-import os
 from dataclasses import replace
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -21,7 +21,9 @@ from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples, fold
 from ..model.acquisition import grazing_log_base
 from ..model.geometry import Geometry
+from .threads import CORES, side_by_side
 
+Precision = Literal["float64", "float32"]
 AZIMUTHS = 8  # nodes of a row of 180 bins; accuracy in `merl_io.azimuth.gather`
 BLOCK = 8_000  # directions of a block: its 30-odd intermediates of 3 channels stay in a core's cache
 LEAST_SHARE = 20_000  # directions that are worth a thread
@@ -90,14 +92,21 @@ def weighted_samples(measurement: Measurement) -> Samples:
     with its own median, so that no channel is fitted at the expense of another.
     """
     grid = merl_grid()
-    weight = np.zeros(measurement.values.shape)
     used = measurement.valid & grid.above & (grid.weight > 0)
-    for plane, out in zip(measurement.values, weight, strict=True):
-        if not used.any():
-            break
-        median = max(cos_weighted_median(plane[used], np.maximum(grid.cos_i[used], 0.0)), 1e-9)
-        out[used] = grid.weight[used] * compressive_weight(plane[used], np.asarray(median))
-    return fold(grid, measurement.values, weight)
+    bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
+
+    def channel(plane: np.ndarray) -> Samples:
+        weight = np.zeros((1, *plane.shape))
+        if used.any():
+            median = max(cos_weighted_median(plane[used], cos_i), 1e-9)
+            weight[0, used] = bin_weight * compressive_weight(plane[used], np.asarray(median))
+        return fold(grid, plane[None], weight)
+
+    red, green, blue = side_by_side(channel, measurement.values)
+    value, weight = (
+        np.concatenate([getattr(each, name) for each in (red, green, blue)]) for name in ("value", "weight")
+    )
+    return replace(red, value=value, weight=weight, scatter=red.scatter + green.scatter + blue.scatter)
 
 
 def energy(samples: Samples) -> float:
@@ -105,20 +114,21 @@ def energy(samples: Samples) -> float:
     return float(np.sum(samples.weight * samples.value**2)) + samples.scatter
 
 
-def make_problem(samples: Samples, azimuths: int = AZIMUTHS) -> Problem:
+def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precision = "float64") -> Problem:
     """Quadratic forms of samples on the device.
 
     Args:
         azimuths: nodes that a row of azimuths is gathered in (`merl_io.azimuth.gather`).
+        precision: in which the model is evaluated at the nodes.
     """
     unit = energy(samples)
     rows = gather(replace(samples, weight=samples.weight / unit), azimuths)
-    where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o)
+    where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o, precision)
     blocks = len(where.log_base)
     split = lambda x: np.moveaxis(x.reshape(len(x), blocks, -1, *x.shape[2:]), 1, 0)  # noqa: E731
     root, target = split(rows.root), split(rows.target)
     parts = [
-        Part(jax.tree.map(lambda x: x[some], where), jnp.asarray(root[some]), jnp.asarray(target[some]))
+        Part(jax.tree.map(lambda x: x[some], where), jnp.asarray(root[some], precision), jnp.asarray(target[some], precision))
         for some in shares(where)
     ]
     return Problem(tuple(parts), jnp.asarray(rows.rest), jnp.asarray(samples.scatter / unit))
@@ -128,7 +138,7 @@ def _threads(size: int) -> int:
     """How many cores so many directions are worth."""
     if jax.default_backend() != "cpu":
         return 1
-    return min(os.cpu_count() or 1, max(1, size // LEAST_SHARE))
+    return min(CORES, max(1, size // LEAST_SHARE))
 
 
 def shares(where: Directions) -> list[slice]:
@@ -138,7 +148,9 @@ def shares(where: Directions) -> list[slice]:
     return [slice(k * blocks // count, (k + 1) * blocks // count) for k in range(count)]
 
 
-def directions(theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray) -> Directions:
+def directions(
+    theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray, precision: Precision = "float64"
+) -> Directions:
     """Blocks of a product grid; cosines (H, D, K)."""
     rows, columns, azimuths = cos_i.shape
     largest, threads = max(1, BLOCK // (columns * azimuths)), _threads(cos_i.size)
@@ -147,8 +159,8 @@ def directions(theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_
     blocks = rows // height
 
     def split(x: np.ndarray) -> Array:
-        return jnp.asarray(x.reshape((blocks, height, *x.shape[1:])))
+        return jnp.asarray(x.reshape((blocks, height, *x.shape[1:])), precision)
 
     columns_ = np.broadcast_to(theta_d[None, None, :, None], (blocks, 1, columns, 1))
-    geometry = Geometry(split(theta_h[:, None, None]), jnp.asarray(columns_), split(cos_i), split(cos_o))
+    geometry = Geometry(split(theta_h[:, None, None]), jnp.asarray(columns_, precision), split(cos_i), split(cos_o))
     return Directions(geometry, jax.jit(grazing_log_base)(geometry))

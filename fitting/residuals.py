@@ -4,9 +4,7 @@ Nothing of the size bins x parameters is ever held: blocks of theta_h rows add u
 loop over blocks on one core, so every core is given its share of them by a thread of its own.
 """
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from functools import partial, reduce
 from operator import add
 from typing import TypeVar
@@ -21,21 +19,16 @@ from ..model.effects import Effects
 from ..model.parameters import WAVELENGTHS_UM
 from ..model.two_scale import Factor, Setting, Values
 from .problem import Directions, Part, Problem, shares
+from .threads import side_by_side
 from .transforms import layout_of
 
-S, T = TypeVar("S"), TypeVar("T")
-_CORES = ThreadPoolExecutor(os.cpu_count(), "merlfit")
-
-
-def _side_by_side(evaluate: Callable[[S], T], parts: Sequence[S]) -> list[T]:
-    """Results for all parts, every part in a thread of its own."""
-    return [evaluate(parts[0])] if len(parts) == 1 else list(_CORES.map(evaluate, parts))
+T = TypeVar("T")
 
 
 def predict(effects: Effects, values: Mapping[str, Array], where: Directions) -> np.ndarray:
     """What the apparatus would have measured, (C, H, D, K)."""
     parts = [jax.tree.map(lambda x: x[some], where) for some in shares(where)]
-    found = _side_by_side(lambda part: np.asarray(_predict(effects, values, part)), parts)
+    found = side_by_side(lambda part: np.asarray(_predict(effects, values, part)), parts)
     blocks = np.moveaxis(np.concatenate(found), 1, 0)
     return blocks.reshape(len(blocks), -1, *blocks.shape[3:])
 
@@ -53,7 +46,7 @@ def _predict(effects: Effects, values: Mapping[str, Array], part: Directions) ->
 
 def cost(effects: Effects, z: Array, problem: Problem) -> Array:
     """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
-    return reduce(add, _side_by_side(lambda part: _cost(effects, z, part), problem.parts), problem.rest)
+    return reduce(add, side_by_side(lambda part: _cost(effects, z, part), problem.parts), problem.rest)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -63,7 +56,7 @@ def _cost(effects: Effects, z: Array, part: Part) -> Array:
     def step(total: Array, b: Part) -> tuple[Array, None]:
         s, at, _ = _evaluate(effects, values, b.directions)
         residual = b.target - _weigh(b.root, two_scale.assemble(at, s))
-        return total + jnp.sum(residual**2, (1, 2, 3)), None
+        return total + jnp.sum(residual**2, (1, 2, 3), dtype=jnp.float64), None
 
     return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
 
@@ -79,7 +72,7 @@ def normal_equations(effects: Effects, z: Array, problem: Problem) -> Array:
     Its last diagonal entry is :func:`cost`. A channel's rows and columns of other channels' parameters are zero, which
     is why one tangent a parameter, applied to all channels at once, gives the whole Jacobian.
     """
-    compact = reduce(add, _side_by_side(lambda part: _normal_equations(effects, z, part), problem.parts))
+    compact = reduce(add, side_by_side(lambda part: _normal_equations(effects, z, part), problem.parts))
     return _spread_out(effects, compact, problem.rest)
 
 
@@ -175,7 +168,7 @@ def _block_gram(
             at[name], slope = jax.linearize(lambda own, factor=factor: factor.evaluate({**shaped, **own}, s), own)
             still = jax.tree.map(jnp.zeros_like, own)
             for q in factor.names:
-                moved = {k: rates[q][k].reshape(own[k].shape) for k in (q, *factor.tables)}
+                moved = {k: rates[q][k].reshape(own[k].shape).astype(own[k].dtype) for k in (q, *factor.tables)}
                 slopes[f"{name}/{q}"] = slope({**still, **moved})
         return at, slopes
 
@@ -191,6 +184,10 @@ def _block_gram(
     always = jnp.isfinite(b.target[0, 0, 0, 0])
     at, slopes = _materialised(factor_derivatives, always, values, b.directions)
     columns_ = [x.reshape(x.shape[0], -1) for x in _materialised(columns, always, at, slopes, b)]
-    upper = {(i, j): jnp.sum(columns_[i] * columns_[j], -1) for i in range(len(columns_)) for j in range(i + 1)}
+    upper = {
+        (i, j): jnp.sum(columns_[i] * columns_[j], -1, dtype=jnp.float64)
+        for i in range(len(columns_))
+        for j in range(i + 1)
+    }
     count = range(len(columns_))
     return jnp.stack([jnp.stack([upper[max(i, j), min(i, j)] for j in count], -1) for i in count], -1)

@@ -25,11 +25,13 @@ from .problem import Problem, directions, energy, make_problem, weighted_samples
 from .residuals import predict
 from .selection import bic
 from .starts import starting_points
+from .threads import side_by_side
 from .transforms import layout_of
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
 # every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
 COARSE = ((1, 1, 3, *(5,) * 17), 5, 1)  # 20 x 18 rows of all azimuths
+GRIDS = {"fine": (1, 1, 1), "medium": ((*(1,) * 12, *(3,) * 26), 3, 1), "coarse": COARSE}  # of the last steps
 COARSE_AZIMUTHS, COARSE_ORDER = 4, 16  # nodes of a row, order of the convolution
 SAMPLING = ((1, 1, 1, 2, 3, 4, 6, 6, 6, *(10,) * 6), 6, 30)  # 15 x 15 x 3 bins, for the posterior
 SAMPLING_ORDER = 16  # of the convolution in the posterior: median error 2e-4
@@ -111,9 +113,11 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         ]
         chosen = min(range(len(bodies)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
     with clock.stage("full"):
-        report(f"all bins: {bodies[chosen]}")
-        effects, whole = config.effects_of(bodies[chosen]), make_problem(samples)
-        solution = solve(effects, found[chosen].z, whole, config.fit.max_steps, backend=config.fit.backend)
+        settings = config.fit
+        report(f"{settings.grid} grid: {bodies[chosen]}")
+        effects = config.effects_of(bodies[chosen])
+        whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
+        solution = solve(effects, found[chosen].z, whole, settings.max_steps, backend=settings.backend)
     with clock.stage("metrics"):
         return replace(judge(effects, solution, measurement, samples), candidates=candidates)
 
@@ -160,7 +164,7 @@ def counts_of(samples: Samples, predicted: np.ndarray) -> np.ndarray:
     """Effective sample count of every channel's residuals, (C,)."""
     used = np.all(samples.weight > 0, axis=0)
     residuals = np.sqrt(samples.weight) * (samples.value - predicted)
-    return np.array([metrics.effective_count(r, used) for r in residuals])
+    return np.array(side_by_side(lambda r: metrics.effective_count(r, used), residuals))
 
 
 def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: Report) -> Posterior:

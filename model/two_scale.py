@@ -156,8 +156,8 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
     missing = [q.name for q in parameters(s.effects) if q.name not in params]
     if missing:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
-    given = {name: jnp.asarray(params[name]) for name in TABLES if name in params}
     precision = jnp.result_type(s.geometry.theta_h)
+    given = {name: jnp.asarray(params[name], precision) for name in TABLES if name in params}
     return given | {
         q.name: jnp.asarray(params[q.name], precision).reshape(
             (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
