@@ -7,7 +7,7 @@ azimuths is a quadratic form of a few of them (``merl_io.azimuth``), so that all
 """
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -23,6 +23,7 @@ from ..model.acquisition import grazing_log_base
 from ..model.geometry import Geometry
 from .threads import CORES, side_by_side
 
+T = TypeVar("T")
 Precision = Literal["float64", "float32"]
 AZIMUTHS = 8  # nodes of a row of 180 bins; accuracy in `merl_io.azimuth.gather`
 BLOCK = 8_000  # directions of a block: its 30-odd intermediates of 3 channels stay in a core's cache
@@ -125,12 +126,11 @@ def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precisio
     rows = gather(replace(samples, weight=samples.weight / unit), azimuths)
     where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o, precision)
     blocks = len(where.log_base)
-    split = lambda x: np.moveaxis(x.reshape(len(x), blocks, -1, *x.shape[2:]), 1, 0)  # noqa: E731
-    root, target = split(rows.root), split(rows.target)
-    parts = [
-        Part(jax.tree.map(lambda x: x[some], where), jnp.asarray(root[some], precision), jnp.asarray(target[some], precision))
-        for some in shares(where)
-    ]
+
+    def split(x: np.ndarray) -> Array:
+        return jnp.asarray(np.moveaxis(x.reshape(len(x), blocks, -1, *x.shape[2:]), 1, 0), precision)
+
+    parts = shares(Part(where, split(rows.root), split(rows.target)), where.log_base.size)
     return Problem(tuple(parts), jnp.asarray(rows.rest), jnp.asarray(samples.scatter / unit))
 
 
@@ -141,11 +141,12 @@ def _threads(size: int) -> int:
     return min(CORES, max(1, size // LEAST_SHARE))
 
 
-def shares(where: Directions) -> list[slice]:
-    """Blocks of every thread, as many for each."""
-    blocks = len(where.log_base)
-    count = next(n for n in range(min(_threads(where.log_base.size), blocks), 0, -1) if blocks % n == 0)
-    return [slice(k * blocks // count, (k + 1) * blocks // count) for k in range(count)]
+def shares(blocks: T, size: int) -> list[T]:
+    """Blocks of every thread, as many for each. ``size``: directions of all."""
+    count = len(jax.tree.leaves(blocks)[0])
+    parts = next(n for n in range(min(_threads(size), count), 0, -1) if count % n == 0)
+    cut = jax.tree.map(lambda x: jnp.split(x, parts), blocks)
+    return [jax.tree.map(lambda x, k=k: x[k], cut, is_leaf=lambda x: isinstance(x, list)) for k in range(parts)]
 
 
 def directions(

@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 def predict(effects: Effects, values: Mapping[str, Array], where: Directions) -> np.ndarray:
     """What the apparatus would have measured, (C, H, D, K)."""
-    parts = [jax.tree.map(lambda x: x[some], where) for some in shares(where)]
+    parts = shares(where, where.log_base.size)
     found = side_by_side(lambda part: np.asarray(_predict(effects, values, part)), parts)
     blocks = np.moveaxis(np.concatenate(found), 1, 0)
     return blocks.reshape(len(blocks), -1, *blocks.shape[3:])

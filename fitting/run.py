@@ -101,7 +101,12 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         coarse = thin(samples, COARSE)
         problem = make_problem(coarse, COARSE_AZIMUTHS)
         with ThreadPoolExecutor(max_workers=2) as pool:
-            found = list(pool.map(lambda body: fit_coarse(cheaper(config.effects_of(body), COARSE_ORDER), coarse, problem, config), bodies))
+            found = list(
+                pool.map(
+                    lambda body: fit_coarse(cheaper(config.effects_of(body), COARSE_ORDER), coarse, problem, config),
+                    bodies,
+                )
+            )
         lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
         effects = config.effects_of(bodies[lowest])
         counts = counts_of(coarse, predict_samples(effects, found[lowest].z, coarse))

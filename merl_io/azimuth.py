@@ -1,9 +1,9 @@
 """What a row of azimuths says about a smooth function, in a few numbers instead of 180 bins.
 
-At one (theta_h, theta_d) the BRDF of an isotropic, reciprocal material is a function of cos^2 phi_d alone: a mirror image
-turns phi_d into -phi_d, and exchanging light and viewer turns it into pi - phi_d. Where the horizon cuts the row, at
-cos^2 phi_d = u, masking and loss behave like roots of the distance to it: in s = sqrt(1 - cos^2 phi_d / u) both they and
-everything else are smooth, so that a polynomial through a few nodes f_k of s gives the function at every bin,
+At one (theta_h, theta_d) the BRDF of an isotropic, reciprocal material is a function of cos^2 phi_d alone: a mirror
+image turns phi_d into -phi_d, and exchanging light and viewer turns it into pi - phi_d. Where the horizon cuts the row,
+at cos^2 phi_d = u, masking and loss behave like roots of the distance to it: in s = sqrt(1 - cos^2 phi_d / u) both they
+and everything else are smooth, so that a polynomial through a few nodes f_k of s gives the function at every bin,
 f = B f_k. The weighted squares of a row are then a quadratic form of the nodes,
 
     sum over bins of w (m - f)^2 = |q - R f_k|^2 + rest,    R^T R = B^T w B,    R^T q = B^T w m,
@@ -60,7 +60,7 @@ def gather(samples: Samples, nodes: int) -> Rows:
     x = -np.cos(np.pi * (np.arange(nodes) + 0.5) / nodes)
     through = np.linalg.inv(chebvander(x, nodes - 1))
     at_nodes, squares, products = [], [], []
-    for h, theta_h in enumerate(samples.theta_h):
+    for h in range(len(samples.theta_h)):
         s, low, high, horizon = _positions(samples, h)
         basis = chebvander(np.clip(2 * (s - low) / (high - low) - 1, -1, 1), nodes - 1) @ through  # (D, P, K)
         at_nodes.append(horizon * (1 - (low + (x + 1) / 2 * (high - low)) ** 2))

@@ -22,7 +22,8 @@ class Material:
     def __init__(self, path):
         self.measurement = read(path)
         self.samples = weighted_samples(self.measurement)
-        self.whole, self.coarse = make_problem(self.samples), make_problem(thin(self.samples, run.COARSE), run.COARSE_AZIMUTHS)
+        self.whole = make_problem(self.samples)
+        self.coarse = make_problem(thin(self.samples, run.COARSE), run.COARSE_AZIMUTHS)
 
     def searched(self, body, max_steps=40):
         """The fit of `merlfit fit` with default effects and one body."""

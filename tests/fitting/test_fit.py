@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting import levenberg_marquardt, run
+from merlfit.fitting import problem as problems
 from merlfit.fitting.config import Config, load
 from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
-from merlfit.fitting import problem as problems
 from merlfit.fitting.problem import compressive_weight, cos_weighted_median, make_problem, weighted_samples
 from merlfit.fitting.residuals import _predict, cost, normal_equations
 from merlfit.fitting.starts import read_clues, starting_points
@@ -140,7 +140,7 @@ def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
 
 
 def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
-    samples, thinned, problem = coarse
+    _, thinned, problem = coarse
     z = jnp.asarray(starting_points(FREE, thinned)[0])
     assert len(problem.parts) == 1
     assert problem.parts[0].target.shape[0] == 1
