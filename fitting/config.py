@@ -103,7 +103,7 @@ class PosteriorSection(_Section):
     """
 
     enabled: bool = True
-    max_steps: Annotated[int, Field(ge=10)] = 4000
+    max_steps: Annotated[int, Field(ge=10)] = 2700
 
 
 class Config(_Section):
