@@ -9,12 +9,17 @@ import platformdirs
 from . import tables
 
 
+def cache_folder() -> Path:
+    """The user's cache folder, or ``MERLFIT_CACHE_DIR``."""
+    return Path(os.environ.get("MERLFIT_CACHE_DIR") or platformdirs.user_cache_dir("merlfit"))
+
+
 def use_persistent_cache() -> Path:
-    """Keep compiled programs in the user's cache folder (or ``MERLFIT_CACHE_DIR``): only the first run waits.
+    """Keep compiled programs in the cache folder: only the first run waits.
 
     So with the table of ``diffraction = "scaled"``, which is computed when it is first asked for.
     """
-    cache = Path(os.environ.get("MERLFIT_CACHE_DIR") or platformdirs.user_cache_dir("merlfit"))
+    cache = cache_folder()
     folder = cache / "xla"
     tables.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))

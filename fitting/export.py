@@ -13,8 +13,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..merl_io.atomic import write_atomically
 from ..model.effects import Effects
+from .choice import Choice
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee")
 
 
@@ -124,16 +125,42 @@ class PosteriorResult(_Part):
     chain_file: str
 
 
-class Result(_Part):
-    """One material."""
+class Tried(_Part):
+    """Settings that a fit was taken to, and the error that was estimated there."""
 
-    schema_version: Literal["1.0"] = SCHEMA_VERSION
+    settings: Choice
+    estimated: float | None
+
+
+class Accuracy(_Part):
+    """What ``--accuracy`` or ``--time`` asked for, what was chosen, and what came of it.
+
+    Errors are distances from the prediction of the reference fit, over all bins, relative to the measurement, with the
+    weights of Eq. 56. ``expected`` and ``expected_seconds`` are those of the first settings: what 95 % of the
+    calibration's fits keep to. ``estimated`` is where the last settings ended; ``met`` is null for a time.
+    """
+
+    asked: float | None
+    asked_seconds: float | None
+    calibration: str
+    expected: float
+    expected_seconds: float
+    tried: list[Tried]
+    estimated: float | None
+    met: bool | None
+
+
+class Result(_Part):
+    """One material; version 1.0 had no ``accuracy``."""
+
+    schema_version: Literal["1.0", "1.1"] = SCHEMA_VERSION
     source: Source
     model: Model | None
     parameters: list[ParameterResult]
     fit: Fit
     metrics: Metrics
     posterior: PosteriorResult | None
+    accuracy: Accuracy | None = None
     seconds: dict[str, float]
     seed: int
     versions: dict[str, str]

@@ -127,10 +127,10 @@ def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precisio
     where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o, precision)
     blocks = len(where.log_base)
 
-    def split(x: np.ndarray) -> Array:
-        return jnp.asarray(np.moveaxis(x.reshape(len(x), blocks, -1, *x.shape[2:]), 1, 0), precision)
+    def split(x: np.ndarray) -> np.ndarray:
+        return np.moveaxis(x.reshape(len(x), blocks, -1, *x.shape[2:]), 1, 0).astype(precision)
 
-    parts = shares(Part(where, split(rows.root), split(rows.target)), where.log_base.size)
+    parts = shares(Part(where, jnp.asarray(split(rows.root)), jnp.asarray(split(rows.target))), where.log_base.size)
     return Problem(tuple(parts), jnp.asarray(rows.rest), jnp.asarray(samples.scatter / unit))
 
 
@@ -142,11 +142,13 @@ def _threads(size: int) -> int:
 
 
 def shares(blocks: T, size: int) -> list[T]:
-    """Blocks of every thread, as many for each. ``size``: directions of all."""
+    """Blocks of every thread, as many for each, on the device. ``size``: directions of all."""
     count = len(jax.tree.leaves(blocks)[0])
     parts = next(n for n in range(min(_threads(size), count), 0, -1) if count % n == 0)
-    cut = jax.tree.map(lambda x: jnp.split(x, parts), blocks)
-    return [jax.tree.map(lambda x, k=k: x[k], cut, is_leaf=lambda x: isinstance(x, list)) for k in range(parts)]
+    each = count // parts
+    return [
+        jax.tree.map(lambda x, k=k: jnp.asarray(np.asarray(x)[k * each : (k + 1) * each]), blocks) for k in range(parts)
+    ]
 
 
 def directions(
@@ -160,8 +162,10 @@ def directions(
     blocks = rows // height
 
     def split(x: np.ndarray) -> Array:
-        return jnp.asarray(x.reshape((blocks, height, *x.shape[1:])), precision)
+        return jnp.asarray(x.reshape((blocks, height, *x.shape[1:])).astype(precision))
 
     columns_ = np.broadcast_to(theta_d[None, None, :, None], (blocks, 1, columns, 1))
-    geometry = Geometry(split(theta_h[:, None, None]), jnp.asarray(columns_, precision), split(cos_i), split(cos_o))
+    geometry = Geometry(
+        split(theta_h[:, None, None]), jnp.asarray(columns_.astype(precision)), split(cos_i), split(cos_o)
+    )
     return Directions(geometry, jax.jit(grazing_log_base)(geometry))

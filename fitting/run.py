@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,13 +21,15 @@ from . import export, metrics
 from .config import Config
 from .levenberg_marquardt import Solution, solve
 from .outcome import Fitted, make_result
-from .posterior import Posterior, sample
 from .problem import Problem, directions, energy, make_problem, weighted_samples
 from .residuals import predict
 from .selection import bic
 from .starts import starting_points
-from .threads import side_by_side
+from .threads import CORES, side_by_side
 from .transforms import layout_of
+
+if TYPE_CHECKING:  # the sampler's libraries take a second to load
+    from .posterior import Posterior
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
 # every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
@@ -39,6 +42,7 @@ TRIAL_STEPS = 25  # that a screened start is followed before the best is chosen
 LEAST_BINS = 30  # fewer bins with light than this, of all or of a thinned grid, cannot carry a dozen parameters
 BLACK = 1e-30  # 1/sr: no more light than this is none
 Report = Callable[[str], None]
+Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, export.Accuracy | None]]
 
 
 class _Clock:
@@ -58,11 +62,18 @@ class _Clock:
         self.seconds[name] = round(time.perf_counter() - start, 3)
 
 
-def fit_file(path: str | os.PathLike[str], out: Path, config: Config, report: Report = lambda _: None) -> export.Result:
+def fit_file(
+    path: str | os.PathLike[str],
+    out: Path,
+    config: Config,
+    report: Report = lambda _: None,
+    finish: Finish | None = None,
+) -> export.Result:
     """Fit one MERL file, sample its posterior, write ``out/NAME.json`` (and the chain beside it).
 
     Args:
         report: told in a few words what is being done.
+        finish: looks at the fit before it is written, and may go on from there (``accuracy.Aim.finish``).
 
     Raises:
         merlfit.merl_io.binary.MerlError: the file cannot be used.
@@ -72,8 +83,12 @@ def fit_file(path: str | os.PathLike[str], out: Path, config: Config, report: Re
         report("reading")
         measurement = read(path)
         samples = weighted_samples(measurement)
-    fitted = fit(measurement, samples, config, report, clock)
-    result = make_result(measurement, samples, fitted, None, config, clock.times())
+    fitted, accuracy = fit(measurement, samples, config, report, clock), None
+    if fitted is not None and finish is not None:
+        with clock.stage("accuracy"):
+            report("accuracy")
+            fitted, accuracy = finish(fitted, measurement, samples)
+    result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
     out.mkdir(parents=True, exist_ok=True)
     target = out / f"{measurement.name}.json"
     export.write_result(target, result)  # before the sampling, which may be interrupted
@@ -84,7 +99,7 @@ def fit_file(path: str | os.PathLike[str], out: Path, config: Config, report: Re
             except Exception as error:  # raised again: whatever stops a sampler, the fit is kept and named
                 raise RuntimeError(f"the sampler: {error}; {target} holds the fit without a posterior") from error
             save_chain(out / f"{measurement.name}.chain.npz", fitted, chain)
-        result = make_result(measurement, samples, fitted, chain, config, clock.times())
+        result = make_result(measurement, samples, fitted, chain, config, clock.times(), accuracy)
         export.write_result(target, result)
     return result
 
@@ -100,22 +115,10 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         report(f"coarse grid: {', '.join(bodies)}")
         coarse = thin(samples, COARSE)
         problem = make_problem(coarse, COARSE_AZIMUTHS)
-        with ThreadPoolExecutor(max_workers=2) as pool:
-            found = list(
-                pool.map(
-                    lambda body: fit_coarse(cheaper(config.effects_of(body), COARSE_ORDER), coarse, problem, config),
-                    bodies,
-                )
-            )
-        lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
-        effects = config.effects_of(bodies[lowest])
-        counts = counts_of(coarse, predict_samples(effects, found[lowest].z, coarse))
-        candidates = [
-            export.Candidate(
-                body=body, cost=export.finite(s.cost), bic=export.finite(bic(s.normal[:, -1, -1], counts, len(s.z)))
-            )
-            for body, s in zip(bodies, found, strict=True)
-        ]
+        cheap = [cheaper(config.effects_of(body), COARSE_ORDER) for body in bodies]
+        with ThreadPoolExecutor(max_workers=CORES) as pool:
+            found = list(pool.map(lambda effects: fit_coarse(effects, coarse, problem, config), cheap))
+        candidates = compare(cheap, found, coarse)
         chosen = min(range(len(bodies)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
     with clock.stage("full"):
         settings = config.fit
@@ -125,6 +128,20 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         solution = solve(effects, found[chosen].z, whole, settings.max_steps, backend=settings.backend)
     with clock.stage("metrics"):
         return replace(judge(effects, solution, measurement, samples), candidates=candidates)
+
+
+def compare(effects: list[Effects], found: list[Solution], samples: Samples) -> list[export.Candidate]:
+    """Costs of fits of the same samples, and their BICs by the effective counts of the best one's residuals."""
+    lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
+    if len(found) == 1:
+        return [export.Candidate(body=effects[0].body, cost=export.finite(found[0].cost), bic=None)]
+    counts = counts_of(samples, predict_samples(effects[lowest], found[lowest].z, samples))
+    return [
+        export.Candidate(
+            body=e.body, cost=export.finite(s.cost), bic=export.finite(bic(s.normal[:, -1, -1], counts, len(s.z)))
+        )
+        for e, s in zip(effects, found, strict=True)
+    ]
 
 
 def judge(effects: Effects, solution: Solution, measurement: Measurement, samples: Samples) -> Fitted:
@@ -172,8 +189,10 @@ def counts_of(samples: Samples, predicted: np.ndarray) -> np.ndarray:
     return np.array(side_by_side(lambda r: metrics.effective_count(r, used), residuals))
 
 
-def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: Report) -> Posterior:
+def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: Report) -> "Posterior":
     """The posterior on the sampling grid."""
+    from .posterior import sample
+
     cheap = cheaper(fitted.effects, SAMPLING_ORDER)
     whole, thinned = make_problem(samples), make_problem(thin(samples, SAMPLING))
     return sample(
@@ -183,7 +202,7 @@ def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: R
     )  # fmt: skip
 
 
-def save_chain(path: Path, fitted: Fitted, chain: Posterior) -> None:
+def save_chain(path: Path, fitted: Fitted, chain: "Posterior") -> None:
     """The whole chain in free coordinates and the kept samples in physical units (npz, no pickles)."""
     layout = layout_of(fitted.effects)
     arrays = {

@@ -1,0 +1,143 @@
+"""``merlfit cost``: errors and times of tiers and fits on this machine, section by section.
+
+Every section is measured by a process of its own, so that its memory and what it compiles are its own. What is measured
+is written at once (``rows.json`` in the folder for work), and a run that was interrupted goes on from there.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from ..merl_io.atomic import write_atomically
+from . import calibration, tiers
+from .choice import POINTS, REFERENCE
+from .compilation import use_persistent_cache
+from .export import versions
+from .frontier import Frontier, Point, Spread, Tier
+
+Rows = dict[str, dict[str, Any]]  # by section, then by what was measured
+Report = Callable[[str], None]
+ERRORS, TIMES = "errors of tiers", "times of tiers"
+
+
+class CostError(RuntimeError):
+    """A section that could not be measured; the message says which and why."""
+
+
+def measure(file: Path | None, out: Path, repeats: int, report: Report) -> Frontier:
+    """Everything, on the calibration materials or on one MERL file; what is already in ``out`` is kept.
+
+    Raises:
+        CostError: a section failed; what was measured before it stays.
+    """
+    work = out / "work"
+    work.mkdir(parents=True, exist_ok=True)
+    materials = [file.stem] if file else calibration.names()
+    rows = _kept(work, {"file": file and str(file.resolve()), "repeats": repeats, "versions": versions()})
+    sections = [ERRORS, TIMES, *(str(choice) for choice in (REFERENCE, *POINTS[:-1]))]
+    for number, section in enumerate(sections, 1):
+        wanted = _wanted(section, materials)
+        missing = [name for name in wanted if name not in rows.setdefault(section, {})]
+        if not missing:
+            continue
+        label = f"[{number}/{len(sections)}] {section}"
+        report(label)
+        for done, row in enumerate(_worker(work, section, missing, file, repeats), len(wanted) - len(missing) + 1):
+            rows[section].update(row)
+            _write(work / "rows.json", rows)
+            report(f"{label}: {done} of {len(wanted)}")
+    frontier = assemble(rows, materials, calibration.WHAT if file is None else f"of {file.name} alone")
+    shutil.rmtree(work)
+    return frontier
+
+
+def _wanted(section: str, materials: list[str]) -> list[str]:
+    """What a section is measured on."""
+    return {ERRORS: ["all"], TIMES: list(tiers.TIERS)}.get(section, materials)
+
+
+def _kept(work: Path, made_of: dict[str, Any]) -> Rows:
+    """Rows of an interrupted run of the same kind; of another kind nothing is kept."""
+    try:
+        rows = json.loads((work / "rows.json").read_text())
+    except (OSError, ValueError):
+        rows = {}
+    if rows.get("made of") != made_of:
+        shutil.rmtree(work)
+        work.mkdir()
+        rows = {"made of": made_of}
+    return rows
+
+
+def _write(path: Path, rows: Rows) -> None:
+    write_atomically(path, lambda file: file.writelines([json.dumps(rows, indent=1).encode()]))
+
+
+def _worker(work: Path, section: str, names: list[str], file: Path | None, repeats: int) -> Iterator[Rows]:
+    """Rows as a process of its own prints them."""
+    job = {"work": str(work), "section": section, "names": names, "file": file and str(file), "repeats": repeats}
+    command = [sys.executable, "-m", f"{__package__}.cost", json.dumps(job)]
+    with open(work / "errors.txt", "w+") as said:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True) as process:
+            try:
+                for line in process.stdout or ():
+                    yield json.loads(line)
+            finally:
+                if process.poll() is None:
+                    process.terminate()
+        if process.returncode:
+            said.seek(0)
+            last = (said.read().strip().splitlines() or [f"exit code {process.returncode}"])[-1]
+            raise CostError(f"{section}: {last}; what was measured is kept in {work}")
+
+
+def work_on(work: Path, section: str, names: list[str], file: Path | None, repeats: int) -> Iterator[Rows]:
+    """The measurements themselves, in the process that makes them."""
+    use_persistent_cache()
+    files, references = work / "materials", work / "references"
+    for name in names:
+        if section == ERRORS:
+            yield {name: tiers.errors()}
+        elif section == TIMES:
+            yield {name: tiers.times(name, file or calibration.make(calibration.names()[0], files))}
+        else:
+            choice = next(q for q in POINTS if str(q) == section)
+            yield {name: calibration.measure(choice, file or calibration.make(name, files), references, repeats)}
+
+
+def assemble(rows: Rows, materials: list[str], data: str) -> Frontier:
+    """The calibration of all rows."""
+    errors = rows[ERRORS]["all"]
+    return Frontier(
+        data=data, directions=tiers.WHAT, materials=materials, machine=calibration.machine(),
+        taken=date.today().isoformat(), versions=versions(),
+        tiers=[Tier(name=name, error=errors.get(name), **rows[TIMES][name]) for name in tiers.TIERS],
+        points=[_point(choice, [rows[str(choice)][name] for name in materials]) for choice in POINTS],
+    )  # fmt: skip
+
+
+def _point(choice: Any, rows: list[dict[str, Any]]) -> Point:  # noqa: ANN401
+    """One point of all its rows."""
+    column = {key: [row[key] for row in rows] for key in rows[0]}
+    pairs = list(zip(column["achieved"], column["estimate"], strict=True))
+    away = [x for x in column["parameters"] if x is not None]
+    return Point(
+        choice=choice, error=Spread.of([max(pair) for pair in pairs]), achieved=Spread.of(column["achieved"]),
+        estimate=Spread.of(column["estimate"]),
+        astray=Spread.of([achieved if achieved > estimated else 0.0 for achieved, estimated in pairs]).p95,
+        other_body=sum(column["other_body"]) / len(rows), rmse=Spread.of(column["rmse"]),
+        parameters=Spread.of(away) if away else None, seconds=Spread.of(column["seconds"]),
+        megabytes=max(column["megabytes"]),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":  # a worker
+    job = json.loads(sys.argv[1])
+    given = {**job, "work": Path(job["work"]), "file": job["file"] and Path(job["file"])}
+    for found in work_on(**given):
+        print(json.dumps(found), flush=True)

@@ -1,0 +1,147 @@
+"""What accuracy costs: the settings worth having, how near to the best fit they end and how fast.
+
+The error of a fit is how far its prediction f is from that of the reference fit, over all bins, relative to the
+measurement m and with the weights of Eq. 56:
+
+    error = sqrt(sum w (f - f_ref)^2 / sum w m^2).
+
+The reference is the last of `POINTS`. Errors and seconds of all points are measured on calibration materials
+(``merlfit cost``, :mod:`merlfit.fitting.cost`); the package ships one such calibration for machines that have none.
+Seconds are those of one file with nothing left to compile and without a posterior.
+"""
+
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import IO, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from ..merl_io.atomic import write_atomically
+from .choice import POINTS, Choice
+from .compilation import cache_folder
+
+FILE = "frontier.json"
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Spread(_Frozen):
+    """Over cases: median, what 95 % of them do not exceed, and the largest."""
+
+    median: float
+    p95: float
+    worst: float
+
+    @classmethod
+    def of(cls, values: Sequence[float] | np.ndarray) -> "Spread":
+        """Of a sample."""
+        median, p95 = np.median(values), np.quantile(values, 0.95, method="inverted_cdf")
+        return cls(median=float(median), p95=float(p95), worst=float(np.max(values)))
+
+
+class Point(_Frozen):
+    """One choice as measured on the calibration materials.
+
+    Attributes:
+        error: the larger of error and estimate. achieved: the error. estimate: :mod:`merlfit.fitting.accuracy`'s.
+        astray: 95th percentile of the errors that exceed their estimate, 0 of the others: fits that ended in another
+            minimum than the reference, of which an estimate knows nothing.
+        other_body: share of materials for which it chose another body than the reference.
+        rmse: against the file, 1/sr. parameters: the largest difference from the reference among parameters that are
+            not at a bound, in the reference's standard errors; None where no material has the same body.
+        seconds: of a whole fit. megabytes: largest memory of a process that fits one file after the other.
+    """
+
+    choice: Choice
+    error: Spread
+    achieved: Spread
+    estimate: Spread
+    astray: float
+    other_body: float
+    rmse: Spread
+    parameters: Spread | None
+    seconds: Spread
+    megabytes: float
+
+
+class Tier(_Frozen):
+    """One tier of the diffraction lobe as it is evaluated; nanoseconds are for three channels.
+
+    Attributes:
+        error: of the BRDF, relative to `exact`; None of `exact` itself. value_ns, gradient_ns: a direction of a list,
+            without and with the derivatives in all parameters. fit_value_ns, fit_gradient_ns: a bin of a file as a fit
+            evaluates them, cost and normal equations; None of `exact`, which no fit takes.
+        compile_seconds: of value, and of value with derivatives, for the list.
+    """
+
+    name: str
+    error: Spread | None
+    value_ns: float
+    gradient_ns: float
+    fit_value_ns: float | None
+    fit_gradient_ns: float | None
+    compile_seconds: tuple[float, float]
+
+
+class Frontier(_Frozen):
+    """A calibration: all that ``merlfit cost`` measured, and of what.
+
+    Attributes:
+        data: what the calibration materials are. directions: those of the tiers' errors.
+    """
+
+    schema_version: Literal["1.0"] = "1.0"
+    data: str
+    directions: str
+    materials: list[str]
+    machine: str
+    taken: str
+    versions: dict[str, str]
+    tiers: list[Tier]
+    points: list[Point]
+
+
+def shipped() -> Frontier:
+    """The calibration that comes with the package."""
+    return Frontier.model_validate_json((resources.files(__package__ or "") / FILE).read_bytes())
+
+
+def load() -> tuple[Frontier, str]:
+    """This machine's calibration, or the shipped one, and in words which it is."""
+    path = cache_folder() / FILE
+    try:
+        found = Frontier.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        found = None
+    except (OSError, ValidationError):
+        found = None  # of another version, or spoiled: `merlfit cost` writes it anew
+    if found is not None and [q.choice for q in found.points] == list(POINTS):
+        return found, f"calibrated on this machine, {found.taken}, {found.data}"
+    found = shipped()
+    return found, f"calibrated on another machine ({found.machine}), {found.data}; `merlfit cost` calibrates this one"
+
+
+def pareto(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
+    """Indices of those than which none is both as cheap and as accurate, cheapest first."""
+    order = sorted(range(len(costs)), key=lambda i: (costs[i], errors[i]))
+    front: list[int] = []
+    for i in order:
+        if not front or errors[i] < errors[front[-1]]:
+            front.append(i)
+    return front
+
+
+def keep(frontier: Frontier, folder: Path) -> Path:
+    """Write a calibration into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path, text = folder / FILE, frontier.model_dump_json(indent=1) + "\n"
+
+    def write(file: IO[bytes]) -> None:
+        file.write(text.encode())
+
+    write_atomically(path, write)
+    return path

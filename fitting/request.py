@@ -1,0 +1,78 @@
+"""What a user asks of a fit, an accuracy or a time, and which point of the frontier that takes."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .config import Config
+from .frontier import Point
+
+MARGIN = 1.2  # seconds of the same fit differ by so much from run to run
+UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+class Unreachable(ValueError):
+    """A request that cannot be met; the message is one line that says what can."""
+
+
+def usable(points: Sequence[Point], config: Config) -> list[Point]:
+    """Points that make a difference: those that economise on the tier do not where another one was asked for."""
+    return [q for q in points if config.effects.diffraction == "quadrature" or q.choice.diffraction == "quadrature"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a fit is to reach: an ``accuracy`` (an error as above) or a time (``seconds`` a file)."""
+
+    accuracy: float | None = None
+    seconds: float | None = None
+
+    def choose(self, points: Sequence[Point]) -> Point:
+        """The cheapest point that is accurate enough, or the most accurate that is fast enough.
+
+        Raises:
+            Unreachable: no point is.
+        """
+        if self.accuracy is not None:
+            enough = [q for q in points if q.error.p95 <= self.accuracy]
+            if not enough:
+                best = min(points, key=lambda q: q.error.p95)
+                raise Unreachable(
+                    f"--accuracy {self.accuracy:g} is out of reach: the most accurate settings ({best.choice}) come "
+                    f"within {best.error.p95:.2g} in 95 % of the calibration's fits"
+                )
+            return min(enough, key=lambda q: q.seconds.median)
+        assert self.seconds is not None
+        quick = [q for q in points if MARGIN * q.seconds.p95 <= self.seconds]
+        if not quick:
+            best = min(points, key=lambda q: q.seconds.p95)
+            raise Unreachable(
+                f"--time {self.seconds:g}s is out of reach: the cheapest settings ({best.choice}) take up to "
+                f"{MARGIN * best.seconds.p95:.2g} s a file, compiled"
+            )
+        return min(quick, key=lambda q: (q.error.p95, q.seconds.median))
+
+
+def request(accuracy: float | None, time: str | None) -> Request | None:
+    """From the words of a command line; None if nothing was asked.
+
+    Raises:
+        ValueError: both, or a number that is none; the message is one line.
+    """
+    if accuracy is not None and time is not None:
+        raise ValueError("--accuracy and --time are two ways of choosing: give one of them")
+    if accuracy is not None and not 0 < accuracy < 1:
+        raise ValueError(f"--accuracy {accuracy:g}: should be a relative error between 0 and 1, such as 1e-3")
+    if accuracy is None and time is None:
+        return None
+    return Request(accuracy, None if time is None else seconds_of(time))
+
+
+def seconds_of(text: str) -> float:
+    """Seconds of "2s", "500ms", "1.5min"; raises ValueError with one line."""
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]*)\s*", text)
+    value = float(found[1]) * UNITS.get(found[2] or "s", math.nan) if found else math.nan
+    if not value > 0:
+        raise ValueError(f"--time {text}: should be a time such as 2s, 500ms or 1.5min")
+    return value
