@@ -20,8 +20,8 @@ from ..merl_io.binary import Measurement
 from ..merl_io.samples import Samples, thin
 from ..model.effects import Effects
 from . import export
-from .choice import POINTS, REFERENCE, Choice
-from .config import Config
+from .choice import POINTS, REFERENCE, Choice, default_choice
+from .config import Config, ConfigError
 from .frontier import Point, load
 from .levenberg_marquardt import PULL, RESIDUAL_SCALE, Solution, compress, solve
 from .outcome import Fitted
@@ -90,6 +90,17 @@ class Aim:
         return self.point.choice.settings(self.config)
 
     @property
+    def told(self) -> str:
+        """What was asked, what is chosen for it, and what to expect."""
+        asked, point = self.request, self.point
+        wanted = f"--accuracy {asked.accuracy:g}" if asked.accuracy is not None else f"--time {asked.seconds:g}s"
+        return (
+            f"{wanted}: {point.choice}; expected within {point.error.p95:.2g} of the reference fit in "
+            f"{point.seconds.median:.2g} to {point.seconds.p95:.2g} s a file, once compiled, four bodies, no posterior "
+            f"({self.calibration})"
+        )
+
+    @property
     def finer(self) -> list[Choice]:
         """Where to go on to, one after the other: other starts are no difference any more."""
         further: list[Choice] = []
@@ -134,7 +145,11 @@ def aim(request: Request, config: Config) -> Aim:
     """The cheapest way to what is asked for.
 
     Raises:
-        request.Unreachable: there is none.
+        request.Unreachable: there is none. config.ConfigError: the configuration sets what is to be chosen.
     """
+    given = config.fit.model_dump()
+    for key, value in default_choice().model_dump(include=set(given)).items():
+        if given[key] != value:
+            raise ConfigError(f"fit.{key} is chosen by --accuracy and --time: leave it out")
     frontier, calibration = load()
     return Aim(request, request.choose(usable(frontier.points, config)), config, calibration)

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 if TYPE_CHECKING:  # the commands import what they need: `merlfit --help` does not wait for JAX
+    from .accuracy import Aim
     from .config import Config
     from .export import Result
     from .report import Outcome
@@ -72,11 +73,33 @@ def fit(
     body: Annotated[str | None, typer.Option(help="auto, none (conductor), lambert, plastic or subsurface.")] = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(help="Cheapest settings that end so near to the best fit: 1e-3, relative."),
+    ] = None,
+    within: Annotated[
+        str | None, typer.Option("--time", help="Most accurate settings that take no longer a file: 2s, 500ms, 1.5min.")
+    ] = None,
 ) -> None:
     """Fit each file and write OUT/NAME.json. Exit code 0 if all fits succeeded, 1 if one failed, 2 on bad input."""
     settings = _settings(config, preset, body, posterior, seed)
-    outcomes = _fit_all(files, out, settings)
+    outcomes = _fit_all(files, out, settings, _aim(settings, accuracy, within))
     _summarise(outcomes)
+
+
+def _aim(settings: "Config", accuracy: float | None, within: str | None) -> "Aim | None":
+    """What to take for an accuracy or a time, told; None if nothing was asked."""
+    if accuracy is None and within is None:
+        return None
+    from .accuracy import aim
+    from .request import request
+
+    try:
+        chosen = aim(request(accuracy, within), settings)
+    except ValueError as error:
+        raise _fail(str(error)) from None
+    console.print(chosen.told, markup=False, soft_wrap=True)
+    return chosen
 
 
 def _settings(
@@ -90,10 +113,10 @@ def _settings(
         raise _fail(str(error)) from None
 
 
-def _fit_all(files: list[Path], out: Path, settings: "Config") -> "list[Outcome]":
+def _fit_all(files: list[Path], out: Path, settings: "Config", aim: "Aim | None" = None) -> "list[Outcome]":
     from ..merl_io.binary import MerlError
     from .compilation import use_persistent_cache
-    from .report import Outcome
+    from .report import Outcome, accuracy_line
     from .run import fit_file
 
     use_persistent_cache()
@@ -101,18 +124,18 @@ def _fit_all(files: list[Path], out: Path, settings: "Config") -> "list[Outcome]
     twice = [name for name, count in Counter(path.stem for path in files).items() if count > 1]
     if twice:
         raise _fail(f"several files are named {twice[0]}, and each result is named after its file: fit them apart")
+    taken, finish = (aim.settings, aim.finish) if aim else (settings, None)
     outcomes = []
-    with Progress(
-        SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(),
-        console=console, transient=True, disable=not console.is_terminal,
-    ) as progress:  # fmt: skip
+    with _progress() as progress:
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name)
             label = f"[{k}/{len(files)}] {path.stem}"
             try:
-                result = fit_file(path, out, settings, _reporter(progress, task, label))
+                result = fit_file(path, out, taken, _reporter(progress, task, label), finish)
                 outcomes.append(Outcome(path, result))
                 console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s", markup=False)
+                if result.accuracy is not None:
+                    console.print(f"{label}: {accuracy_line(result.accuracy)}", markup=False, soft_wrap=True)
             except MerlError as error:
                 outcomes.append(Outcome(path, None, str(error), bad_input=True))
                 _fail(str(error))
@@ -122,6 +145,14 @@ def _fit_all(files: list[Path], out: Path, settings: "Config") -> "list[Outcome]
                 _fail(said)
             progress.remove_task(task)
     return outcomes
+
+
+def _progress() -> Progress:
+    """What is being done and for how long, on a terminal."""
+    return Progress(
+        SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(),
+        console=console, transient=True, disable=not console.is_terminal,
+    )  # fmt: skip
 
 
 def _writable_folder(out: Path) -> None:
@@ -245,6 +276,46 @@ def _show(path: Path, result: "Result", file: Path, out: Path) -> bool:
             raise _fail(f"{target}: cannot be written ({error.strerror or error})") from None
         console.print(f"wrote {target}", markup=False, soft_wrap=True)
     return "lobes" in pictures or result.model is None
+
+
+@app.command(epilog="Example: merlfit cost -o cost")
+def cost(
+    file: Annotated[
+        Path | None, typer.Argument(help="A MERL .binary file to measure on [default: synthetic materials].")
+    ] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for JSON, table and plot.")] = Path("cost"),
+    repeats: Annotated[int, typer.Option(min=1, help="Fits that a time is the median of.")] = 1,
+) -> None:
+    """Measure on this machine what accuracy costs, evaluated and fitted; `merlfit fit --accuracy, --time` go by it.
+
+    Takes a quarter of an hour; if interrupted, the same command goes on from there.
+    """
+    from ..merl_io.binary import MerlError, read
+    from .compilation import cache_folder
+    from .cost import CostError, measure
+    from .cost_plot import frontier_figure
+    from .cost_report import gains, tables, write_markdown
+    from .frontier import keep
+    from .plots import save
+
+    _writable_folder(out)
+    try:
+        if file is not None:
+            read(file)
+        with _progress() as progress:
+            frontier = measure(file, out, repeats, _reporter(progress, progress.add_task("cost"), "cost"))
+    except MerlError as error:
+        raise _fail(str(error)) from None
+    except CostError as error:
+        _fail(str(error))
+        raise typer.Exit(FAILED_FIT) from None
+    kept = [keep(frontier, folder) for folder in (out, cache_folder())]
+    write_markdown(frontier, out / "cost.md")
+    save(frontier_figure(frontier), out / "cost.png")
+    for table in tables(frontier):
+        console.print(table)
+    console.print(gains(frontier), markup=False, soft_wrap=True)
+    console.print(f"wrote {kept[0]}, cost.md and cost.png beside it; kept for fits in {kept[1]}", soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")

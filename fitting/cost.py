@@ -39,7 +39,7 @@ def measure(file: Path | None, out: Path, repeats: int, report: Report) -> Front
     work.mkdir(parents=True, exist_ok=True)
     materials = [file.stem] if file else calibration.names()
     rows = _kept(work, {"file": file and str(file.resolve()), "repeats": repeats, "versions": versions()})
-    sections = [ERRORS, TIMES, *(str(choice) for choice in (REFERENCE, *POINTS[:-1]))]
+    sections = [*(str(choice) for choice in (REFERENCE, *POINTS[:-1])), ERRORS, TIMES]
     for number, section in enumerate(sections, 1):
         wanted = _wanted(section, materials)
         missing = [name for name in wanted if name not in rows.setdefault(section, {})]

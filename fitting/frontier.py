@@ -82,9 +82,9 @@ class Tier(_Frozen):
     error: Spread | None
     value_ns: float
     gradient_ns: float
-    fit_value_ns: float | None
-    fit_gradient_ns: float | None
     compile_seconds: tuple[float, float]
+    fit_value_ns: float | None = None
+    fit_gradient_ns: float | None = None
 
 
 class Frontier(_Frozen):

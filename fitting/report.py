@@ -11,7 +11,7 @@ from rich.table import Table
 
 from ..merl_io.binary import BRIGHTEST, OUTLIER
 from ..merl_io.check import FileReport
-from .export import ParameterResult, Result
+from .export import Accuracy, ParameterResult, Result
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,8 @@ def print_result(console: Console, result: Result) -> None:
         console.print(
             "bodies on the coarse grid (BIC): " + ", ".join(f"{c.body} {number(c.bic)}" for c in f.candidates)
         )
+    if result.accuracy is not None:
+        console.print(accuracy_line(result.accuracy))
     if result.posterior is None:
         console.print("posterior: not sampled")
         return
@@ -124,3 +126,14 @@ def print_result(console: Console, result: Result) -> None:
         f"{min(p.effective_size):.0f}, residuals worth {', '.join(number(n, 3) for n in p.effective_bins_per_channel)} "
         f"independent bins (R, G, B), thinning changes log L by {number(p.thinning_error, 2)}"
     )
+
+
+def accuracy_line(found: Accuracy) -> str:
+    """What a fit that was asked for an accuracy or a time came to."""
+    said = f"accuracy: within {number(found.estimated, 2)} of the reference fit, as estimated"
+    if len(found.tried) > 1:
+        said += f"; taken on to {found.tried[-1].settings}, as {found.tried[0].settings} came to "
+        said += number(found.tried[0].estimated, 2)
+    if found.met is not None:
+        said += f"; {number(found.asked)} was asked for, " + ("which is met" if found.met else "which is NOT met")
+    return said

@@ -54,8 +54,8 @@ class Request:
         return min(quick, key=lambda q: (q.error.p95, q.seconds.median))
 
 
-def request(accuracy: float | None, time: str | None) -> Request | None:
-    """From the words of a command line; None if nothing was asked.
+def request(accuracy: float | None, time: str | None) -> Request:
+    """From the words of a command line, one of which is given.
 
     Raises:
         ValueError: both, or a number that is none; the message is one line.
@@ -64,8 +64,6 @@ def request(accuracy: float | None, time: str | None) -> Request | None:
         raise ValueError("--accuracy and --time are two ways of choosing: give one of them")
     if accuracy is not None and not 0 < accuracy < 1:
         raise ValueError(f"--accuracy {accuracy:g}: should be a relative error between 0 and 1, such as 1e-3")
-    if accuracy is None and time is None:
-        return None
     return Request(accuracy, None if time is None else seconds_of(time))
 
 

@@ -19,7 +19,9 @@ from numpy.polynomial.chebyshev import chebvander
 
 from .samples import Samples
 
-JITTER = 1e-14  # added to R^T R, relative to its trace: rows of fewer bins than nodes leave some directions open
+# Added to R^T R, relative to its trace and times K^2: rows of fewer bins than nodes leave directions open, in which
+# rounding, which grows with the nodes, may leave it less than 0.
+JITTER = 1e-15
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def _triangular(squares: np.ndarray, products: np.ndarray) -> tuple[np.ndarray, 
     unit = np.trace(squares, axis1=-2, axis2=-1)[..., None, None]
     scale = np.where(unit > 0, unit, 1.0)
     nodes = squares.shape[-1]
-    lower = np.linalg.cholesky(squares / scale + (unit == 0) * np.eye(nodes) + JITTER * np.eye(nodes))
+    lower = np.linalg.cholesky(squares / scale + (unit == 0) * np.eye(nodes) + JITTER * nodes**2 * np.eye(nodes))
     lower, root_scale = lower * (unit > 0), np.sqrt(scale)
     safe = np.where(unit > 0, lower, np.eye(nodes))
     target = np.linalg.solve(safe, products[..., None] / root_scale)[..., 0]

@@ -4,9 +4,8 @@ Vectorised over bins, one row of theta_h at a time so that intermediates stay in
 HP17 Eq. 3-10, with the mends of ``docs/physics.md``. (S*D) is a fixed Gauss rule over (theta_m, phi_m) at every
 (theta_h, theta_d, channel). Smith's Lambda, which no direction has to itself, is tabulated for each p.
 
-Accuracy: 95 % of the diffraction lobes within the bounds of the fit to 1e-2, the median 2e-6 (merlfit's default order:
-2e-4, 1e-5); everything else 1e-6. A rule of 24 x 10 nodes would miss the 95 % by a factor of 10
-(``tests/test_bench.py``).
+Accuracy: 95 % of the diffraction lobes within the bounds of the fit to 2e-2, the median 2e-6 (merlfit's default order:
+2e-4, 1e-5); with half the nodes an axis it is 0.1. Everything else 1e-6 (``tests/test_bench.py``).
 """
 
 import math

@@ -73,6 +73,13 @@ def test_nodes_are_above_the_horizon_and_everything_is_finite(samples):
     np.testing.assert_array_equal(rows.root, np.triu(rows.root))
 
 
+def test_many_nodes_do_no_harm(samples):
+    rows = gather(samples, 60)  # more than most rows have valid bins
+    predicted = np.stack([distance(rows) ** 2] * 2)
+    expected = squares(samples, distance(samples) ** 2)
+    np.testing.assert_allclose(gathered_squares(rows, predicted), expected, rtol=1e-6)
+
+
 def test_rows_of_few_bins_stay_as_they_are(samples):
     few = thin(samples, (1, 1, 45))
     rows = gather(few, 8)
