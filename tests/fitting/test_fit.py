@@ -135,8 +135,9 @@ def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
     for effects in (FREE, Effects("subsurface", "lobe", masking="height_correlated", acquisition="free")):
         z = jnp.asarray(np.random.default_rng(2).normal(size=layout_of(effects).size))
         expected = plain(effects, z, samples)
-        few, many = (np.asarray(normal_equations(effects, z, make_problem(samples, k))) for k in (4, 8))
-        assert difference(many, expected) < 3e-4 < 1e-3 < difference(few, expected)
+        few, many = (np.asarray(normal_equations(effects, z, make_problem(samples, k))) for k in (2, 8))
+        assert difference(many, expected) < 1e-3
+        assert difference(few, expected) > 10 * difference(many, expected)
 
 
 def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):

@@ -144,7 +144,7 @@ def test_a_well_determined_posterior_is_the_laplace_approximation(noisy_posterio
         root = np.sqrt(scale / scale.mean())
         weighed = eqx.tree_at(
             lambda q: (q.parts[0].root, q.parts[0].target), problem,
-            (problem.parts[0].root * root[:, *[None] * 5], problem.parts[0].target * root[:, *[None] * 4]),
+            (problem.parts[0].root * root[:, *[None] * 4], problem.parts[0].target * root[:, *[None] * 3]),
         )  # fmt: skip
         centre = solve(effects, best.z, weighed).z
         expected = np.sqrt(np.diag(laplace_covariance(best.normal, counts, best.z)))
