@@ -2,14 +2,14 @@
 
 import dataclasses
 
-import equinox as eqx
 import emcee
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting import run
-from merlfit.fitting.levenberg_marquardt import solve
 from merlfit.fitting.laplace import laplace_covariance
+from merlfit.fitting.levenberg_marquardt import solve
 from merlfit.fitting.posterior import free_of_normal, independent_proposal, normal_of_free, sample
 from merlfit.fitting.problem import make_problem
 from merlfit.fitting.transforms import layout_of
