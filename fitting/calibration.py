@@ -41,7 +41,7 @@ DRAWN = range(10)  # seeds
 PUBLISHED = (
     ("nickel", "abc_microfacet"), ("chrome", "smooth"), ("alum-bronze", "cook_torrance"), ("gold-paint", "sgd"),
     ("green-metallic-paint", "cook_torrance_ngan"), ("blue-rubber", "sgd"), ("red-fabric", "smooth"),
-    ("cherry-235", "abc_microfacet"), ("pvc", "cook_torrance"), ("white-marble", "he"),
+    ("cherry-235", "abc_microfacet"), ("pvc", "cook_torrance"), ("white-acrylic", "he"),
 )  # fmt: skip
 WHAT = (
     f"{len(DRAWN) + len(PUBLISHED)} synthetic materials ({len(DRAWN)} of random parameters of the model itself with "

@@ -136,8 +136,18 @@ def _point(choice: Any, rows: list[dict[str, Any]]) -> Point:  # noqa: ANN401
     )  # fmt: skip
 
 
-if __name__ == "__main__":  # a worker
-    job = json.loads(sys.argv[1])
+def main(text: str) -> int:
+    """What a worker does; its last line on the standard error says what went wrong."""
+    job = json.loads(text)
     given = {**job, "work": Path(job["work"]), "file": job["file"] and Path(job["file"])}
-    for found in work_on(**given):
-        print(json.dumps(found), flush=True)
+    try:
+        for found in work_on(**given):
+            print(json.dumps(found), flush=True)
+    except Exception as error:  # told by the process that waits
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":  # a worker
+    sys.exit(main(sys.argv[1]))

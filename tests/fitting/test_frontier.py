@@ -19,6 +19,7 @@ from merlfit.fitting.problem import energy, weighted_samples
 from merlfit.fitting.report import accuracy_line
 from merlfit.fitting.request import MARGIN, Request, Unreachable, request, seconds_of, usable
 from merlfit.merl_io.binary import Measurement
+from merlfit.model import published
 from merlfit.model.effects import Effects
 from typer.testing import CliRunner
 
@@ -233,6 +234,14 @@ def test_a_worker_that_fails_says_why(tmp_path):
         list(cost._worker(tmp_path, str(POINTS[0]), ["no-such-material.sgd"], None, 1))
 
 
+def test_calibration_materials_exist_and_are_no_held_ones():
+    assert len(set(calibration.names())) == 20
+    for material, source in calibration.PUBLISHED:
+        assert material in published.materials(source)
+    assert not set(HELD) & set(calibration.DRAWN)
+    assert np.nanmin(calibration.drawn(HELD[0])[0]) > 0
+
+
 def test_errors_beyond_their_estimate_are_counted_as_astray():
     row = {"rmse": 0.1, "estimate": 1e-3, "seconds": 1.0, "other_body": False, "achieved": 1e-4, "parameters": 0.5,
            "megabytes": 900.0}  # fmt: skip
@@ -342,7 +351,6 @@ def held_case(seed, wanted):
 
 @pytest.mark.slow
 def test_the_estimate_keeps_its_word_on_twenty_held_cases():
-    assert not set(HELD) & set(calibration.DRAWN)
     wanted = [WANTED[k // 2 % len(WANTED)] for k in range(len(HELD))]
     achieved, promised, met = np.array([held_case(*case) for case in zip(HELD, wanted, strict=True)]).T
     print(np.column_stack([HELD, wanted, achieved, promised, met]))
