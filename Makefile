@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test hard-cases tables lint types install schema clean
+.PHONY: demo test bench bench-gpu hard-cases tables lint types install schema clean
 
 install: $(READY)
 
@@ -21,6 +21,13 @@ schema: install
 
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# 40 minutes on two cores; results/bench/. `python -m tests.bench --all` takes all materials; one section: its name.
+bench: install
+	$(BIN)/python -m tests.bench
+
+bench-gpu: install
+	$(BIN)/python -m tests.bench gpu
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from ..model.acquisition import Apparatus
 from ..model.effects import PRESETS, Acquisition, Body, Colour, Diffraction, Effects, Fresnel, Masking, Split
 from .levenberg_marquardt import Backend
+from .problem import AZIMUTHS, Precision
 
 
 class ConfigError(ValueError):
@@ -67,17 +68,23 @@ class ApparatusSection(_Section):
 
 
 class FitSection(_Section):
-    """[fit]: the solver.
+    """[fit]: the solver, and what accuracy it works with.
 
     Attributes:
         starts: how many of the screened starting points are followed on the coarse grid.
-        coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on all bins.
+        coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on the last one.
+        grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 22nd.
+        azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).
+        precision: of the model; sums are always taken in float64.
         backend: solver; others than optimistix are for cross-checks.
     """
 
     starts: Annotated[int, Field(ge=1, le=32)] = 4
     coarse_steps: Annotated[int, Field(ge=1)] = 80
     max_steps: Annotated[int, Field(ge=1)] = 40
+    grid: Literal["fine", "medium", "coarse"] = "fine"
+    azimuths: Annotated[int, Field(ge=2, le=90)] = AZIMUTHS
+    precision: Precision = "float64"
     backend: Backend = "optimistix"
 
     @field_validator("backend")

@@ -22,7 +22,8 @@ import optimistix as optx
 from jax import Array
 
 from ..model.effects import Effects
-from .residuals import Problem, normal_equations
+from .problem import Problem
+from .residuals import normal_equations
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
 # Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
@@ -139,9 +140,9 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
     state, step = _machine(len(z), rtol)
     y, state = jnp.asarray(z), eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(z))
     kept = normal = evaluate(y)
-    pull = PULL * jnp.nan_to_num(kept[:, -1, -1].sum())
+    pull = jnp.asarray(PULL * np.nan_to_num(np.asarray(kept)[:, -1, -1].sum()))
     offset, converged, steps, blocked = float("inf"), False, 0, -CLEAR
-    if not bool(jnp.all(jnp.isfinite(kept))):
+    if not np.isfinite(kept).all():
         return Solution(np.asarray(y), float("nan"), np.asarray(kept), 1, offset, False)
     while steps < limit and not converged:
         normal = evaluate(state.y_eval) if steps else kept
@@ -149,10 +150,10 @@ def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> S
         steps += 1
         if steps == 1 or bool(accepted):
             kept, offset = normal, float(trial_offset)
-        if not bool(jnp.all(jnp.isfinite(normal))):
+        if not np.isfinite(normal).all():
             blocked = steps
         converged = (bool(stop) and steps > blocked + CLEAR) or offset < OFFSET_TOLERANCE
-    return Solution(np.asarray(y), float(kept[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
+    return Solution(np.asarray(y), float(np.asarray(kept)[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
 
 
 def _scipy(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:

@@ -48,15 +48,17 @@ def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:
     Squared, because the number of degrees of freedom of a sum of squares is sought (Bartlett): sum e^2 over n bins
     scatters as a chi-square of n / length degrees. 1 for independent bins, n for a constant field.
     """
-    field, used = np.moveaxis(field, axis, 0), np.moveaxis(used, axis, 0)
-    variance = np.mean(field[used] ** 2)
-    total, lags = 1.0, len(field)
+    lags = field.shape[axis]
+    rows = np.moveaxis(np.where(used, field, 0.0), axis, 0).reshape(lags, -1)
+    counted = np.moveaxis(used, axis, 0).reshape(lags, -1).astype(np.float32)  # exact sums up to 2^24 pairs of rows
+    products, pairs = rows @ rows.T, counted @ counted.T  # every pair of rows; those at one lag are a diagonal
+    variance = np.trace(products) / np.trace(pairs, dtype=float)
+    total = 1.0
     for lag in range(1, lags):
-        pairs = used[lag:] & used[:-lag]
-        count = pairs.sum()
+        count = np.trace(pairs, lag, dtype=float)
         if count < 10 or variance == 0:
             break
-        correlation = np.sum((field[lag:] * field[:-lag])[pairs]) / count / variance
+        correlation = np.trace(products, lag) / count / variance
         total += 2 * (1 - lag / lags) * min(correlation**2, 1.0)
     return float(total)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +15,13 @@ from ..model.parameters import WAVELENGTHS_UM
 from ..model.two_scale import grazing_exponent
 from . import export, metrics
 from .config import Config
+from .laplace import laplace_covariance
 from .levenberg_marquardt import Solution, Status
-from .posterior import Posterior, laplace_covariance
+from .problem import energy
 from .transforms import layout_of
+
+if TYPE_CHECKING:  # the sampler's libraries take a second to load
+    from .posterior import Posterior
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
@@ -82,7 +86,7 @@ def make_result(
     measurement: Measurement,
     samples: Samples,
     fitted: Fitted | None,
-    chain: Posterior | None,
+    chain: "Posterior | None",
     config: Config,
     seconds: dict[str, float],
 ) -> export.Result:
@@ -107,7 +111,7 @@ def make_result(
             model=None, parameters=[], fit=fit_part, metrics=export.Metrics(rmse=None, smape=None), posterior=None,
             **common,
         )  # fmt: skip
-    s, unit = fitted.solution, float(np.sum(samples.weight * samples.value**2)) + samples.scatter
+    s, unit = fitted.solution, energy(samples)
     fit_part = export.Fit(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
@@ -121,7 +125,7 @@ def make_result(
     )  # fmt: skip
 
 
-def parameter_results(fitted: Fitted, chain: Posterior | None) -> list[export.ParameterResult]:
+def parameter_results(fitted: Fitted, chain: "Posterior | None") -> list[export.ParameterResult]:
     """Every entry with value, Laplace standard error, posterior quantiles, bounds."""
     layout, z = layout_of(fitted.effects), fitted.solution.z
     deviation = fitted.deviation
@@ -154,7 +158,7 @@ def _model_part(effects: Effects, z: np.ndarray) -> export.Model:
     )  # fmt: skip
 
 
-def _posterior_part(chain: Posterior, fitted: Fitted, name: str) -> export.PosteriorResult:
+def _posterior_part(chain: "Posterior", fitted: Fitted, name: str) -> export.PosteriorResult:
     return export.PosteriorResult(
         sufficient=chain.sufficient, message=chain.message, steps=len(chain.chain), walkers=chain.chain.shape[1],
         acceptance=chain.acceptance,

@@ -24,7 +24,9 @@ from scipy.special import expit, ndtri
 from scipy.stats import chi2
 
 from ..model.effects import Effects
-from .residuals import Problem, cost
+from .laplace import laplace_covariance
+from .problem import Problem
+from .residuals import cost
 from .transforms import Layout
 
 ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
@@ -79,24 +81,6 @@ class Posterior:
         return np.concatenate([np.asarray(named[q.name]).reshape(len(kept), -1) for q in layout.parameters], 1)
 
 
-def likelihood_precision(normal: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Curvature of sum_c N_c/2 log S_c at any point, (P, P): sum_c N_c H_c / S_c, H_c the Gauss-Newton matrix."""
-    return np.sum([n * m[:-1, :-1] / max(m[-1, -1], 1e-30) for m, n in zip(normal, counts, strict=True)], axis=0)
-
-
-def laplace_covariance(normal: np.ndarray, counts: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Covariance of the Gaussian approximation in free coordinates, (P, P), with the curvature at ``z``.
-
-    The curvature of N_c/2 log S_c is N_c H_c / S_c with H_c the channel's Gauss-Newton matrix; the logistic prior adds
-    2 u (1 - u). Directions that the data leave open are thus held by the prior, never infinite.
-
-    Args:
-        normal: per channel, (C, P+1, P+1). counts: effective sample counts N_c, (C,).
-    """
-    u = 1 / (1 + np.exp(-z))
-    return np.linalg.inv(np.diag(2 * u * (1 - u) + 1e-3) + likelihood_precision(normal, counts))
-
-
 def log_likelihood(effects: Effects, z: Array, problem: Problem, counts: Array) -> Array:
     """log L up to a constant, a scalar, at free coordinates ``z`` (P,); counts: effective sample counts N_c, (C,)."""
     return -jnp.sum(counts / 2 * jnp.log(jnp.maximum(cost(effects, z, problem), 1e-30)))
@@ -125,12 +109,6 @@ def _log_prob(effects: Effects, x: Array, problem: Problem, counts: Array) -> Ar
 
     # under vmap both sides of the table's fallback would be computed
     return jax.lax.map(one, x) if effects.diffraction == "scaled" else jax.vmap(one)(x)
-
-
-@partial(jax.jit, static_argnums=0)
-def _log_likelihoods(effects: Effects, z: Array, problem: Problem, counts: Array) -> Array:
-    """Log likelihood of points (N, P), one after the other."""
-    return jax.lax.map(lambda z: log_likelihood(effects, z, problem, counts), z)
 
 
 def independent_proposal(samples: np.ndarray, log_prob: np.ndarray) -> Callable:
@@ -245,8 +223,11 @@ def _extend(
 
 def thinning_error(fitted: Target, thinned: Target, draws: np.ndarray, counts: Array) -> float:
     """Standard deviation, over ``draws`` (N, P), of log L on all bins minus log L on the thinned grid."""
-    thin, whole = (_log_likelihoods(model, jnp.asarray(draws), samples, counts) for model, samples in (thinned, fitted))
-    return float(jnp.std(whole - thin))
+    thin, whole = (
+        np.array([log_likelihood(model, jnp.asarray(z), samples, counts) for z in draws])
+        for model, samples in (thinned, fitted)
+    )
+    return float(np.std(whole - thin))
 
 
 def _verdict(steps: int, ratio: float, steady: bool, error: float) -> tuple[bool, str]:

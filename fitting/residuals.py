@@ -1,177 +1,120 @@
-"""The objective of HP17 Eq. 56-58 as residuals over the file's own bins, and its normal equations, summed in blocks.
+"""Predictions, the cost of HP17 Eq. 56 and its normal equations, summed in blocks and by all cores.
 
-    E^2 = sum over bins and channels of w (measured - p(i,o) predicted)^2
-
-w is the quadrature weight of the fitting measure times the compressive weight of the measured value. The model is
-reciprocal and MERL's bins phi_d and pi - phi_d hold the same pair of directions with i and o exchanged: their two
-measurements face one prediction, and are replaced without loss by their weighted mean (``merl_io.samples``).
-
-Nothing of the size bins x parameters is ever held: blocks of theta_h rows add up the matrix (J|r)^T (J|r).
+Nothing of the size bins x parameters is ever held: blocks of theta_h rows add up the matrix (J|r)^T (J|r). XLA runs a
+loop over blocks on one core, so every core is given its share of them by a thread of its own.
 """
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import partial, reduce
+from operator import add
 from typing import TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..merl_io.binary import Measurement
-from ..merl_io.grid import merl_grid
-from ..merl_io.samples import Samples, fold
 from ..model import two_scale
-from ..model.acquisition import grazing_log_base
 from ..model.effects import Effects
-from ..model.geometry import Geometry
 from ..model.parameters import WAVELENGTHS_UM
 from ..model.two_scale import Factor, Setting, Values
+from .problem import Directions, Part, Problem, shares
+from .threads import side_by_side
 from .transforms import layout_of
 
 T = TypeVar("T")
-BLOCK_BINS = 90_000  # bins (without channels) of a block: its 30-odd intermediates of 3 channels take 65 MB
-BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
 
 
-class Problem(eqx.Module):
-    """Samples of one material as arrays in blocks of theta_h rows, leading axis the block; one shape for all files.
-
-    Attributes:
-        geometry: theta_h (N, h, 1, 1), theta_d (N, 1, D, 1), cosines (N, h, D, P).
-        log_base: of the grazing loss, (N, h, D, P); 0 where invalid. value, weight: (N, C, h, D, P), weights summing
-            with the squared values to one. scatter: cost of folding, relative to the same unit.
-    """
-
-    geometry: Geometry
-    log_base: Array
-    value: Array
-    weight: Array
-    scatter: Array
-
-
-def compressive_weight(value: np.ndarray, median: np.ndarray) -> np.ndarray:
-    """w_C of HP17 Eq. 57-58, dimensionless in (0, 1]: 1 for dark bins, falling as the power 1.4 of bright ones.
-
-    Args:
-        value: measured BRDF >= 0. median: the cos-weighted median to compare with (broadcasts).
-    """
-    x = np.maximum(value / median, 1e-12)
-    return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** BEND
-
-
-def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
-    """Median of a channel's values with weights cos_i (HP17 after Eq. 58)."""
-    order = np.argsort(value)
-    cumulated = np.cumsum(cos_i[order])
-    return float(value[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
-
-
-def weighted_samples(measurement: Measurement) -> Samples:
-    """Folded samples of a file with the weights of Eq. 56: quadrature weight of the bin times w_C of its value.
-
-    Bins that the horizon cuts with their centre below it are left out: the model is 0 there. Each channel is compared
-    with its own median, so that no channel is fitted at the expense of another.
-    """
-    grid = merl_grid()
-    weight = np.zeros(measurement.values.shape)
-    used = measurement.valid & grid.above & (grid.weight > 0)
-    for plane, out in zip(measurement.values, weight, strict=True):
-        if not used.any():
-            break
-        median = max(cos_weighted_median(plane[used], np.maximum(grid.cos_i[used], 0.0)), 1e-9)
-        out[used] = grid.weight[used] * compressive_weight(plane[used], np.asarray(median))
-    return fold(grid, measurement.values, weight)
-
-
-def make_problem(samples: Samples) -> Problem:
-    """Blocks of samples on the device, the unit of cost being the weighted energy of the measurement."""
-    rows, columns, azimuths = samples.cos_i.shape
-    height = next(h for h in range(max(1, BLOCK_BINS // (columns * azimuths)), 0, -1) if rows % h == 0)
-    blocks = rows // height
-
-    def split(x: np.ndarray) -> np.ndarray:
-        return x.reshape((blocks, height, *x.shape[1:]))
-
-    unit = float(np.sum(samples.weight * samples.value**2)) + samples.scatter
-    geometry = Geometry(
-        jnp.asarray(split(samples.theta_h[:, None, None])),
-        jnp.asarray(np.broadcast_to(samples.theta_d[None, None, :, None], (blocks, 1, columns, 1))),
-        jnp.asarray(split(samples.cos_i)),
-        jnp.asarray(split(samples.cos_o)),
-    )
-    value, weight = (np.moveaxis(np.stack([split(c) for c in x]), 0, 1) for x in (samples.value, samples.weight / unit))
-    used = jnp.asarray(split(samples.weight.max(0) > 0))
-    log_base = jnp.where(used, grazing_log_base(geometry), 0.0)
-    scatter = jnp.asarray(samples.scatter / unit)
-    return Problem(geometry, log_base, jnp.asarray(value), jnp.asarray(weight), scatter)
+def predict(effects: Effects, values: Mapping[str, Array], where: Directions) -> np.ndarray:
+    """What the apparatus would have measured, (C, H, D, K)."""
+    parts = shares(where, where.log_base.size)
+    found = side_by_side(lambda part: np.asarray(_predict(effects, values, part)), parts)
+    blocks = np.moveaxis(np.concatenate(found), 1, 0)
+    return blocks.reshape(len(blocks), -1, *blocks.shape[3:])
 
 
 @partial(jax.jit, static_argnums=0)
-def predict(effects: Effects, values: Mapping[str, Array], problem: Problem) -> Array:
-    """What the apparatus would have measured, shape (N, C, h, D, P)."""
-    values = with_tables(effects, values)
+def _predict(effects: Effects, values: Mapping[str, Array], part: Directions) -> Array:
+    values = with_tables(effects, values, part)
 
-    def block(b: Problem) -> Array:
+    def block(b: Directions) -> Array:
         s, at, _ = _evaluate(effects, values, b)
         return two_scale.assemble(at, s)
 
-    return jax.lax.map(block, problem_blocks(problem))
+    return jax.lax.map(block, part)
+
+
+def cost(effects: Effects, z: Array, problem: Problem) -> Array:
+    """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
+    return reduce(add, side_by_side(lambda part: _cost(effects, z, part), problem.parts), problem.rest)
 
 
 @partial(jax.jit, static_argnums=0)
-def cost(effects: Effects, z: Array, problem: Problem) -> Array:
-    """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
-    values = with_tables(effects, layout_of(effects).values(z))
+def _cost(effects: Effects, z: Array, part: Part) -> Array:
+    values = with_tables(effects, layout_of(effects).values(z), part.directions)
 
-    def step(total: Array, b: Problem) -> tuple[Array, None]:
-        s, at, _ = _evaluate(effects, values, b)
-        return total + jnp.sum(b.weight * (b.value - two_scale.assemble(at, s)) ** 2, (1, 2, 3)), None
+    def step(total: Array, b: Part) -> tuple[Array, None]:
+        s, at, _ = _evaluate(effects, values, b.directions)
+        residual = b.target - _weigh(b.root, two_scale.assemble(at, s))
+        return total + jnp.sum(residual**2, (1, 2, 3), dtype=jnp.float64), None
 
-    channels = problem.value.shape[1]
-    return jax.lax.scan(step, jnp.zeros(channels), problem_blocks(problem))[0]
+    return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
 
 
-# XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
-@partial(jax.jit, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False})
+def _weigh(root: Array, nodes: Array) -> Array:
+    """Root times the values at the nodes of every row."""
+    return jnp.sum(root * nodes[..., None, :], -1)
+
+
 def normal_equations(effects: Effects, z: Array, problem: Problem) -> Array:
     """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
 
     Its last diagonal entry is :func:`cost`. A channel's rows and columns of other channels' parameters are zero, which
     is why one tangent a parameter, applied to all channels at once, gives the whole Jacobian.
     """
-    layout = layout_of(effects)
-    moving = _rates(effects, z)
+    compact = reduce(add, side_by_side(lambda part: _normal_equations(effects, z, part), problem.parts))
+    return _spread_out(effects, compact, problem.rest)
 
-    def step(total: Array, b: Problem) -> tuple[Array, None]:
+
+# XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
+@partial(jax.jit, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False})
+def _normal_equations(effects: Effects, z: Array, part: Part) -> Array:
+    """The same with one row and column a parameter, whether it is per channel or not."""
+    moving = _rates(effects, z, part.directions)
+
+    def step(total: Array, b: Part) -> tuple[Array, None]:
         return total + _block_gram(effects, *moving, b), None
 
-    groups, channels = len(layout.parameters) + 1, problem.value.shape[1]
-    compact = jax.lax.scan(step, jnp.zeros((channels, groups, groups)), problem_blocks(problem))[0]
+    groups, channels = len(layout_of(effects).parameters) + 1, part.target.shape[1]
+    return jax.lax.scan(step, jnp.zeros((channels, groups, groups)), part)[0]
+
+
+@partial(jax.jit, static_argnums=0)
+def _spread_out(effects: Effects, compact: Array, rest: Array) -> Array:
+    """Rows and columns of every parameter where its channel's are."""
+    layout, channels = layout_of(effects), len(compact)
     where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in layout.slices.values()]
     index = np.array([*where, [layout.size] * channels]).T  # (C, groups): row of the full matrix
     full = jnp.zeros((channels, layout.size + 1, layout.size + 1))
-    return full.at[np.arange(channels)[:, None, None], index[:, :, None], index[:, None, :]].set(compact)
-
-
-def problem_blocks(problem: Problem) -> Problem:
-    """The problem with a leading axis on every leaf, to scan over."""
-    blocks = problem.value.shape[0]
-    return eqx.tree_at(lambda q: q.scatter, problem, jnp.broadcast_to(problem.scatter, (blocks,)))
+    full = full.at[np.arange(channels)[:, None, None], index[:, :, None], index[:, None, :]].set(compact)
+    return full.at[:, -1, -1].add(rest)
 
 
 def _evaluate(
-    effects: Effects, values: Mapping[str, Array], b: Problem
+    effects: Effects, values: Mapping[str, Array], b: Directions
 ) -> tuple[Setting, dict[str, Array], dict[str, Factor]]:
     """Setting, factor values and factors of one block."""
     s, shaped, table = _parts(effects, values, b)
     return s, {name: f.evaluate(shaped, s) for name, f in table.items()}, table
 
 
-def _parts(effects: Effects, values: Mapping[str, Array], b: Problem) -> tuple[Setting, Values, dict[str, Factor]]:
-    s = two_scale.setting(b.geometry, effects, WAVELENGTHS_UM, b.log_base)
+def _parts(effects: Effects, values: Mapping[str, Array], b: Directions) -> tuple[Setting, Values, dict[str, Factor]]:
+    s = _setting(effects, b)
     return s, two_scale.shaped(values, s), two_scale.factors(effects)
+
+
+def _setting(effects: Effects, b: Directions) -> Setting:
+    return two_scale.setting(b.geometry, effects, WAVELENGTHS_UM, b.log_base)
 
 
 def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
@@ -184,66 +127,67 @@ def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
     return jax.lax.cond(always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)
 
 
-def with_tables(effects: Effects, values: Mapping[str, Array]) -> dict[str, Array]:
-    """Values and what is computed from them alone, once for all blocks."""
-    if "toll" not in two_scale.factors(effects):
-        return {**values}
-    return {**values, two_scale.TABLE: two_scale.surface_albedo(values, effects, jnp.asarray(WAVELENGTHS_UM))}
+def with_tables(effects: Effects, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
+    """Values and what all blocks look up."""
+    s = _setting(effects, jax.tree.map(lambda x: x[0], where))
+    return {**values, **{name: table.compute(values, s) for name, table in two_scale.tables(effects).items()}}
 
 
-def _rates(effects: Effects, z: Array) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
+def _rates(effects: Effects, z: Array, where: Directions) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
     """Values with tables, and by parameter the rates at which they change when all of its entries of z move."""
-    layout = layout_of(effects)
+    layout, s = layout_of(effects), _setting(effects, jax.tree.map(lambda x: x[0], where))
     groups = np.zeros((len(layout.parameters), layout.size))
-    for group, where in zip(groups, layout.slices.values(), strict=True):
-        group[where] = 1.0
-
-    def values(z: Array) -> dict[str, Array]:
-        return with_tables(effects, layout.values(z))
-
-    def along(tangent: Array) -> tuple[dict[str, Array], dict[str, Array]]:
-        return jax.jvp(values, (z,), (tangent,))
-
-    at, moved = jax.vmap(along, out_axes=(None, 0))(jnp.asarray(groups))
-    by_name = {}
-    for k, q in enumerate(layout.parameters):
-        own = {name: moved[name][k] for name in (q.name, two_scale.TABLE) if name in moved}
-        by_name[q.name] = own
-    return at, by_name
+    for group, where_ in zip(groups, layout.slices.values(), strict=True):
+        group[where_] = 1.0
+    at, moved = jax.vmap(lambda t: jax.jvp(layout.values, (z,), (t,)), out_axes=(None, 0))(jnp.asarray(groups))
+    rates = {q.name: {q.name: moved[q.name][k]} for k, q in enumerate(layout.parameters)}
+    found = {}
+    for name, table in two_scale.tables(effects).items():
+        own = [q for q in rates if q in table.names]
+        still = {q: jnp.zeros_like(at[q]) for q in own}
+        tangents = [{**still, q: rates[q][q]} for q in own]
+        value, slope = jax.linearize(lambda own, table=table: table.compute({**at, **own}, s), {q: at[q] for q in own})
+        found[name] = value
+        slopes = jax.vmap(slope)(jax.tree.map(lambda *x: jnp.stack(x), *tangents))
+        for q in rates:
+            rates[q][name] = slopes[own.index(q)] if q in own else jnp.zeros_like(value)
+    return {**at, **found}, rates
 
 
 def _block_gram(
-    effects: Effects, values: Mapping[str, Array], rates: Mapping[str, Mapping[str, Array]], b: Problem
+    effects: Effects, values: Mapping[str, Array], rates: Mapping[str, Mapping[str, Array]], b: Part
 ) -> Array:
     """Normal equations of one block, one row and column a parameter group and one for the residual."""
     layout = layout_of(effects)
 
-    def factor_derivatives(values: Mapping[str, Array], b: Problem) -> tuple[dict[str, Array], dict[str, Array]]:
+    def factor_derivatives(values: Mapping[str, Array], b: Directions) -> tuple[dict[str, Array], dict[str, Array]]:
         s, shaped, table = _parts(effects, values, b)
         at, slopes = {}, {}
         for name, factor in table.items():
-            tables = (two_scale.TABLE,) if name == "toll" else ()
-            own = {q: shaped[q] for q in (*factor.names, *tables)}
+            own = {q: shaped[q] for q in (*factor.names, *factor.tables)}
             at[name], slope = jax.linearize(lambda own, factor=factor: factor.evaluate({**shaped, **own}, s), own)
             still = jax.tree.map(jnp.zeros_like, own)
             for q in factor.names:
-                moved = {k: rates[q][k].reshape(own[k].shape) for k in (q, *tables)}
+                moved = {k: rates[q][k].reshape(own[k].shape).astype(own[k].dtype) for k in (q, *factor.tables)}
                 slopes[f"{name}/{q}"] = slope({**still, **moved})
         return at, slopes
 
-    def columns(at: dict[str, Array], slopes: dict[str, Array], b: Problem) -> list[Array]:
-        s = two_scale.setting(b.geometry, effects, WAVELENGTHS_UM, b.log_base)
-        root = jnp.sqrt(b.weight)
+    def columns(at: dict[str, Array], slopes: dict[str, Array], b: Part) -> list[Array]:
+        s = _setting(effects, b.directions)
         result = []
         for q in layout.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
             change = lambda part: two_scale.assemble({**at, **part}, s)  # noqa: E731
-            result.append(root * jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1])
-        return [*result, root * (b.value - two_scale.assemble(at, s))]
+            result.append(_weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
+        return [*result, b.target - _weigh(b.root, two_scale.assemble(at, s))]
 
-    always = jnp.isfinite(b.weight[0, 0, 0, 0])
-    at, slopes = _materialised(factor_derivatives, always, values, b)
+    always = jnp.isfinite(b.target[0, 0, 0, 0])
+    at, slopes = _materialised(factor_derivatives, always, values, b.directions)
     columns_ = [x.reshape(x.shape[0], -1) for x in _materialised(columns, always, at, slopes, b)]
-    upper = {(i, j): jnp.sum(columns_[i] * columns_[j], -1) for i in range(len(columns_)) for j in range(i + 1)}
+    upper = {
+        (i, j): jnp.sum(columns_[i] * columns_[j], -1, dtype=jnp.float64)
+        for i in range(len(columns_))
+        for j in range(i + 1)
+    }
     count = range(len(columns_))
     return jnp.stack([jnp.stack([upper[max(i, j), min(i, j)] for j in count], -1) for i in count], -1)

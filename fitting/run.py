@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,15 +21,21 @@ from . import export, metrics
 from .config import Config
 from .levenberg_marquardt import Solution, solve
 from .outcome import Fitted, make_result
-from .posterior import Posterior, sample
-from .residuals import Problem, make_problem, predict, weighted_samples
+from .problem import Problem, directions, energy, make_problem, weighted_samples
+from .residuals import predict
 from .selection import bic
 from .starts import starting_points
+from .threads import CORES, side_by_side
 from .transforms import layout_of
+
+if TYPE_CHECKING:  # the sampler's libraries take a second to load
+    from .posterior import Posterior
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
 # every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
-COARSE = ((1, 1, 3, *(5,) * 17), 5, 10)  # 20 x 18 x 9 bins
+COARSE = ((1, 1, 3, *(5,) * 17), 5, 1)  # 20 x 18 rows of all azimuths
+GRIDS = {"fine": (1, 1, 1), "medium": ((*(1,) * 12, *(3,) * 26), 3, 1), "coarse": COARSE}  # of the last steps
+COARSE_AZIMUTHS, COARSE_ORDER = 4, 16  # nodes of a row, order of the convolution
 SAMPLING = ((1, 1, 1, 2, 3, 4, 6, 6, 6, *(10,) * 6), 6, 30)  # 15 x 15 x 3 bins, for the posterior
 SAMPLING_ORDER = 16  # of the convolution in the posterior: median error 2e-4
 TRIAL_STEPS = 25  # that a screened start is followed before the best is chosen
@@ -95,33 +102,46 @@ def fit(measurement: Measurement, samples: Samples, config: Config, report: Repo
         bodies: tuple[Body, ...] = BODIES if config.effects.body == "auto" else (config.effects.body,)
         report(f"coarse grid: {', '.join(bodies)}")
         coarse = thin(samples, COARSE)
-        problem = make_problem(coarse)
-        with ThreadPoolExecutor(max_workers=2) as pool:
-            found = list(pool.map(lambda body: fit_coarse(config.effects_of(body), coarse, problem, config), bodies))
-        lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
-        effects = config.effects_of(bodies[lowest])
-        counts = counts_of(coarse, predict_samples(effects, found[lowest].z, coarse, problem))
-        candidates = [
-            export.Candidate(
-                body=body, cost=export.finite(s.cost), bic=export.finite(bic(s.normal[:, -1, -1], counts, len(s.z)))
-            )
-            for body, s in zip(bodies, found, strict=True)
-        ]
+        problem = make_problem(coarse, COARSE_AZIMUTHS)
+        cheap = [cheaper(config.effects_of(body), COARSE_ORDER) for body in bodies]
+        with ThreadPoolExecutor(max_workers=CORES) as pool:
+            found = list(pool.map(lambda effects: fit_coarse(effects, coarse, problem, config), cheap))
+        candidates = compare(cheap, found, coarse)
         chosen = min(range(len(bodies)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
     with clock.stage("full"):
-        report(f"all bins: {bodies[chosen]}")
-        effects, whole = config.effects_of(bodies[chosen]), make_problem(samples)
-        solution = solve(effects, found[chosen].z, whole, config.fit.max_steps, backend=config.fit.backend)
+        settings = config.fit
+        report(f"{settings.grid} grid: {bodies[chosen]}")
+        effects = config.effects_of(bodies[chosen])
+        whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
+        solution = solve(effects, found[chosen].z, whole, settings.max_steps, backend=settings.backend)
     with clock.stage("metrics"):
-        return replace(judge(effects, solution, measurement, samples, whole), candidates=candidates)
+        return replace(judge(effects, solution, measurement, samples), candidates=candidates)
 
 
-def judge(effects: Effects, solution: Solution, measurement: Measurement, samples: Samples, problem: Problem) -> Fitted:
-    """A solution on all bins with its errors and the effective counts of its residuals."""
-    predicted = predict_samples(effects, solution.z, samples, problem)
+def compare(effects: list[Effects], found: list[Solution], samples: Samples) -> list[export.Candidate]:
+    """Costs of fits of the same samples, and their BICs by the effective counts of the best one's residuals."""
+    lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
+    if len(found) == 1:
+        return [export.Candidate(body=effects[0].body, cost=export.finite(found[0].cost), bic=None)]
+    counts = counts_of(samples, predict_samples(effects[lowest], found[lowest].z, samples))
+    return [
+        export.Candidate(
+            body=e.body, cost=export.finite(s.cost), bic=export.finite(bic(s.normal[:, -1, -1], counts, len(s.z)))
+        )
+        for e, s in zip(effects, found, strict=True)
+    ]
+
+
+def judge(effects: Effects, solution: Solution, measurement: Measurement, samples: Samples) -> Fitted:
+    """A solution with its cost on all bins, its errors and the effective counts of its residuals."""
+    predicted = predict_samples(effects, solution.z, samples)
     unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
     errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid())
-    return Fitted(effects, solution, counts_of(samples, predicted), errors, [])
+    costs = np.sum(samples.weight * (samples.value - predicted) ** 2, (1, 2, 3)) / energy(samples)
+    normal = solution.normal.copy()
+    normal[:, -1, -1] = costs
+    exact = replace(solution, cost=float(costs.sum()), normal=normal)
+    return Fitted(effects, exact, counts_of(samples, predicted), errors, [])
 
 
 def fit_coarse(effects: Effects, samples: Samples, problem: Problem, config: Config) -> Solution:
@@ -139,22 +159,29 @@ def fit_coarse(effects: Effects, samples: Samples, problem: Problem, config: Con
     return best if best.converged or rest <= 0 else follow(best.z, rest)
 
 
-def predict_samples(effects: Effects, z: np.ndarray, samples: Samples, problem: Problem) -> np.ndarray:
+def cheaper(effects: Effects, order: int) -> Effects:
+    """The same with a convolution of no more than this order."""
+    return replace(effects, order=min(order, effects.order))
+
+
+def predict_samples(effects: Effects, z: np.ndarray, samples: Samples) -> np.ndarray:
     """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
-    blocks = np.asarray(predict(effects, layout_of(effects).values(jnp.asarray(z)), problem))
-    return np.moveaxis(blocks, 1, 0).reshape(samples.value.shape)
+    where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    return predict(effects, layout_of(effects).values(jnp.asarray(z)), where)
 
 
 def counts_of(samples: Samples, predicted: np.ndarray) -> np.ndarray:
     """Effective sample count of every channel's residuals, (C,)."""
     used = np.all(samples.weight > 0, axis=0)
     residuals = np.sqrt(samples.weight) * (samples.value - predicted)
-    return np.array([metrics.effective_count(r, used) for r in residuals])
+    return np.array(side_by_side(lambda r: metrics.effective_count(r, used), residuals))
 
 
-def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: Report) -> Posterior:
+def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: Report) -> "Posterior":
     """The posterior on the sampling grid."""
-    cheap = replace(fitted.effects, order=min(SAMPLING_ORDER, fitted.effects.order))
+    from .posterior import sample
+
+    cheap = cheaper(fitted.effects, SAMPLING_ORDER)
     whole, thinned = make_problem(samples), make_problem(thin(samples, SAMPLING))
     return sample(
         (fitted.effects, whole), (cheap, thinned), fitted.solution.z, fitted.solution.normal, fitted.counts,
@@ -163,7 +190,7 @@ def sample_posterior(fitted: Fitted, samples: Samples, config: Config, report: R
     )  # fmt: skip
 
 
-def save_chain(path: Path, fitted: Fitted, chain: Posterior) -> None:
+def save_chain(path: Path, fitted: Fitted, chain: "Posterior") -> None:
     """The whole chain in free coordinates and the kept samples in physical units (npz, no pickles)."""
     layout = layout_of(fitted.effects)
     arrays = {

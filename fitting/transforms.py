@@ -6,7 +6,7 @@ z = logit(u) is free, for solvers. A prior uniform in u is the logistic density 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import jax
 import numpy as np
@@ -58,6 +58,7 @@ class Layout:
         """Declaration of every entry."""
         return tuple(q for q in self.parameters for _ in range(self._width(q)))
 
+    @partial(jax.jit, static_argnums=0)
     def values(self, z: Array) -> dict[str, Array]:
         """Physical values by name: scalars, and ``(C,)`` for parameters per channel."""
         where = self.slices

@@ -29,7 +29,6 @@ class MerlGrid:
     Attributes:
         theta_h, theta_d, phi_d: bin centres (rad), shapes (90,), (90,), (180,); theta_h on its square-root scale.
         edges: bin edges of the three axes (rad). cos_i, cos_o: at bin centres, (90, 90, 180).
-        azimuth: angle between the projections of light and viewer (rad), (90, 90, 180).
         above: both directions above the surface at the centre. weight: of each bin in the fitting measure (sr).
     """
 
@@ -39,15 +38,24 @@ class MerlGrid:
     edges: tuple[np.ndarray, np.ndarray, np.ndarray]
     cos_i: np.ndarray
     cos_o: np.ndarray
-    azimuth: np.ndarray
     above: np.ndarray
     weight: np.ndarray
 
 
 def cosines(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """cos_i and cos_o of half and difference angles (rad)."""
-    even = np.cos(theta_h) * np.cos(theta_d)
-    odd = np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
+    return _cosines(_trigonometry(theta_h), _trigonometry(theta_d), _trigonometry(phi_d))
+
+
+Trigonometry = tuple[np.ndarray, np.ndarray]  # sine and cosine
+
+
+def _trigonometry(angle: np.ndarray) -> Trigonometry:
+    return np.sin(angle), np.cos(angle)
+
+
+def _cosines(h: Trigonometry, d: Trigonometry, phi: Trigonometry) -> tuple[np.ndarray, np.ndarray]:
+    even, odd = h[1] * d[1], h[0] * d[0] * phi[1]
     return even - odd, even + odd
 
 
@@ -60,7 +68,7 @@ def _cotangent(cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
 
 @cache
 def merl_grid() -> MerlGrid:
-    """The grid, made once a process (0.6 s).
+    """The grid, made once a process (0.2 s).
 
     Weights: median error 2e-4, worst 1e-2 where both cosines exceed 0.1, their sum 1e-4; slivers of bins cut by the
     horizon, which weigh next to nothing, may be off by half (``tests/merl_io/test_binary.py``).
@@ -79,10 +87,7 @@ def merl_grid() -> MerlGrid:
         (cos_i > np.cos(NEAR_NORMAL[0]), 5),
     ):
         weight[hard] = _integrate(edges, np.argwhere(hard), nodes)
-    dot = np.cos(2 * axes[1]) - cos_i * cos_o
-    sines = np.sqrt(np.maximum((1 - cos_i**2) * (1 - cos_o**2), 1e-24))
-    azimuth = np.arccos(np.clip(dot / sines, -1, 1))
-    return MerlGrid(theta_h, theta_d, phi_d, edges, cos_i, cos_o, azimuth, (cos_i > 0) & (cos_o > 0), weight)
+    return MerlGrid(theta_h, theta_d, phi_d, edges, cos_i, cos_o, (cos_i > 0) & (cos_o > 0), weight)
 
 
 def bin_volume(edges: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
@@ -95,11 +100,12 @@ def bin_volume(edges: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
 def _integrate(edges: tuple[np.ndarray, ...], bins: np.ndarray, nodes: int) -> np.ndarray:
     """Weights of some bins by Gauss-Legendre nodes inside them."""
     x, w = np.polynomial.legendre.leggauss(nodes)
-    low = [e[i] for e, i in zip(edges, bins.T, strict=True)]
-    size = [e[i + 1] - e[i] for e, i in zip(edges, bins.T, strict=True)]
+    size = [np.diff(e) for e in edges]
+    # sines and cosines by node and bin of every axis: there are far fewer than points
+    axes = [[_trigonometry(e[:-1] + (u + 1) / 2 * s) for u in x] for e, s in zip(edges, size, strict=True)]
     total = np.zeros(len(bins))
-    for a, b, c in np.ndindex(nodes, nodes, nodes):
-        h, d, p = (lo + (x[k] + 1) / 2 * s for lo, s, k in zip(low, size, (a, b, c), strict=True))
-        density = 4 * np.cos(d) * np.sin(d) * np.sin(h) * _cotangent(*cosines(h, d, p))
-        total += w[a] * w[b] * w[c] / 8 * density
-    return total * np.prod(size, axis=0)
+    for node in np.ndindex(nodes, nodes, nodes):
+        at = [axis[k] for axis, k in zip(axes, node, strict=True)]
+        h, d, p = ((sine[i], cosine[i]) for (sine, cosine), i in zip(at, bins.T, strict=True))
+        total += np.prod(w[list(node)]) / 8 * d[1] * d[0] * h[0] * _cotangent(*_cosines(h, d, p))
+    return 4 * total * np.prod([s[i] for s, i in zip(size, bins.T, strict=True)], axis=0)

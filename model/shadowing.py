@@ -97,7 +97,12 @@ def _masking_of_x(x: Real, p: Scalar) -> Real:
     return jnp.where(inside, 1 / (1 + smith_lambda(((1 - x) / x) ** 2 / _mean_slope(p), p)), 0.0)
 
 
-def masking(cos_theta: Real, beta: Scalar, p: Scalar) -> Real:
+def masking_table(p: Scalar) -> Real:
+    """G1 at even steps of x = 1 / (1 + sqrt(tau mean slope)) from 0 to 1, (TABLE_SIZE,): what `masking` looks up."""
+    return _masking_of_x(jnp.linspace(0.0, 1.0, TABLE_SIZE, dtype=p.dtype), p)
+
+
+def masking(cos_theta: Real, beta: Scalar, p: Scalar, table: Real | None = None) -> Real:
     """Smith's G1 (HP17 Eq. 38) in [0, 1]; 0 below the horizon.
 
     Many directions share one parameter set, so beyond ``TABLE_SIZE`` of them G1 is tabulated in
@@ -107,13 +112,14 @@ def masking(cos_theta: Real, beta: Scalar, p: Scalar) -> Real:
     Args:
         cos_theta: cosine between normal and direction, any shape.
         beta: width of the EPD. p: its exponent.
+        table: `masking_table` of p, if it is known already.
 
     Accuracy: 1e-9 for p in [0.12, 5] and any beta, direct or through the table
     (``tests/model/test_against_oracles.py``, ``tests/hard_cases.toml``). Float32 is kept, to 1e-6.
     """
-    if cos_theta.size <= TABLE_SIZE:
+    if table is None and cos_theta.size <= TABLE_SIZE:
         return masking_direct(cos_theta, beta, p)
-    table = _masking_of_x(jnp.linspace(0.0, 1.0, TABLE_SIZE, dtype=beta.dtype), p)
+    table = masking_table(p) if table is None else table
     above = cos_theta > 0
     cos = jnp.where(above, cos_theta, 1.0)
     root_cos = jnp.sqrt(cos)

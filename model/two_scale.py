@@ -29,9 +29,8 @@ from .geometry import Geometry
 from .ndf import epd
 from .numerics import safe_divide
 from .parameters import GRAZING, WAVELENGTHS_UM, parameters
-from .shadowing import height_correlated, masking
+from .shadowing import height_correlated, masking, masking_table
 
-TABLE = "surface_albedo"  # may be among the values: see `surface_albedo`
 LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
 Values = Mapping[str, Array]
 
@@ -47,10 +46,11 @@ class Setting(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """One factor of the BRDF and the parameters it depends on."""
+    """One factor of the BRDF, the parameters it depends on, and the tables (`TABLES`) that it looks up if given."""
 
     names: tuple[str, ...]
     evaluate: Callable[[Values, Setting], Array]
+    tables: tuple[str, ...] = ()
 
 
 def setting(
@@ -79,24 +79,25 @@ def factors(effects: Effects) -> dict[str, Factor]:
     """The factors of a material with these effects."""
     surface, optics = ("beta", "p"), (("n", "k") if effects.body == "none" else ("eta",))
     nano = ("b", "c", "sigma_s")
-    table = {} if effects.masking == "none" else {"shadow": Factor(surface, _shadow)}
+    table = {} if effects.masking == "none" else {"shadow": Factor(surface, _shadow, ("masking",))}
     if effects.diffraction == "off":
         table["mirror"] = Factor(surface + optics, _mirror)
     else:
         dimming = nano if effects.renormalised or effects.split == "conserving" else ("sigma_s",)
-        table["mirror"] = Factor((*dimming, *surface, *optics), _dimmed_mirror)
+        share = ("share",) if effects.renormalised else ()
+        table["mirror"] = Factor((*dimming, *surface, *optics), _dimmed_mirror, share)
         if effects.diffraction == "exact":
             coloured = optics if effects.colour == "rayleigh_rice" else ()
-            table["spread"] = Factor((*nano, *surface, *coloured), _exact_spread)
+            table["spread"] = Factor((*nano, *surface, *coloured), _exact_spread, share)
         else:
-            table["spread"] = Factor((*nano, *(() if effects.diffraction == "lobe" else surface)), _spread)
+            table["spread"] = Factor((*nano, *(() if effects.diffraction == "lobe" else surface)), _spread, share)
         if effects.diffraction != "exact" or effects.colour == "fresnel":
             table["hue"] = Factor(optics, _hue)
     every = tuple(q.name for q in parameters(effects.material) if q.name != "albedo")
     if effects.body != "none":
         table["under"] = Factor(("albedo",) if effects.body == "lambert" else ("eta", "albedo"), _under)
     if _pays_toll(effects):
-        table["toll"] = Factor(every, _toll)
+        table["toll"] = Factor(every, _toll, ("surface_albedo",))
     if effects.acquisition not in ("off", 0.0):
         names = {"free": (GRAZING.name,), "derived": surface}.get(str(effects.acquisition), ())
         table["loss"] = Factor(names, _loss)
@@ -151,12 +152,12 @@ def two_scale(
 
 
 def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
-    """Parameters in the precision of the angles, those per channel with a leading axis; ``TABLE`` if given."""
+    """Parameters in the precision of the angles, those per channel with a leading axis; tables if given."""
     missing = [q.name for q in parameters(s.effects) if q.name not in params]
     if missing:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
-    given = {TABLE: jnp.asarray(params[TABLE])} if TABLE in params else {}
     precision = jnp.result_type(s.geometry.theta_h)
+    given = {name: jnp.asarray(params[name], precision) for name in TABLES if name in params}
     return given | {
         q.name: jnp.asarray(params[q.name], precision).reshape(
             (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
@@ -172,7 +173,8 @@ def _index(v: Values) -> tuple[Array, Array]:
 
 def _shadow(v: Values, s: Setting) -> Array:
     """G of i and o."""
-    seen, lit = (masking(cos, v["beta"], v["p"]) for cos in (s.geometry.cos_i, s.geometry.cos_o))
+    cosines = (s.geometry.cos_i, s.geometry.cos_o)
+    seen, lit = (masking(cos, v["beta"], v["p"], v.get("masking")) for cos in cosines)
     return seen * lit if s.effects.masking == "smith" else height_correlated(seen, lit)
 
 
@@ -187,11 +189,16 @@ def _mirror(v: Values, s: Setting) -> Array:
     return _fresnel(v, s) * epd(s.geometry.theta_h, v["beta"], v["p"]) / 4
 
 
+def _share(v: Values, s: Setting) -> Array:
+    """sigma_rel^2/sigma_s^2 at theta_d, where the facet meets the light."""
+    return diffraction.renormalisation(jnp.sin(s.geometry.theta_d), v["b"] / s.wavelength_um, v["c"])
+
+
 def _share_and_phase(v: Values, s: Setting) -> tuple[Array, Array]:
-    """sigma_rel^2/sigma_s^2 at theta_d, where the facet meets the light, and the exponent of A_spec."""
+    """sigma_rel^2/sigma_s^2, or 1, and the exponent of A_spec."""
     share = jnp.ones((), v["sigma_s"].dtype)
     if s.effects.renormalised:
-        share = diffraction.renormalisation(jnp.sin(s.geometry.theta_d), v["b"] / s.wavelength_um, v["c"])
+        share = v["share"] if "share" in v else _share(v, s)
     return share, diffraction.phase_variance(share * v["sigma_s"] ** 2, s.geometry.cos_d, s.wavelength_um)
 
 
@@ -254,15 +261,19 @@ def _pays_toll(effects: Effects) -> bool:
     return effects.split == "conserving" and not by_itself
 
 
-def surface_albedo(v: Values, effects: Effects, wavelengths_um: Array) -> Array:
+def tables(effects: Effects) -> dict[str, "Table"]:
+    """What the factors of these effects look up."""
+    return {name: TABLES[name] for factor in factors(effects).values() for name in factor.tables}
+
+
+def surface_albedo(v: Values, s: Setting) -> Array:
     """Directional albedo of the lobes at :func:`merlfit.model.energy.incidences`, (C, INCIDENCES).
 
     Args:
         v: parameters, those per channel as ``(C,)`` or with more axes of length one.
-
-    It depends on parameters alone: who evaluates directions in parts computes it once and gives it along as ``TABLE``.
     """
-    own = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in v.items()}
+    own = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in v.items() if name not in TABLES}
+    effects, wavelengths_um = s.effects, s.wavelength_um.reshape(-1)
     largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
     degree = effects.zonal_order if effects.diffraction == "zonal" else 0
     geometry, measure = energy.half_vectors(v["beta"], v["p"], largest_B, degree)
@@ -272,11 +283,26 @@ def surface_albedo(v: Values, effects: Effects, wavelengths_um: Array) -> Array:
     return jnp.sum(assemble(lobes, s) * measure, (-2, -1))
 
 
+class Table(NamedTuple):
+    """What depends on parameters, and of directions on theta_d at the most, so that many directions can share it.
+
+    Who evaluates directions in parts computes it once and gives it along among the values.
+    """
+
+    names: tuple[str, ...]  # of those parameters, as far as the effects have them
+    compute: Callable[[Values, Setting], Array]
+
+
+TABLES = {
+    "masking": Table(("p",), lambda v, s: masking_table(v["p"])),
+    "share": Table(("b", "c"), _share),
+    "surface_albedo": Table(("beta", "p", "b", "c", "sigma_s", "n", "k", "eta"), surface_albedo),
+}
+
+
 def _toll(v: Values, s: Setting) -> Array:
     """What the lobes are multiplied by (0) and what the body is multiplied by (1), stacked: see `energy`."""
-    table = v.get(TABLE)
-    if table is None:
-        table = surface_albedo(v, s.effects, s.wavelength_um.reshape(-1))
+    table = v["surface_albedo"] if "surface_albedo" in v else surface_albedo(v, s)
     lit, seen = (energy.at_incidence(table, v["beta"], theta) for theta in (s.geometry.theta_i, s.geometry.theta_o))
     kept = 1 / (jnp.maximum(lit, 1.0) * jnp.maximum(seen, 1.0))
     if s.effects.body == "none":

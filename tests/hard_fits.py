@@ -15,7 +15,7 @@ from merlfit.fitting.config import parse
 from merlfit.fitting.export import Result
 from merlfit.fitting.levenberg_marquardt import Status
 from merlfit.fitting.outcome import make_result
-from merlfit.fitting.residuals import weighted_samples
+from merlfit.fitting.problem import weighted_samples
 from merlfit.merl_io.binary import Measurement, MerlError, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.effects import Effects

@@ -3,7 +3,7 @@
 from merlfit.fitting import run
 from merlfit.fitting.config import parse
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.residuals import make_problem, weighted_samples
+from merlfit.fitting.problem import make_problem, weighted_samples
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
@@ -22,7 +22,8 @@ class Material:
     def __init__(self, path):
         self.measurement = read(path)
         self.samples = weighted_samples(self.measurement)
-        self.whole, self.coarse = make_problem(self.samples), make_problem(thin(self.samples, run.COARSE))
+        self.whole = make_problem(self.samples)
+        self.coarse = make_problem(thin(self.samples, run.COARSE), run.COARSE_AZIMUTHS)
 
     def searched(self, body, max_steps=40):
         """The fit of `merlfit fit` with default effects and one body."""
@@ -36,7 +37,7 @@ class Material:
         start = layout_of(effects).free(layout_of(fitted.effects).values(fitted.solution.z))
         near = solve(effects, start, self.coarse, coarse_steps)
         solution = solve(effects, near.z, self.whole, max_steps)
-        return run.judge(effects, solution, self.measurement, self.samples, self.whole)
+        return run.judge(effects, solution, self.measurement, self.samples)
 
 
 def cost(solution_cost, converged):

@@ -3,24 +3,19 @@
 import dataclasses
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting import levenberg_marquardt, run
+from merlfit.fitting import problem as problems
 from merlfit.fitting.config import Config, load
 from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
-from merlfit.fitting.residuals import (
-    compressive_weight,
-    cos_weighted_median,
-    cost,
-    make_problem,
-    normal_equations,
-    predict,
-    weighted_samples,
-)
+from merlfit.fitting.problem import compressive_weight, cos_weighted_median, make_problem, weighted_samples
+from merlfit.fitting.residuals import _predict, cost, normal_equations
 from merlfit.fitting.starts import read_clues, starting_points
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.binary import Measurement, read, write
@@ -100,45 +95,64 @@ def coarse(files):
     return samples, thinned, make_problem(thinned)
 
 
+def plain(effects, z, samples):
+    """Normal equations of all bins of the samples, from the whole Jacobian."""
+    where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    root = np.sqrt(samples.weight / problems.energy(samples))
+
+    def predicted(z):
+        return _predict(effects, layout_of(effects).values(z), where)
+
+    def rows(x):
+        return np.moveaxis(np.asarray(x), 1, 0).reshape(root.shape + x.shape[5:])
+
+    jacobian = root[..., None] * rows(jax.jit(jax.jacfwd(predicted))(z))
+    both = np.concatenate([jacobian, (root * (samples.value - rows(predicted(z))))[..., None]], -1)
+    both = both.reshape(3, -1, len(z) + 1)
+    return np.einsum("cnk,cnl->ckl", both, both)
+
+
+def difference(found, expected):
+    """Largest, relative to the diagonals."""
+    scale = np.sqrt(np.einsum("ckk,cll->ckl", expected, expected)) + 1e-300
+    return np.max(np.abs(found - expected) / scale)
+
+
 def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
-    _, _, problem = coarse
+    """Rows of three azimuths and as many nodes: nothing is gathered but the bins themselves."""
+    samples = thin(coarse[0], (run.COARSE[0], 5, 30))
+    problem = make_problem(samples)
     others = [Effects("plastic", acquisition="derived"), Effects("lambert", "zonal", acquisition=0.3)]
     for effects in (FREE, *others, Effects("lambert", "off", split="conserving")):
         z = jnp.asarray(np.random.default_rng(1).normal(size=layout_of(effects).size))
-
-        def residuals(z, effects=effects):
-            return predict(effects, layout_of(effects).values(z), problem) * jnp.sqrt(problem.weight)
-
-        jacobian = np.moveaxis(np.asarray(jax.jit(jax.jacfwd(residuals))(z)), 1, 0).reshape(3, -1, len(z))
-        left = np.moveaxis(np.asarray((problem.value * jnp.sqrt(problem.weight)) - residuals(z)), 1, 0).reshape(
-            3, -1, 1
-        )
-        expected = np.concatenate([jacobian, left], 2)
-        expected = np.einsum("cnk,cnl->ckl", expected, expected)
-        found = np.asarray(normal_equations(effects, z, problem))
-        scale = np.sqrt(np.einsum("ckk,cll->ckl", expected, expected)) + 1e-300
-        assert np.max(np.abs(found - expected) / scale) < 1e-9
+        expected, found = plain(effects, z, samples), np.asarray(normal_equations(effects, z, problem))
+        assert difference(found, expected) < 1e-9
         np.testing.assert_allclose(np.asarray(cost(effects, z, problem)), found[:, -1, -1], rtol=1e-10)
 
 
-def test_blocks_do_not_change_the_sum(coarse):
+def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
+    samples = thin(coarse[0], (10, 10, 1))
+    for effects in (FREE, Effects("subsurface", "lobe", masking="height_correlated", acquisition="free")):
+        z = jnp.asarray(np.random.default_rng(2).normal(size=layout_of(effects).size))
+        expected = plain(effects, z, samples)
+        few, many = (np.asarray(normal_equations(effects, z, make_problem(samples, k))) for k in (2, 8))
+        assert difference(many, expected) < 1e-3
+        assert difference(few, expected) > 10 * difference(many, expected)
+
+
+def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
     _, thinned, problem = coarse
-    effects = FREE
-    z = jnp.asarray(starting_points(effects, thinned)[0])
-    rows = [slice(5 * k, 5 * k + 5) for k in range(4)]
-    blocked = dataclasses.replace(
-        problem,
-        geometry=Geometry(
-            jnp.concatenate([problem.geometry.theta_h[:, r] for r in rows]),
-            jnp.concatenate([problem.geometry.theta_d] * len(rows)),
-            *(jnp.concatenate([x[:, r] for r in rows]) for x in (problem.geometry.cos_i, problem.geometry.cos_o)),
-        ),
-        log_base=jnp.concatenate([problem.log_base[:, r] for r in rows]),
-        value=jnp.concatenate([problem.value[:, :, r] for r in rows]),
-        weight=jnp.concatenate([problem.weight[:, :, r] for r in rows]),
-    )
+    z = jnp.asarray(starting_points(FREE, thinned)[0])
+    assert len(problem.parts) == 1
+    assert problem.parts[0].target.shape[0] == 1
+    monkeypatch.setattr(problems, "BLOCK", 700)
+    monkeypatch.setattr(problems, "LEAST_SHARE", 700)
+    monkeypatch.setattr(problems, "CORES", 2)
+    blocked = make_problem(thinned)
+    assert len(blocked.parts) == 2
+    assert blocked.parts[0].target.shape[0] > 1
     np.testing.assert_allclose(
-        np.asarray(normal_equations(effects, z, blocked)), np.asarray(normal_equations(effects, z, problem)), rtol=1e-9,
+        np.asarray(normal_equations(FREE, z, blocked)), np.asarray(normal_equations(FREE, z, problem)), rtol=1e-9,
         atol=1e-15,
     )  # fmt: skip
 
@@ -209,7 +223,7 @@ def test_data_below_the_horizon_are_left_out():
 
 def test_equations_that_are_not_finite_are_a_failure(coarse):
     _, _, problem = coarse
-    spoiled = dataclasses.replace(problem, log_base=jnp.where(problem.log_base < -1, -jnp.inf, problem.log_base))
+    spoiled = eqx.tree_at(lambda q: q.parts[0].directions.log_base, problem, replace_fn=lambda x: x - jnp.inf)
     effects = FREE
     solution = solve(effects, np.zeros(layout_of(effects).size), spoiled)
     assert not solution.converged

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.residuals import make_problem, weighted_samples
+from merlfit.fitting.problem import make_problem, weighted_samples
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.samples import thin
 from merlfit.model.effects import Effects

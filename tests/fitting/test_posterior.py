@@ -3,13 +3,15 @@
 import dataclasses
 
 import emcee
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting import run
+from merlfit.fitting.laplace import laplace_covariance
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.posterior import free_of_normal, independent_proposal, laplace_covariance, normal_of_free, sample
-from merlfit.fitting.residuals import make_problem
+from merlfit.fitting.posterior import free_of_normal, independent_proposal, normal_of_free, sample
+from merlfit.fitting.problem import make_problem
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
@@ -99,7 +101,7 @@ def noisy_posteriors():
     grid = merl_grid()
     ones = np.ones((3, 90, 90, 180))
     blank = thin(fold(grid, ones, np.where(grid.above, 1.0, 0.0) * ones), (10, 10, 45))
-    clean = run.predict_samples(effects, layout_of(effects).free(TRUTH), blank, make_problem(blank))
+    clean = run.predict_samples(effects, layout_of(effects).free(TRUTH), blank)
     counts = (blank.weight > 0).sum((1, 2, 3)).astype(float)
     size = (NOISE * np.sqrt(np.sum(blank.weight * clean**2) / counts.sum()))[:, None, None, None]
     rng = np.random.default_rng(6)
@@ -139,7 +141,11 @@ def test_a_well_determined_posterior_is_the_laplace_approximation(noisy_posterio
     for best, chain, counts, effects, problem in noisy_posteriors:
         free = chain.chain.reshape(-1, chain.chain.shape[-1])
         scale = counts / best.normal[:, -1, -1]
-        weighed = dataclasses.replace(problem, weight=problem.weight * (scale / scale.mean())[:, None, None, None])
+        root = np.sqrt(scale / scale.mean())
+        weighed = eqx.tree_at(
+            lambda q: (q.parts[0].root, q.parts[0].target), problem,
+            (problem.parts[0].root * root[:, *[None] * 4], problem.parts[0].target * root[:, *[None] * 3]),
+        )  # fmt: skip
         centre = solve(effects, best.z, weighed).z
         expected = np.sqrt(np.diag(laplace_covariance(best.normal, counts, best.z)))
         narrow = expected < 0.3  # others are skewed by the bounds

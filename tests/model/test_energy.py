@@ -100,11 +100,11 @@ def test_surface_albedo_between_its_nodes():
     effects = Effects("plastic", split="conserving")
     degrees = np.array([1.0, 13.0, 37.0, 52.0, 66.0, 77.0, 84.0, 88.0])
 
+    at_wavelength = setting(Geometry(*jnp.ones(4) / 2), effects, (WAVELENGTH_UM,))
+
     @jax.jit
     def table(v):
-        return energy.at_incidence(
-            surface_albedo(v, effects, jnp.array([WAVELENGTH_UM])), v["beta"], jnp.radians(degrees)
-        )
+        return energy.at_incidence(surface_albedo(v, at_wavelength), v["beta"], jnp.radians(degrees))
 
     @jax.jit
     def integrated(v, geometry, measure):

@@ -16,7 +16,7 @@ from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM, parameters
-from merlfit.model.two_scale import assemble, factors, setting, shaped, two_scale
+from merlfit.model.two_scale import assemble, factors, setting, shaped, tables, two_scale
 from oracles import bodies as o_bodies
 from oracles import two_scale as o_two_scale
 
@@ -240,6 +240,23 @@ def test_factors_depend_on_what_they_say(effects):
             same = np.array_equal(factor.evaluate(v, s), factor.evaluate(changed, s))
             free_of_toll = name == "toll" and effects.body == "none"  # 1 where nothing is in excess
             assert same == (q not in factor.names) or (same and free_of_toll), f"{name} and {q}"
+
+
+@pytest.mark.parametrize("effects", [Effects("subsurface", "lobe", split="conserving"), Effects("none", "quadrature")])
+def test_tables_depend_on_what_they_say_and_change_nothing(effects):
+    grid = np.ix_(np.linspace(0.05, 1.2, 9), np.linspace(0.05, 1.2, 7), np.linspace(0.1, 1.5, 6))
+    s = setting(Geometry.from_half_difference(*grid), effects)
+    v = shaped(material(effects), s)
+    found = {name: table.compute(v, s) for name, table in tables(effects).items()}
+    assert set(found) == {"masking", "share"} | ({"surface_albedo"} if effects.split == "conserving" else set())
+    for name, table in tables(effects).items():
+        for q in v:
+            same = np.array_equal(table.compute({**v, q: v[q] * 1.1}, s), found[name])
+            assert same == (q not in table.names), f"{name} and {q}"
+    plain, given = (two_scale({**v, **extra}, s.geometry, effects) for extra in ({}, found))
+    np.testing.assert_allclose(given, plain, rtol=1e-12)
+    wrong = {name: x * 1.01 for name, x in found.items()}
+    assert not np.allclose(two_scale({**v, **wrong}, s.geometry, effects), plain, rtol=1e-3)
 
 
 def test_missing_parameter_is_named():

@@ -1,0 +1,75 @@
+"""Growth of one solve's time and memory with the number of directions that it evaluates."""
+
+import time
+
+import numpy as np
+from merlfit.fitting.config import load
+from merlfit.fitting.levenberg_marquardt import solve
+from merlfit.fitting.problem import make_problem, weighted_samples
+from merlfit.fitting.run import GRIDS
+from merlfit.fitting.starts import starting_points
+from merlfit.merl_io.binary import read
+from merlfit.merl_io.samples import thin
+
+from .materials import file
+from .processes import resident_peak, worker
+from .record import RECONSTRUCTIONS, Record, exponent
+from .start import REPEATS
+
+MATERIAL, BODY, STEPS = "nickel", "none", 6
+SIZES = (("coarse", 8), ("medium", 8), ("fine", 8), ("fine", 16), ("fine", 32))  # rows, nodes of a row
+PRECISIONS = ("float64", "float32")
+NEVER = 1e-14  # tolerance that no step meets
+
+
+def measure(path, grid, azimuths, precision):
+    """Seconds a step of a solve that has not converged, and the peaks before and after it (MiB)."""
+    effects = load(body=BODY).effects_of(BODY)
+    samples = thin(weighted_samples(read(path)), GRIDS[grid])
+    start = starting_points(effects, samples)[0]
+    problem = make_problem(samples, int(azimuths), precision)
+    before = resident_peak()
+    runs = []
+    for _ in range(REPEATS + 1):  # the first one compiles
+        begun = time.perf_counter()
+        solution = solve(effects, start, problem, STEPS, NEVER)
+        runs.append((time.perf_counter() - begun) / solution.steps)
+    if solution.steps != STEPS or solution.converged:
+        raise RuntimeError(f"{grid}, {azimuths} nodes, {precision}: ended after {solution.steps} of {STEPS} steps")
+    directions = sum(part.directions.log_base.size for part in problem.parts)
+    return {
+        "bins": samples.cos_i.size, "directions": directions, "before": before,
+        "seconds": float(np.median(runs[1:])),
+        "after": resident_peak(),
+    }  # fmt: skip
+
+
+def run(folder, out, every):
+    """Every size in both precisions, each in a process of its own; exponents among the notes."""
+    record = Record(
+        "growth", "Growth with the number of bins", f"{RECONSTRUCTIONS}: {MATERIAL}, body {BODY}",
+        [f"A solve of {STEPS} steps from a starting point that it cannot converge from, each size in a process of its "
+         "own. Bins: folded ones that the problem stands for; directions: those it evaluates. Peak memory before the "
+         "solve is that of reading the file and gathering azimuths. "
+         f"After compilation, median of {REPEATS}."],
+        folder=out,
+    )  # fmt: skip
+    path = file(folder, MATERIAL)
+    for precision in PRECISIONS:
+        for grid, azimuths in SIZES:
+            seen, peak = worker("growth", path, grid, azimuths, precision)
+            record.add({
+                "precision": precision, "grid": grid, "nodes of a row": azimuths, "bins": seen["bins"],
+                "directions": seen["directions"], "s a step": seen["seconds"],
+                "us a direction": 1e6 * seen["seconds"] / seen["directions"], "peak before GiB": seen["before"] / 1024,
+                "peak GiB": peak / 1024,
+            })  # fmt: skip
+    for precision in PRECISIONS:
+        directions, seconds = (record.column(name, precision=precision) for name in ("directions", "s a step"))
+        record.notes.append(
+            f"{precision}: a step's time grows as directions^{exponent(directions, seconds):.2f} over all sizes, "
+            f"^{exponent(directions[2:], seconds[2:]):.2f} from {directions[2]} on."
+        )
+    speed = np.divide(*(record.column("s a step", precision=p) for p in PRECISIONS))
+    record.notes.append(f"float64 takes {speed.min():.2g} to {speed.max():.2g} times as long as float32.")
+    record.finish()

@@ -1,0 +1,28 @@
+"""The materials of the benchmarks: neural reconstructions of MERL (Sztrajman et al. 2021), not measurements."""
+
+from pathlib import Path
+
+import numpy as np
+
+if __package__ == "bench":  # under pytest, which puts the folder of the tests on the path
+    import reconstructions
+else:
+    from .. import reconstructions
+
+BODIES = {
+    "none": ("chrome", "nickel", "aluminium", "brass", "gold-metallic-paint2", "tungsten-carbide"),
+    "plastic": ("gray-plastic", "blue-acrylic", "white-marble", "red-plastic", "alumina-oxide", "yellow-phenolic"),
+}
+TWELVE = {material: body for body, materials in BODIES.items() for material in materials}
+
+
+def file(folder, material):
+    """Its MERL file in the folder, made if it is not there."""
+    path = Path(folder) / f"{material}.binary"
+    return path if path.is_file() else reconstructions.make(folder, material)
+
+
+def every():
+    """Names of all 100 materials."""
+    with np.load(reconstructions.maker().NETWORKS) as networks:
+        return sorted({key.split("/")[0] for key in networks.files})

@@ -1,0 +1,76 @@
+"""Seconds and memory of processes, watched from outside: the largest resident set that Linux notes for each."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryFile
+
+MERLFIT = str(Path(sys.executable).with_name("merlfit"))
+ROOT = Path(__file__).parents[2]
+PERIOD = 0.02  # seconds between two looks: a peak within so much of a process's end may be missed
+
+
+@dataclass(frozen=True)
+class Watched:
+    """Processes that ran side by side.
+
+    Attributes:
+        seconds: from the start of the first to the end of the last. peaks_mib: largest resident set of each.
+        outputs: what each printed.
+    """
+
+    seconds: float
+    peaks_mib: list[float]
+    outputs: list[str]
+
+
+def watch(*commands, codes=(0,)):
+    """Run commands side by side.
+
+    Args:
+        codes: exit codes that are no failure.
+
+    Raises:
+        RuntimeError: a command failed; the message ends with what it said.
+    """
+    peaks = [0.0] * len(commands)
+    with ExitStack() as files:
+        said = [files.enter_context(TemporaryFile("w+")) for _ in commands]  # a pipe would fill
+        start = time.monotonic()
+        running = [subprocess.Popen(c, cwd=ROOT, stdout=file) for c, file in zip(commands, said, strict=True)]
+        while any(process.poll() is None for process in running):
+            peaks = [max(peak, resident_peak(process.pid)) for peak, process in zip(peaks, running, strict=True)]
+            time.sleep(PERIOD)
+        seconds = time.monotonic() - start
+        outputs = [read_back(file) for file in said]
+    for command, process, output in zip(commands, running, outputs, strict=True):
+        if process.returncode not in codes:
+            raise RuntimeError(f"{' '.join(command)}: exit code {process.returncode}: {output[-2000:]}")
+    return Watched(seconds, peaks, outputs)
+
+
+def read_back(file):
+    """All that was written to an open file."""
+    file.seek(0)
+    return file.read()
+
+
+def resident_peak(pid="self"):
+    """Largest resident set of a process so far (MiB); 0 of one that has ended."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
+    found = re.search(r"VmHWM:\s+(\d+) kB", status)
+    return int(found[1]) / 1024 if found else 0.0
+
+
+def worker(section, *arguments):
+    """``measure(*arguments)`` of a section in a process of its own: what it returns, and its peak (MiB)."""
+    done = watch([sys.executable, "-m", "tests.bench.worker", section, *map(str, arguments)])
+    return json.loads(done.outputs[0].splitlines()[-1]), done.peaks_mib[0]

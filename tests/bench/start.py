@@ -1,0 +1,34 @@
+"""Where the fine stage of a fit begins, the same for merlfit and for what it is compared with; merlfit's fine stage."""
+
+import time
+
+from merlfit.fitting.config import load
+from merlfit.fitting.levenberg_marquardt import solve
+from merlfit.fitting.problem import make_problem, weighted_samples
+from merlfit.fitting.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper, fit_coarse
+from merlfit.merl_io.binary import read
+from merlfit.merl_io.samples import thin
+
+REPEATS = 3
+# Where either side stops: relative decrease of cost (OFFSET_TOLERANCE squared), tolerance on z (rtol of `solve`).
+TOLERANCES = {"ftol": 1e-6, "xtol": 1e-5}
+
+
+def coarse_optimum(path, body):
+    """Config, effects, samples of all bins, and the coarse optimum from which `run.fit` goes on."""
+    config = load(body=body, posterior=False)
+    effects, samples = config.effects_of(body), weighted_samples(read(path))
+    coarse = thin(samples, COARSE)
+    found = fit_coarse(cheaper(effects, COARSE_ORDER), coarse, make_problem(coarse, COARSE_AZIMUTHS), config)
+    return config, effects, samples, found.z
+
+
+def fine_stage(config, effects, samples, start):
+    """Problem, solution and seconds of gathering and solving, repeatedly, without the first time."""
+    seconds = []
+    for _ in range(REPEATS + 1):
+        begun = time.perf_counter()
+        problem = make_problem(samples)
+        solution = solve(effects, start, problem, config.fit.max_steps)
+        seconds.append(time.perf_counter() - begun)
+    return problem, solution, seconds[1:]

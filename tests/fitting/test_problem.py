@@ -1,0 +1,61 @@
+"""The cost over gathered azimuths is that of all bins, for the model that is fitted."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.fitting import problem as problems
+from merlfit.fitting.problem import make_problem
+from merlfit.fitting.residuals import cost, predict
+from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.samples import fold, thin
+from merlfit.model.effects import Effects
+
+DRAWS = 24
+EFFECTS = Effects("none", "lobe", acquisition="free"), Effects("subsurface", "lobe", acquisition="free")
+
+
+def predictions(effects, samples, draws):
+    """Free coordinates within two standard deviations of the prior, and the model at every bin."""
+    rng = np.random.default_rng(11)
+    where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    for _ in range(draws):
+        z = jnp.asarray(rng.logistic(size=layout_of(effects).size).clip(-3.5, 3.5))
+        yield z, predict(effects, layout_of(effects).values(z), where)
+
+
+@pytest.fixture(scope="module")
+def every_bin():
+    """All azimuths of a fifth of the rows, weighted as Eq. 56 weighs bins of one brightness."""
+    grid = merl_grid()
+    weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
+    return thin(fold(grid, np.ones_like(weight), weight), (5, 5, 1))
+
+
+def distances(effects, every_bin, nodes):
+    """Weighted distance of the model from its interpolant, relative to the model, of each draw."""
+    found = []
+    for z, predicted in predictions(effects, every_bin, DRAWS):
+        samples = replace(every_bin, value=predicted)  # what the gathered model errs by is all its cost
+        found.append(np.sqrt(float(cost(effects, z, make_problem(samples, nodes)).sum())))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("effects", EFFECTS)
+def test_gathered_model_is_the_model(effects, every_bin):
+    errors = {nodes: distances(effects, every_bin, nodes) for nodes in (4, 8)}
+    assert np.median(errors[8]) < 3e-5
+    assert errors[8].max() < 2e-3
+    assert np.median(errors[4]) > 5 * np.median(errors[8])
+
+
+def test_float32_evaluates_the_same_cost(every_bin):
+    effects = EFFECTS[0]
+    for z, predicted in list(predictions(effects, every_bin, 4)):
+        rng = np.random.default_rng(0)
+        samples = replace(every_bin, value=predicted * rng.uniform(0.8, 1.2, predicted.shape))
+        double, single = (float(cost(effects, z, make_problem(samples, 8, p)).sum()) for p in ("float64", "float32"))
+        assert single != double
+        assert single == pytest.approx(double, rel=1e-4)
