@@ -71,6 +71,16 @@ def reference_problem(samples: Samples) -> Problem:
     return make_problem(samples, REFERENCE.azimuths, REFERENCE.precision)
 
 
+def carry_on(model: Model, settings: Config, samples: Samples) -> tuple[Effects, Solution]:
+    """The last steps once more from where a fit is.
+
+    Even with the same settings it gains: what pulls free coordinates towards 0 is relative to the cost at the start.
+    """
+    effects = settings.effects_of(model[0].body)
+    problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
+    return effects, solve(effects, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)
+
+
 @dataclass(frozen=True)
 class Aim:
     """A request, the point of the frontier that was chosen for it, and the settings that it is applied to.
@@ -102,13 +112,13 @@ class Aim:
 
     @property
     def finer(self) -> list[Choice]:
-        """Where to go on to, one after the other: other starts are no difference any more."""
+        """Where to go on to, one after the other, with no other start; the last of them, the reference's, twice."""
         further: list[Choice] = []
         for choice in POINTS[POINTS.index(self.point.choice) + 1 :]:
             step = self.point.choice.continued(choice)
             if step.settings(self.config) not in [q.settings(self.config) for q in (self.point.choice, *further)]:
                 further.append(step)
-        return further
+        return [*further, self.point.choice.continued(REFERENCE)]
 
     def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, export.Accuracy]:
         """The error that a fit is estimated to have, and the fit carried on until it is what was asked for."""
@@ -119,10 +129,7 @@ class Aim:
         for choice in self.finer:
             if wanted is None or not error > wanted:
                 break
-            settings = choice.settings(self.config)
-            effects = settings.effects_of(effects.body)
-            whole = make_problem(thin(samples, GRIDS[choice.grid]), choice.azimuths, choice.precision)
-            solution = solve(effects, solution.z, whole, settings.fit.max_steps, backend=settings.fit.backend)
+            effects, solution = carry_on((effects, solution.z), choice.settings(self.config), samples)
             error = self._promised(effects, solution, problem)
             tried.append(export.Tried(settings=choice, estimated=export.finite(error)))
         if solution is not fitted.solution:

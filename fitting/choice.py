@@ -63,6 +63,7 @@ POINTS = (
 Not among them: the tier `scaled`, which saves no time where the quadrature's tables are made once for all blocks, errs
 like `lobe`, and takes minutes to compile for all bodies."""
 REFERENCE = POINTS[-1]
+"""The finest; as the reference of a calibration its last steps are taken twice (`accuracy.carry_on`)."""
 
 
 def default_choice() -> Choice:
