@@ -51,19 +51,30 @@ COMPILATION = "/jax/core/compile/backend_compile_duration"
 ATTEMPTS = 3  # at a fit during which nothing is compiled
 
 
-def drawn(seed: int) -> tuple[np.ndarray, Effects]:
-    """A random material as MERL's apparatus would have stored it, (3, 90, 90, 180), 1/sr, and its effects."""
-    rng = np.random.default_rng([20261122, seed])
-    effects, grid = Effects(BODIES[seed % len(BODIES)], acquisition="free"), merl_grid()
-    half = len(grid.phi_d) // 2
+def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[Effects, dict[str, jax.Array]]:
+    """Effects and parameters of a random material."""
+    rng = rng or _generator(seed)
+    effects = Effects(BODIES[seed % len(BODIES)], acquisition="free")
     values = {}
     for q in layout_of(effects).parameters:
         low, high = PLAUSIBLE[q.name]
         values[q.name] = jnp.asarray(low * (high / low) ** rng.uniform(size=3 if q.per_channel else ()))
+    return effects, values
+
+
+def drawn(seed: int) -> np.ndarray:
+    """A random material as MERL's apparatus would have stored it, (3, 90, 90, 180), 1/sr."""
+    rng, grid = _generator(seed), merl_grid()
+    effects, values = truth(seed, rng)
+    half = len(grid.phi_d) // 2
     where = directions(grid.theta_h, grid.theta_d, grid.cos_i[..., :half], grid.cos_o[..., :half])
     folded = predict(effects, values, where)
     brdf = np.concatenate([folded, folded[..., ::-1]], -1)
-    return np.where(grid.above, brdf * np.exp(NOISE * rng.normal(size=brdf.shape)), np.nan), effects
+    return np.where(grid.above, brdf * np.exp(NOISE * rng.normal(size=brdf.shape)), np.nan)
+
+
+def _generator(seed: int) -> np.random.Generator:
+    return np.random.default_rng([20261122, seed])
 
 
 def names() -> list[str]:
@@ -77,7 +88,7 @@ def make(name: str, folder: Path) -> Path:
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         seed = name.removeprefix("drawn-")
-        values = drawn(int(seed))[0] if seed != name else from_published(*name.split("."))[0]
+        values = drawn(int(seed)) if seed != name else from_published(*name.split("."))[0]
         write(path, values)
     return path
 

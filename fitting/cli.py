@@ -1,5 +1,6 @@
 """The command line: parses, calls, prints."""
 
+import os
 import tempfile
 import time
 from collections import Counter
@@ -34,6 +35,7 @@ Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_defa
 
 def main() -> None:
     """Entry point of the ``merlfit`` command."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # all cores have threads of ours, which its own would hinder
     app()
 
 

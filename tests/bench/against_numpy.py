@@ -98,7 +98,7 @@ def growth(seen):
 
 NOTES = [
     "NumPy: `tests/bench/plain_numpy.py`, one core, `least_squares(jac='2-point', x_scale='jac', ftol=1e-6, "
-    f"xtol=1e-5)`, no more steps than merlfit takes. merlfit: both cores, after compilation, median of {REPEATS}.",
+    f"xtol=1e-5)`, no more steps than `fit.max_steps`. merlfit: both cores, after compilation, median of {REPEATS}.",
     "**Scaled, not measured: NumPy's solve on all bins.** It is one call of the model on all bins (measured, median of "
     f"{REPEATS}) times the calls that the solve on the largest subset of rows took; how a call's time grows is shown.",
     "Fine stage: all bins from merlfit's coarse optimum, on both sides. Whole fit: merlfit from file to JSON; NumPy "
@@ -111,8 +111,9 @@ def run(folder, out, every):
     """Two conductors, or all six."""
     record = Record(
         "against_numpy", "Fits against plain NumPy with finite differences", f"{RECONSTRUCTIONS}: conductors", NOTES,
-        {"fine": Target("fine stage faster than scipy on plain NumPy (scaled), smallest ratio", 100, "times", True),
-         "whole": Target("whole fit faster than scipy on plain NumPy (scaled), smallest ratio", 100, "times", True)},
+        {"fine": Target("fine stage faster than scipy on plain NumPy (scaled), median", 100, "times", True),
+         "whole": Target("whole fit faster than scipy on plain NumPy (scaled), median", 100, "times", True),
+         "least": Target("the same, smallest ratio", 100, "times", True)},
         folder=out,
     )  # fmt: skip
     for material in BODIES["none"] if every else TWO:
@@ -131,6 +132,7 @@ def run(folder, out, every):
             },
             seen,
         )  # fmt: skip
-        record.set("fine", min(record.column("ratio fine")))
-        record.set("whole", min(record.column("ratio whole")))
+        record.set("fine", np.median(record.column("ratio fine")))
+        record.set("whole", np.median(record.column("ratio whole")))
+        record.set("least", min(record.column("ratio whole")))
     record.finish()

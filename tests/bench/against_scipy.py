@@ -8,7 +8,7 @@ import numpy as np
 from merlfit.fitting.levenberg_marquardt import PULL
 from merlfit.fitting.problem import directions, energy, shares
 from merlfit.fitting.residuals import _predict, normal_equations
-from merlfit.fitting.threads import side_by_side
+from merlfit.fitting.threads import CORES, side_by_side
 from merlfit.fitting.transforms import layout_of
 from scipy.optimize import least_squares
 
@@ -86,7 +86,7 @@ def measure(path, body):
 
 NOTES = [
     "Both start at the coarse optimum and minimise the same cost with the same pull towards 0, in float64, on both "
-    f"cores, after compilation. merlfit: azimuths gathered, then solved (median of {REPEATS}). scipy: "
+    f"cores, those of BLAS included, after compilation. merlfit: azimuths gathered, then solved (median of {REPEATS}). scipy: "
     "`least_squares(method='trf', x_scale='jac', ftol=1e-6, xtol=1e-5)` with the JAX residuals of all bins that hold "
     f"light and their dense Jacobian (`jacfwd`), no gathering, one run. Near: when scipy had come within {NEAR:.1%} of "
     "the lowest cost it found.",
@@ -98,12 +98,13 @@ def run(folder, out, every):
     """Four materials, or all twelve."""
     record = Record(
         "against_scipy", "The fine stage against scipy's least_squares", RECONSTRUCTIONS, NOTES,
-        {"ratio": Target("faster than scipy least_squares with the same model, smallest ratio", 10, "times", True),
+        {"ratio": Target("faster than scipy least_squares with the same model, median", 10, "times", True),
+         "least": Target("the same, smallest ratio", 10, "times", True),
          "cost": Target("cost above scipy's, largest", 0.1, "%")},
         folder=out,
     )  # fmt: skip
     for material in TWELVE if every else FOUR:
-        seen, peak = worker("against_scipy", file(folder, material), TWELVE[material])
+        seen, peak = worker("against_scipy", file(folder, material), TWELVE[material], blas=CORES)
         ours, cost, theirs = seen["ours"], seen["cost"], seen["scipy_cost"]
         record.add(
             {
@@ -115,6 +116,7 @@ def run(folder, out, every):
             },
             seen,
         )  # fmt: skip
-        record.set("ratio", min(record.column("ratio")))
+        record.set("ratio", np.median(record.column("ratio")))
+        record.set("least", min(record.column("ratio")))
         record.set("cost", max(record.column("difference %")))
     record.finish()

@@ -13,7 +13,7 @@ FILES = 100
 
 
 def fit_all(shares):
-    """One `merlfit fit` process a share of files, side by side: seconds, peaks and how many fits succeeded."""
+    """One `merlfit fit` process a share of files, side by side: seconds and peaks."""
     with tempfile.TemporaryDirectory() as scratch:
         done = watch(
             *([MERLFIT, "fit", *map(str, share), "-o", str(Path(scratch) / str(k)), "--no-posterior"]

@@ -1,6 +1,7 @@
 """Seconds and memory of processes, watched from outside: the largest resident set that Linux notes for each."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -29,20 +30,23 @@ class Watched:
     outputs: list[str]
 
 
-def watch(*commands, codes=(0,)):
+def watch(*commands, codes=(0,), blas=1):
     """Run commands side by side.
 
     Args:
-        codes: exit codes that are no failure.
+        codes: exit codes that are no failure. blas: threads of BLAS; 1 as the command `merlfit` sets it for itself.
 
     Raises:
         RuntimeError: a command failed; the message ends with what it said.
     """
     peaks = [0.0] * len(commands)
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": str(blas)}
     with ExitStack() as files:
         said = [files.enter_context(TemporaryFile("w+")) for _ in commands]  # a pipe would fill
         start = time.monotonic()
-        running = [subprocess.Popen(c, cwd=ROOT, stdout=file) for c, file in zip(commands, said, strict=True)]
+        running = [
+            subprocess.Popen(c, cwd=ROOT, stdout=file, env=environment) for c, file in zip(commands, said, strict=True)
+        ]
         while any(process.poll() is None for process in running):
             peaks = [max(peak, resident_peak(process.pid)) for peak, process in zip(peaks, running, strict=True)]
             time.sleep(PERIOD)
@@ -70,7 +74,7 @@ def resident_peak(pid="self"):
     return int(found[1]) / 1024 if found else 0.0
 
 
-def worker(section, *arguments):
+def worker(section, *arguments, blas=1):
     """``measure(*arguments)`` of a section in a process of its own: what it returns, and its peak (MiB)."""
-    done = watch([sys.executable, "-m", "tests.bench.worker", section, *map(str, arguments)])
+    done = watch([sys.executable, "-m", "tests.bench.worker", section, *map(str, arguments)], blas=blas)
     return json.loads(done.outputs[0].splitlines()[-1]), done.peaks_mib[0]

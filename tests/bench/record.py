@@ -60,7 +60,8 @@ class Target:
         """Cells of a table: what, value, target, whether it is met."""
         value = "-" if self.value is None else f"{self.value:.3g} {self.unit}"
         sign = ">=" if self.at_least else "<="
-        return f"| {self.what} | {value} | {sign} {self.limit:g} {self.unit} | {'yes' if self.met else '**no**'} |"
+        met = "not run" if self.value is None else "yes" if self.met else "**no**"
+        return f"| {self.what} | {value} | {sign} {self.limit:g} {self.unit} | {met} |"
 
 
 @dataclass
