@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test bench bench-gpu hard-cases tables lint types install schema clean
+.PHONY: demo test test-slow bench bench-gpu cost hard-cases tables lint types install schema clean
 
 install: $(READY)
 
@@ -20,14 +20,23 @@ schema: install
 	$(BIN)/python -m merlfit.fitting.export
 
 test: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
-# 40 minutes on two cores; results/bench/. `python -m tests.bench --all` takes all materials; one section: its name.
+# What takes minutes; .ci/run does both.
+test-slow: install
+	$(BIN)/python -m pytest -m slow
+
+# An hour on two cores; results/bench/. `python -m tests.bench SECTION` for one; `--few` for fewer materials and files.
 bench: install
 	$(BIN)/python -m tests.bench
 
 bench-gpu: install
 	$(BIN)/python -m tests.bench gpu
+
+# Half an hour; what it measures is committed and shipped.
+cost: install
+	$(BIN)/merlfit cost -o results/bench/cost
+	cp results/bench/cost/frontier.json fitting/frontier.json
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases

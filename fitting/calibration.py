@@ -4,14 +4,14 @@ Half are drawn: the two-scale model itself with random parameters of plausible m
 log-normal noise of 3 %. The others are published parameters of other models, which no fit can meet.
 """
 
-import os
 import resource
 import sys
 import tempfile
-from dataclasses import dataclass, field
+import time
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,7 +48,7 @@ WHAT = (
     f"{NOISE:.0%} noise, {len(PUBLISHED)} of published parameters of other models)"
 )
 COMPILATION = "/jax/core/compile/backend_compile_duration"
-ATTEMPTS = 3  # at a fit during which nothing is compiled
+ATTEMPTS = 3  # fits that may compile something
 
 
 def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[Effects, dict[str, jax.Array]]:
@@ -93,45 +93,57 @@ def make(name: str, folder: Path) -> Path:
     return path
 
 
+class _Seen(NamedTuple):
+    """A fit as it ended, with the estimate of its error and its seconds, and where carrying on takes it."""
+
+    fitted: Fitted
+    problem: Problem
+    estimate: float
+    seconds: float
+    further: Fitted | None
+
+
 @dataclass
 class _Probe:
-    """Looks at a fit when it ends, and estimates its error as a user's fit would; the reference's is carried on."""
+    """Looks at a fit when it ends, and estimates its error as a user's fit would; carries the reference's on."""
 
     choice: Choice
     config: Config
-    seen: list[tuple[Fitted, Problem, float]] = field(default_factory=list)
+    seen: _Seen | None = None
 
     def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, None]:
+        start = time.perf_counter()
         problem = reference_problem(samples)
+        error = estimate((fitted.effects, fitted.solution.z), problem, self.config)
+        seconds, further = time.perf_counter() - start, None
         if self.choice == REFERENCE:
             found = carry_on((fitted.effects, fitted.solution.z), self.choice.settings(self.config), samples)
-            fitted = judge(*found, measurement, samples)
-        error = estimate((fitted.effects, fitted.solution.z), problem, self.config)
-        self.seen.append((fitted, problem, error))
+            further = judge(*found, measurement, samples)
+        self.seen = _Seen(fitted, problem, error, seconds, further)
         return fitted, None
 
 
 def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[str, Any]:
     """One point on one material; the reference fit leaves its outcome in the folder ``references``."""
-    seconds, probe = _timed(choice, path, repeats)
-    if not probe.seen:
-        raise ValueError(f"{path}: has too little light to be fitted; see `merlfit check`")
-    fitted, problem, estimated = probe.seen[-1]
-    kept = references / f"{path.stem}.npz"
-    if choice == REFERENCE:
+    config = load(posterior=False)
+    seconds, seen = _timed(choice, config, path, repeats)
+    fitted, kept = seen.fitted, references / f"{path.stem}.npz"
+    if seen.further is not None:
         references.mkdir(parents=True, exist_ok=True)
-        free = [bound == "no" for bound in fitted.at_bound]
-        np.savez(kept, z=fitted.solution.z, deviation=fitted.deviation, free=free, body=fitted.effects.body)
+        free = [bound == "no" for bound in seen.further.at_bound]
+        np.savez(
+            kept, z=seen.further.solution.z, deviation=seen.further.deviation, free=free, body=seen.further.effects.body
+        )
     with np.load(kept, allow_pickle=False) as reference:
         best = {key: reference[key] for key in reference}
     body = str(best["body"])
-    target = REFERENCE.settings(probe.config).effects_of(body), best["z"]  # type: ignore[arg-type]
+    target = REFERENCE.settings(config).effects_of(body), best["z"]  # type: ignore[arg-type]
     same = body == fitted.effects.body
     away = np.abs(fitted.solution.z - best["z"]) / best["deviation"] if same else np.array([])
     return {
         "body": fitted.effects.body, "status": fitted.status.name, "cost": fitted.solution.cost,
-        "rmse": fitted.errors.rmse, "estimate": estimated, "seconds": seconds, "other_body": not same,
-        "achieved": distance((fitted.effects, fitted.solution.z), target, problem),
+        "rmse": fitted.errors.rmse, "error": distance((fitted.effects, fitted.solution.z), target, seen.problem),
+        "estimate": seen.estimate, "seconds": seconds, "estimate_seconds": seen.seconds, "other_body": not same,
         "parameters": float(np.max(away[best["free"]], initial=0.0)) if same else None,
         "megabytes": _peak_megabytes(),
     }  # fmt: skip
@@ -150,28 +162,22 @@ def _compilations() -> list[float]:
     return seconds
 
 
-def _timed(choice: Choice, path: Path, repeats: int) -> tuple[float, _Probe]:
-    """Median seconds of fits during which nothing was compiled."""
-    config, compiled = load(posterior=False), _compilations()
-    probe, clean, others = _Probe(choice, config), [], []
+def _timed(choice: Choice, config: Config, path: Path, repeats: int) -> tuple[float, _Seen]:
+    """Median seconds of fits during which nothing was compiled, without what the probe takes; the last fit."""
+    compiled, probe, clean = _compilations(), _Probe(choice, config), []
     with tempfile.TemporaryDirectory() as out:
-        while len(clean) < repeats and len(others) < ATTEMPTS:
+        for _ in range(repeats + ATTEMPTS):
             compiled.clear()
-            result = fit_file(path, Path(out), choice.settings(config), finish=probe.finish)
-            (others if compiled else clean).append(result.seconds["total"])
-    return float(np.median(clean or others[-1:])), probe
+            spent = fit_file(path, Path(out), choice.settings(config), finish=probe.finish).seconds
+            if probe.seen is None:
+                raise ValueError(f"{path}: has too little light to be fitted; see `merlfit check`")
+            clean += [] if compiled else [spent["total"] - spent["accuracy"]]
+            if len(clean) == repeats:
+                return float(np.median(clean)), probe.seen
+    raise RuntimeError(f"{path}: after {ATTEMPTS} fits programs are still being compiled")
 
 
 def _peak_megabytes() -> float:
     """Largest memory that this process has held."""
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
-
-
-def machine() -> str:
-    """What is known of this machine."""
-    model = ""
-    if Path("/proc/cpuinfo").is_file():
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), "")
-    return f"{os.cpu_count()} cores{', ' + model if model else ''}"

@@ -4,6 +4,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from ..model.effects import Diffraction
 from .config import Config
 from .problem import Precision
 
@@ -13,7 +14,7 @@ class Choice(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    diffraction: Literal["lobe", "quadrature"]
+    diffraction: Diffraction
     order: int
     grid: Literal["fine", "medium", "coarse"]
     azimuths: int
@@ -29,13 +30,37 @@ class Choice(BaseModel):
         """The configuration with these settings; a tier of diffraction other than quadrature stays as it was asked."""
         ours = self.model_dump()
         keys = ("diffraction", "order") if config.effects.diffraction == "quadrature" else ()
-        last = {key: ours[key] for key in ("grid", "azimuths", "precision", "starts")}
+        last = {key: ours[key] for key in FITTED}
         effects = config.effects.model_copy(update={key: ours[key] for key in keys})
         return config.model_copy(update={"effects": effects, "fit": config.fit.model_copy(update=last)})
 
     def continued(self, choice: "Choice") -> "Choice":
         """A finer choice as it is reached from here: its last steps, but no other start."""
         return choice.model_copy(update={"starts": self.starts})
+
+    def applied(self, config: Config) -> "Choice":
+        """What it comes to in a configuration that may have asked for another tier."""
+        return choice_of(self.settings(config))
+
+    def refines(self, other: "Choice") -> bool:
+        """Whether it is coarser in nothing, starts apart."""
+        mine, theirs = (
+            [*(known.index(getattr(q, key)) for key, known in FINENESS.items()), q.order, q.azimuths]
+            for q in (self, other)
+        )
+        return all(a >= b for a, b in zip(mine, theirs, strict=True))
+
+
+FINENESS = {
+    "diffraction": ("lobe", "quadrature"), "grid": ("coarse", "medium", "fine"), "precision": ("float32", "float64"),
+}  # fmt: skip
+FITTED = {"grid", "azimuths", "precision", "starts"}  # those of [fit]
+
+
+def choice_of(config: Config) -> Choice:
+    """What a configuration has chosen."""
+    effects = config.effects
+    return Choice(diffraction=effects.diffraction, order=effects.order, **config.fit.model_dump(include=FITTED))
 
 
 def _choice(tier: str, grid: str, azimuths: int, precision: str, starts: int) -> Choice:
@@ -47,11 +72,11 @@ def _choice(tier: str, grid: str, azimuths: int, precision: str, starts: int) ->
 POINTS = (
     _choice("lobe", "coarse", 4, "float32", 1),
     _choice("quadrature 16", "coarse", 4, "float32", 1),
-    _choice("quadrature 16", "coarse", 4, "float64", 4),
+    _choice("quadrature 16", "coarse", 4, "float64", 8),
     _choice("quadrature 16", "medium", 8, "float32", 1),
     _choice("quadrature 16", "medium", 8, "float64", 4),
+    _choice("quadrature 16", "medium", 8, "float64", 8),
     _choice("quadrature 16", "fine", 8, "float32", 1),
-    _choice("quadrature 32", "medium", 8, "float64", 4),
     _choice("quadrature 32", "fine", 8, "float32", 4),
     _choice("quadrature 32", "fine", 8, "float64", 1),
     _choice("quadrature 32", "fine", 8, "float64", 4),
@@ -60,16 +85,14 @@ POINTS = (
 )
 """Worth having, coarsest last steps first.
 
-Not among them: the tier `scaled`, which saves no time where the quadrature's tables are made once for all blocks, errs
-like `lobe`, and takes minutes to compile for all bodies."""
+Not among them: `scaled`, whose bins cost what those of `lobe` cost and err alike, and `zonal`, which is the dearest
+and the least accurate (``docs/cost.md`` has both, evaluated). What a fit's coarse stage takes, starts apart, is no
+choice: it costs half a second (``run.COARSE``)."""
 REFERENCE = POINTS[-1]
-"""The finest; as the reference of a calibration its last steps are taken twice (`accuracy.carry_on`)."""
+"""The finest; the reference of a calibration is where it comes to if its last steps are taken once more
+(`accuracy.carry_on`)."""
 
 
 def default_choice() -> Choice:
     """What a fit takes that was asked for neither accuracy nor time."""
-    config = Config()
-    return Choice(
-        diffraction="quadrature", order=config.effects.order,
-        **config.fit.model_dump(include={"grid", "azimuths", "precision", "starts"}),
-    )  # fmt: skip
+    return choice_of(Config())

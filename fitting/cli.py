@@ -290,11 +290,12 @@ def cost(
 ) -> None:
     """Measure on this machine what accuracy costs, evaluated and fitted; `merlfit fit --accuracy, --time` go by it.
 
-    Takes a quarter of an hour; if interrupted, the same command goes on from there.
+    Takes half an hour; if interrupted, the same command goes on from there. Of a FILE it is the calibration of one
+    material: it is written, and no fit goes by it.
     """
-    from ..merl_io.binary import MerlError, read
+    from ..merl_io.binary import MerlError
     from .compilation import cache_folder
-    from .cost import CostError, measure
+    from .cost import CostError, measure, tidy
     from .cost_plot import frontier_figure
     from .cost_report import gains, tables, write_markdown
     from .frontier import keep
@@ -302,22 +303,24 @@ def cost(
 
     _writable_folder(out)
     try:
-        if file is not None:
-            read(file)
         with _progress() as progress:
             frontier = measure(file, out, repeats, _reporter(progress, progress.add_task("cost"), "cost"))
+        kept = [keep(frontier, folder) for folder in (out, *([] if file else [cache_folder()]))]
+        write_markdown(frontier, out / "cost.md")
+        save(frontier_figure(frontier), out / "cost.png")
+        tidy(out)
     except MerlError as error:
         raise _fail(str(error)) from None
+    except OSError as error:
+        raise _fail(f"{error}; what was measured is kept, the same command goes on from there") from None
     except CostError as error:
         _fail(str(error))
         raise typer.Exit(FAILED_FIT) from None
-    kept = [keep(frontier, folder) for folder in (out, cache_folder())]
-    write_markdown(frontier, out / "cost.md")
-    save(frontier_figure(frontier), out / "cost.png")
     for table in tables(frontier):
         console.print(table)
     console.print(gains(frontier), markup=False, soft_wrap=True)
-    console.print(f"wrote {kept[0]}, cost.md and cost.png beside it; kept for fits in {kept[1]}", soft_wrap=True)
+    used = "" if file else f"; fits go by {kept[1]}"
+    console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}", markup=False, soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")

@@ -1,7 +1,7 @@
 """``merlfit cost``: errors and times of tiers and fits on this machine, section by section.
 
 Every section is measured by a process of its own, so that its memory and what it compiles are its own. What is measured
-is written at once (``rows.json`` in the folder for work), and a run that was interrupted goes on from there.
+is written at once (a hidden folder beside the results), and a run that was interrupted goes on from there.
 """
 
 import json
@@ -14,15 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from ..merl_io.atomic import write_atomically
+from ..merl_io.binary import Measurement, read
 from . import calibration, tiers
-from .choice import POINTS, REFERENCE
+from .choice import POINTS, REFERENCE, Choice
 from .compilation import use_persistent_cache
 from .export import versions
 from .frontier import Frontier, Point, Spread, Tier
+from .levenberg_marquardt import Status
+from .threads import machine
 
 Rows = dict[str, dict[str, Any]]  # by section, then by what was measured
 Report = Callable[[str], None]
-ERRORS, TIMES = "errors of tiers", "times of tiers"
+FILES, ERRORS, TIMES = "materials", "errors of tiers", "times of tiers"
+WORK, ROWS, MADE_OF = ".merlfit-cost", "rows.json", "made of"
 
 
 class CostError(RuntimeError):
@@ -30,16 +34,20 @@ class CostError(RuntimeError):
 
 
 def measure(file: Path | None, out: Path, repeats: int, report: Report) -> Frontier:
-    """Everything, on the calibration materials or on one MERL file; what is already in ``out`` is kept.
+    """Everything, on the calibration materials or on one MERL file; what was already measured is kept.
 
     Raises:
+        merlfit.merl_io.binary.MerlError: the file cannot be used.
         CostError: a section failed; what was measured before it stays.
     """
-    work = out / "work"
+    work = out / WORK
     work.mkdir(parents=True, exist_ok=True)
-    materials = [file.stem] if file else calibration.names()
-    rows = _kept(work, {"file": file and str(file.resolve()), "repeats": repeats, "versions": versions()})
-    sections = [*(str(choice) for choice in (REFERENCE, *POINTS[:-1])), ERRORS, TIMES]
+    known = read(file) if file else None
+    materials = [known.name] if known else calibration.names()
+    made_of = {"file": known and known.sha1, "repeats": repeats, "machine": machine(), "versions": versions()}
+    rows = _kept(work, made_of)
+    fits = [str(choice) for choice in (REFERENCE, *POINTS[:-1])]
+    sections = [*([] if file else [FILES]), *fits, ERRORS, TIMES]
     for number, section in enumerate(sections, 1):
         wanted = _wanted(section, materials)
         missing = [name for name in wanted if name not in rows.setdefault(section, {})]
@@ -49,11 +57,20 @@ def measure(file: Path | None, out: Path, repeats: int, report: Report) -> Front
         report(label)
         for done, row in enumerate(_worker(work, section, missing, file, repeats), len(wanted) - len(missing) + 1):
             rows[section].update(row)
-            _write(work / "rows.json", rows)
+            _write(work / ROWS, rows)
             report(f"{label}: {done} of {len(wanted)}")
-    frontier = assemble(rows, materials, calibration.WHAT if file is None else f"of {file.name} alone")
-    shutil.rmtree(work)
-    return frontier
+    return assemble(rows, materials, _data(known) if known else calibration.WHAT)
+
+
+def tidy(out: Path) -> None:
+    """When all that follows from the rows is written: they are kept, what they were made from is not."""
+    (out / WORK / ROWS).replace(out / ROWS)
+    shutil.rmtree(out / WORK)
+
+
+def _data(file: Measurement) -> str:
+    """What a file is."""
+    return f"{file.path.name} alone, " + ("a genuine MERL file" if file.genuine else "not a genuine MERL file")
 
 
 def _wanted(section: str, materials: list[str]) -> list[str]:
@@ -64,13 +81,13 @@ def _wanted(section: str, materials: list[str]) -> list[str]:
 def _kept(work: Path, made_of: dict[str, Any]) -> Rows:
     """Rows of an interrupted run of the same kind; of another kind nothing is kept."""
     try:
-        rows = json.loads((work / "rows.json").read_text())
+        rows = json.loads((work / ROWS).read_text())
     except (OSError, ValueError):
         rows = {}
-    if rows.get("made of") != made_of:
+    if rows.get(MADE_OF) != made_of:
         shutil.rmtree(work)
         work.mkdir()
-        rows = {"made of": made_of}
+        rows = {MADE_OF: made_of}
     return rows
 
 
@@ -101,7 +118,9 @@ def work_on(work: Path, section: str, names: list[str], file: Path | None, repea
     use_persistent_cache()
     files, references = work / "materials", work / "references"
     for name in names:
-        if section == ERRORS:
+        if section == FILES:
+            yield {name: {"file": str(calibration.make(name, files))}}
+        elif section == ERRORS:
             yield {name: tiers.errors()}
         elif section == TIMES:
             yield {name: tiers.times(name, file or calibration.make(calibration.names()[0], files))}
@@ -114,25 +133,25 @@ def assemble(rows: Rows, materials: list[str], data: str) -> Frontier:
     """The calibration of all rows."""
     errors = rows[ERRORS]["all"]
     return Frontier(
-        data=data, directions=tiers.WHAT, materials=materials, machine=calibration.machine(),
-        taken=date.today().isoformat(), versions=versions(),
+        data=data, directions=tiers.WHAT, materials=materials, machine=machine(), taken=date.today().isoformat(),
+        versions=versions(),
         tiers=[Tier(name=name, error=errors.get(name), **rows[TIMES][name]) for name in tiers.TIERS],
         points=[_point(choice, [rows[str(choice)][name] for name in materials]) for choice in POINTS],
     )  # fmt: skip
 
 
-def _point(choice: Any, rows: list[dict[str, Any]]) -> Point:  # noqa: ANN401
+def _point(choice: Choice, rows: list[dict[str, Any]]) -> Point:
     """One point of all its rows."""
     column = {key: [row[key] for row in rows] for key in rows[0]}
-    pairs = list(zip(column["achieved"], column["estimate"], strict=True))
+    pairs = list(zip(column["error"], column["estimate"], strict=True))
     away = [x for x in column["parameters"] if x is not None]
+    spreads = {key: Spread.of(column[key]) for key in ("error", "rmse", "seconds", "estimate_seconds")}
     return Point(
-        choice=choice, error=Spread.of([max(pair) for pair in pairs]), achieved=Spread.of(column["achieved"]),
-        estimate=Spread.of(column["estimate"]),
-        astray=Spread.of([achieved if achieved > estimated else 0.0 for achieved, estimated in pairs]).p95,
-        other_body=sum(column["other_body"]) / len(rows), rmse=Spread.of(column["rmse"]),
-        parameters=Spread.of(away) if away else None, seconds=Spread.of(column["seconds"]),
-        megabytes=max(column["megabytes"]),
+        choice=choice, promised=Spread.of([max(pair) for pair in pairs]),
+        astray=Spread.of([error if error > estimated else 0.0 for error, estimated in pairs]).p95,
+        failed=sum(not Status[name].succeeded for name in column["status"]) / len(rows),
+        other_body=sum(column["other_body"]) / len(rows), parameters=Spread.of(away) if away else None,
+        megabytes=max(column["megabytes"]), **spreads,
     )  # fmt: skip
 
 

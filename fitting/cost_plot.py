@@ -36,9 +36,8 @@ def frontier_figure(frontier: Frontier) -> Figure:
 
 def _tiers(axis: Axes, frontier: Frontier) -> None:
     """Median and 95th percentile of a tier's error against its time, once for every way of evaluating it."""
-    rated = [t for t in frontier.tiers if t.error is not None]
     for key, (said, marker, colour) in KINDS.items():
-        shown = [(float(getattr(t, key)), t.error, t.name) for t in rated if t.error is not None]
+        shown = [(float(getattr(t, key)), t.error, t.name) for t in frontier.tiers if t.error is not None]
         times, medians = [time for time, _, _ in shown], [error.median for _, error, _ in shown]
         for time, error, name in shown:
             axis.plot([time, time], [error.median, error.p95], "-", color=colour, **FAINT)
@@ -89,7 +88,7 @@ def _fits(axis: Axes, frontier: Frontier) -> None:
     )
     axis.set(
         xlabel="seconds a file, once compiled: median (marked) to 95 %",
-        ylabel="distance from the reference fit, relative: 95 % (marked) and median",
+        ylabel="distance from the reference fit, relative: median to 95 % (marked)",
         title="Fits (star: the default)",
     )  # fmt: skip
     axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, handlelength=1)

@@ -135,17 +135,21 @@ class Tried(_Part):
 class Accuracy(_Part):
     """What ``--accuracy`` or ``--time`` asked for, what was chosen, and what came of it.
 
+    ``config`` is what the fit began with; it was taken on through the settings ``tried`` and is that of ``settings``.
+
     Errors are distances from the prediction of the reference fit, over all bins, relative to the measurement, with the
-    weights of Eq. 56. ``expected`` and ``expected_seconds`` are those of the first settings: what 95 % of the
-    calibration's fits keep to. ``estimated`` is where the last settings ended; ``met`` is null for a time.
+    weights of Eq. 56. ``expected`` and ``expected_seconds`` are those of the first settings, what 95 % of the
+    calibration's fits keep to; null with effects or limits of steps that are not those calibrated. ``estimated`` is the
+    error at ``settings``; ``met`` is null for a time.
     """
 
     asked: float | None
     asked_seconds: float | None
     calibration: str
-    expected: float
-    expected_seconds: float
+    expected: float | None
+    expected_seconds: float | None
     tried: list[Tried]
+    settings: Choice
     estimated: float | None
     met: bool | None
 

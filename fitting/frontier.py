@@ -5,9 +5,10 @@ measurement m and with the weights of Eq. 56:
 
     error = sqrt(sum w (f - f_ref)^2 / sum w m^2).
 
-The reference is the last of `POINTS`. Errors and seconds of all points are measured on calibration materials
-(``merlfit cost``, :mod:`merlfit.fitting.cost`); the package ships one such calibration for machines that have none.
-Seconds are those of one file with nothing left to compile and without a posterior.
+The reference is the last of `POINTS` with its last steps taken once more. Errors and seconds of all points are measured
+on calibration materials (``merlfit cost``, :mod:`merlfit.fitting.cost`); the package ships one such calibration for
+machines that have none.
+Seconds are those of one file with nothing left to compile, from reading to the metrics, without a posterior.
 """
 
 from collections.abc import Sequence
@@ -21,12 +22,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ..merl_io.atomic import write_atomically
 from .choice import POINTS, Choice
 from .compilation import cache_folder
+from .export import versions
+from .threads import machine
 
 FILE = "frontier.json"
 
 
 class _Frozen(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
 
 
 class Spread(_Frozen):
@@ -47,24 +50,27 @@ class Point(_Frozen):
     """One choice as measured on the calibration materials.
 
     Attributes:
-        error: the larger of error and estimate. achieved: the error. estimate: :mod:`merlfit.fitting.accuracy`'s.
+        error: as above. promised: the larger of the error and its estimate (:mod:`merlfit.fitting.accuracy`).
         astray: 95th percentile of the errors that exceed their estimate, 0 of the others: fits that ended in another
             minimum than the reference, of which an estimate knows nothing.
-        other_body: share of materials for which it chose another body than the reference.
+        failed: share of fits that ended neither converged nor at a bound. other_body: share of materials for which it
+            chose another body than the reference.
         rmse: against the file, 1/sr. parameters: the largest difference from the reference among parameters that are
             not at a bound, in the reference's standard errors; None where no material has the same body.
-        seconds: of a whole fit. megabytes: largest memory of a process that fits one file after the other.
+        seconds: of the fit. estimate_seconds: of the estimate of its error. megabytes: largest memory of a process that
+            fits one file after the other and estimates their errors.
     """
 
     choice: Choice
     error: Spread
-    achieved: Spread
-    estimate: Spread
+    promised: Spread
     astray: float
+    failed: float
     other_body: float
     rmse: Spread
     parameters: Spread | None
     seconds: Spread
+    estimate_seconds: Spread
     megabytes: float
 
 
@@ -111,18 +117,24 @@ def shipped() -> Frontier:
 
 
 def load() -> tuple[Frontier, str]:
-    """This machine's calibration, or the shipped one, and in words which it is."""
-    path = cache_folder() / FILE
+    """This machine's calibration, or the shipped one, and in words which it is.
+
+    Times of another machine (of a shared home), of other versions or of other settings are not this machine's.
+    """
+    stale = ""
     try:
-        found = Frontier.model_validate_json(path.read_bytes())
+        found = Frontier.model_validate_json((cache_folder() / FILE).read_bytes())
+        here = found.machine == machine() and found.versions == versions()
+        if here and [q.choice for q in found.points] == list(POINTS):
+            return found, f"calibrated on this machine, {found.taken}, {found.data}"
+        stale = "the calibration that was kept is of another machine or of other versions; "
     except FileNotFoundError:
-        found = None
+        pass
     except (OSError, ValidationError):
-        found = None  # of another version, or spoiled: `merlfit cost` writes it anew
-    if found is not None and [q.choice for q in found.points] == list(POINTS):
-        return found, f"calibrated on this machine, {found.taken}, {found.data}"
+        stale = "the calibration that was kept cannot be read; "
     found = shipped()
-    return found, f"calibrated on another machine ({found.machine}), {found.data}; `merlfit cost` calibrates this one"
+    said = f"calibrated on another machine ({found.machine}), {found.data}; {stale}`merlfit cost` calibrates this one"
+    return found, said
 
 
 def pareto(costs: Sequence[float], errors: Sequence[float]) -> list[int]:

@@ -109,7 +109,7 @@ def print_result(console: Console, result: Result) -> None:
     console.print(f"{f.status}: {f.message}")
     console.print(
         f"cost {number(f.cost)} of the weighted energy, RMSE {number(result.metrics.rmse)} 1/sr, "
-        f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} bins, {f.steps} full-resolution steps"
+        f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} bins, {f.steps} steps on the last grid"
     )
     if len(f.candidates) > 1:
         console.print(
@@ -131,8 +131,8 @@ def print_result(console: Console, result: Result) -> None:
 def accuracy_line(found: Accuracy) -> str:
     """What a fit that was asked for an accuracy or a time came to."""
     said = f"accuracy: within {number(found.estimated, 2)} of the reference fit, as estimated"
-    if len(found.tried) > 1:
-        said += f"; taken on to {found.tried[-1].settings}, as {found.tried[0].settings} came to "
+    if found.settings != found.tried[0].settings:
+        said += f"; taken on to {found.settings}, as {found.tried[0].settings} came to "
         said += number(found.tried[0].estimated, 2)
     if found.met is not None:
         said += f"; {number(found.asked)} was asked for, " + ("which is met" if found.met else "which is NOT met")

@@ -21,9 +21,14 @@ def usable(points: Sequence[Point], config: Config) -> list[Point]:
     return [q for q in points if config.effects.diffraction == "quadrature" or q.choice.diffraction == "quadrature"]
 
 
+def needed(point: Point) -> float:
+    """Seconds to allow for a fit and the estimate of its error, once compiled."""
+    return MARGIN * (point.seconds.p95 + point.estimate_seconds.p95)
+
+
 @dataclass(frozen=True)
 class Request:
-    """What a fit is to reach: an ``accuracy`` (an error as above) or a time (``seconds`` a file)."""
+    """What a fit is to reach: an ``accuracy`` (error of :mod:`.frontier`) or a time (``seconds`` a file)."""
 
     accuracy: float | None = None
     seconds: float | None = None
@@ -35,23 +40,23 @@ class Request:
             Unreachable: no point is.
         """
         if self.accuracy is not None:
-            enough = [q for q in points if q.error.p95 <= self.accuracy]
+            enough = [q for q in points if q.promised.p95 <= self.accuracy]
             if not enough:
-                best = min(points, key=lambda q: q.error.p95)
+                best = min(points, key=lambda q: q.promised.p95)
                 raise Unreachable(
                     f"--accuracy {self.accuracy:g} is out of reach: the most accurate settings ({best.choice}) come "
-                    f"within {best.error.p95:.2g} in 95 % of the calibration's fits"
+                    f"within {best.promised.p95:.2g} in 95 % of the calibration's fits"
                 )
             return min(enough, key=lambda q: q.seconds.median)
         assert self.seconds is not None
-        quick = [q for q in points if MARGIN * q.seconds.p95 <= self.seconds]
+        quick = [q for q in points if needed(q) <= self.seconds]
         if not quick:
-            best = min(points, key=lambda q: q.seconds.p95)
+            best = min(points, key=needed)
             raise Unreachable(
                 f"--time {self.seconds:g}s is out of reach: the cheapest settings ({best.choice}) take up to "
-                f"{MARGIN * best.seconds.p95:.2g} s a file, compiled"
+                f"{needed(best):.2g} s a file, compiled"
             )
-        return min(quick, key=lambda q: (q.error.p95, q.seconds.median))
+        return min(quick, key=lambda q: (q.promised.p95, q.seconds.median))
 
 
 def request(accuracy: float | None, time: str | None) -> Request:

@@ -121,7 +121,7 @@ def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
     """``compute(*args)``, its results written to memory instead of being computed again by each of their users.
 
     XLA's CPU compiler fuses producers into every consumer and drops optimisation barriers; a conditional it must keep.
-    Measured on full resolution: normal equations 0.34 s with it, 1.2 s without.
+    Measured when all azimuths were still evaluated: normal equations 0.34 s with it, 1.2 s without.
     """
     shapes = jax.eval_shape(compute, *args)
     return jax.lax.cond(always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)

@@ -1,14 +1,23 @@
 """Work on all cores: NumPy and XLA let go of Python's lock while they compute, and a call of either uses one core."""
 
 import os
+import platform
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
 
 S = TypeVar("S")
 T = TypeVar("T")
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 _POOL = ThreadPoolExecutor(CORES, "merlfit")
+
+
+def machine() -> str:
+    """Cores that may be used, and of what."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+    return f"{CORES} cores, {model}"
 
 
 def side_by_side(compute: Callable[[S], T], parts: Iterable[S]) -> list[T]:

@@ -24,7 +24,7 @@ def main(
     sections: Annotated[
         list[str] | None, typer.Argument(help=f"{', '.join(SECTIONS)}; all but gpu by default.")
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="All 12 materials, and all 100 files: hours.")] = False,
+    few: Annotated[bool, typer.Option("--few", help="Fewer materials for comparisons, no batch of all files.")] = False,
     files: Annotated[Path | None, typer.Option(help="Folder to keep the MERL files in, 35 MB each.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = record.RESULTS,
     on_cpu: Annotated[bool, typer.Option("--on-cpu", hidden=True, help="Run the section gpu without a GPU.")] = False,
@@ -38,10 +38,10 @@ def main(
         folder.mkdir(parents=True, exist_ok=True)
         if sections and len(sections) == 1:
             module = importlib.import_module(f"{__package__}.{sections[0]}")
-            module.run(folder.resolve(), out, every, **({"on_cpu": on_cpu} if sections == ["gpu"] else {}))
+            module.run(folder.resolve(), out, not few, **({"on_cpu": on_cpu} if sections == ["gpu"] else {}))
         else:
             for section in sections or ON_CPU:
-                options = ["--files", str(folder), "--out", str(out), *(["--all"] if every else [])]
+                options = ["--files", str(folder), "--out", str(out), *(["--few"] if few else [])]
                 done = subprocess.run(
                     [sys.executable, "-m", __package__ or "tests.bench", section, *options], check=False
                 )

@@ -86,10 +86,10 @@ def measure(path, body):
 
 NOTES = [
     "Both start at the coarse optimum and minimise the same cost with the same pull towards 0, in float64, on both "
-    f"cores, those of BLAS included, after compilation. merlfit: azimuths gathered, then solved (median of {REPEATS}). scipy: "
-    "`least_squares(method='trf', x_scale='jac', ftol=1e-6, xtol=1e-5)` with the JAX residuals of all bins that hold "
-    f"light and their dense Jacobian (`jacfwd`), no gathering, one run. Near: when scipy had come within {NEAR:.1%} of "
-    "the lowest cost it found.",
+    f"cores, those of BLAS included, after compilation. merlfit: azimuths gathered, then solved (median of {REPEATS}). "
+    "scipy: `least_squares(method='trf', x_scale='jac', ftol=1e-6, xtol=1e-5)` with the JAX residuals of all bins that "
+    "hold light and their dense Jacobian (`jacfwd`), no gathering, one run. Near: when scipy had come within "
+    f"{NEAR:.1%} of the lowest cost it found.",
     "Costs: of all bins, without the pull. Difference: merlfit's less scipy's; negative where merlfit's is lower.",
 ]
 

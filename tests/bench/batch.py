@@ -63,5 +63,5 @@ def run(folder, out, every):
         record.add(row(len(hundred), 2, fit_all([hundred[::2], hundred[1::2]])))
         record.set("files", record.column("seconds", files=FILES, processes=1)[0] / 60)
     else:
-        record.notes.append(f"All {FILES} files were not run (`--all`).")
+        record.notes.append(f"All {FILES} files were left out (`--few`).")
     record.finish()
