@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
+from merlfit.fitting import tiers
 from merlfit.fitting.compilation import use_persistent_cache
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.effects import Effects
@@ -31,16 +32,7 @@ SEED, SETS, DIRECTIONS = 20261121, 500, 128
 BRIGHT = 1e-3  # of the highest value of the lobe among the directions of its set
 NOTHING = 1e-200  # 1/sr: far from the narrowest lobes nothing is left to compare
 PARTS = ("lobe", "bright_lobe", "brdf")
-TIERS = {
-    "lobe": Effects(diffraction="lobe"),
-    "scaled": Effects(diffraction="scaled"),
-    "zonal 25": Effects(diffraction="zonal", zonal_order=25),
-    "zonal 100": Effects(diffraction="zonal"),
-    "quadrature 8": Effects(order=8),
-    "quadrature 16": Effects(order=16),
-    "quadrature 32": Effects(),
-    "quadrature 64": Effects(order=64),
-}
+TIERS = {name: effects for name, effects in tiers.TIERS.items() if name not in ("off", "exact")}
 REFERENCES = {"Eq. 27": "exact", "Eq. 27, F for Q/2": "exact", "Eq. 33": "quadrature"}
 RESULTS = Path(__file__).parents[1] / "results"
 STORE = RESULTS / "tiers.json"
@@ -87,11 +79,10 @@ def grid_seconds(effects):
     g = Geometry.from_half_difference(
         grid.theta_h[:, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]
     )
-    values = {"beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "n": np.full(3, 1.8), "k": np.full(3, 3.0)}
     if effects.diffraction == "exact":
         g = jax.tree.map(lambda x: jnp.broadcast_to(x, g.cos_i.shape)[::9, 4::9, 4::18].ravel(), g)
     compiled = jax.jit(lambda v: two_scale(v, g, effects))
-    values = {k: jnp.asarray(v) for k, v in values.items()}
+    values = {k: jnp.asarray(v) for k, v in tiers.TYPICAL.items()}
     compiled(values).block_until_ready()
     seconds = []
     for _ in range(3 if effects.diffraction == "exact" else 5):
