@@ -49,8 +49,8 @@ def gather(samples: Samples, nodes: int) -> Rows:
     Args:
         nodes: K per row. Rows of no more bins than that stay as they are.
 
-    Accuracy: of f, weighted as the bins are, relative to all of it: 8 nodes median below 3e-5, worst below 2e-3 over the
-    bounds of the fit (``tests/fitting/test_problem.py``).
+    Accuracy: of f, weighted as the bins are, relative to all of it: 8 nodes median below 3e-5, worst below 2e-3 over
+    the bounds of the fit (``tests/fitting/test_problem.py``).
     """
     if nodes >= len(samples.phi_d):
         root = np.sqrt(samples.weight)
