@@ -338,6 +338,7 @@ def test_the_step_that_remains_is_the_way_to_the_reference(one):
     assert both == pytest.approx(distance((cheap, z), (effects, z), problem) + remaining((effects, z), problem))
 
 
+@pytest.mark.slow
 def test_a_fit_that_misses_is_taken_on(one):
     samples, config, fitted, _ = one
     measured, *_ = measurement(HELD[0])
@@ -466,6 +467,7 @@ def test_a_fit_that_was_asked_for_something_says_what_it_did(monkeypatch, tmp_pa
     assert "of the reference fit, as estimated" in shown.output
 
 
+@pytest.mark.slow
 def test_a_file_is_measured_from_beginning_to_end(monkeypatch, tmp_path, file):
     """With two cheap points, the second as reference, and three tiers of few directions, all in this process."""
     monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))
