@@ -118,6 +118,7 @@ def noisy_posteriors():
     return found
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say(noisy_posteriors):
     ranks, inside = [], 0
     for _, chain, _, effects, _ in noisy_posteriors:
