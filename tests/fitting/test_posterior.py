@@ -136,6 +136,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(noisy_posteriors):
     assert 0.2 < np.std(ranks) < 0.36
 
 
+@pytest.mark.slow
 def test_a_well_determined_posterior_is_the_laplace_approximation(noisy_posteriors):
     """Around the optimum of channels weighed by N_c / S_c, as the likelihood weighs them; Eq. 56 weighs all alike."""
     astray = 0.0
