@@ -55,6 +55,7 @@ OTHERS = {
     "scaled": Effects(diffraction="scaled", order=8),
     "subsurface, derived": Effects("subsurface", "lobe", acquisition="derived"),
 }
+MARKS = {**dict.fromkeys(OTHERS, ()), "conserving": pytest.mark.slow}  # seconds a step
 
 
 def edges():
@@ -65,10 +66,10 @@ def edges():
     starts |= {"beyond, high": 800 * np.ones(size), **{f"corner {i}": 14 * s for i, s in enumerate(corners)}}
     whole = [pytest.param(WHOLE, start, id=name) for name, start in starts.items()]
     return whole + [
-        pytest.param(effects, sign * np.full(layout_of(effects).size, 14.0), id=f"{name}, {side}")
+        pytest.param(effects, sign * np.full(layout_of(effects).size, 14.0), id=f"{name}, {side}", marks=MARKS[name])
         for name, effects in OTHERS.items()
         for side, sign in (("low", -1), ("high", 1))
-        if name != "conserving" or side == "low"  # seconds a step
+        if name != "conserving" or side == "low"
     ]
 
 
