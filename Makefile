@@ -24,7 +24,7 @@ test: install
 
 # What takes minutes; .ci/run does both.
 test-slow: install
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 # An hour on two cores; results/bench/. `python -m tests.bench SECTION` for one; `--few` for fewer materials and files.
 bench: install

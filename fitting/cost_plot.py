@@ -45,7 +45,7 @@ def _tiers(axis: Axes, frontier: Frontier) -> None:
             axis.plot(time, error.median, "*" if star else marker, color=colour, markersize=14 if star else 5)
             if key == "value_ns":
                 axis.annotate(
-                    name, (time, error.p95), xytext=(2, 4), textcoords="offset points", fontsize=7, rotation=30
+                    name, (time, error.p95), xytext=(-4, 4), textcoords="offset points", fontsize=7, rotation=60
                 )
         front = pareto(times, medians)
         axis.plot(
@@ -62,6 +62,7 @@ def _tiers(axis: Axes, frontier: Frontier) -> None:
             axis.axvline(
                 t.value_ns, color=KINDS["value_ns"][2], linestyle=":", label=f"{t.name}, a direction of a list"
             )
+    axis.margins(y=0.12)  # the labels'
     axis.set(
         xlabel="ns for three channels", ylabel="relative error of the BRDF: median (marked) to 95 %",
         title="Evaluation: tiers of the diffraction lobe (star: the default)",
