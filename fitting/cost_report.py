@@ -93,11 +93,12 @@ def gains(frontier: Frontier) -> str:
         "the reference fit for 95 % of the materials."
     ]
     for before, after in pairwise(steps):
-        gain, price = before.error.p95 / after.error.p95, after.seconds.median / before.seconds.median
-        said.append(
-            f"{changes(before.choice, after.choice)}: {gain:.2g} times as accurate ({after.error.p95:.2g}) in "
-            f"{price:.2g} times the time ({after.seconds.median:.2g} s)."
-        )
+        reached, seconds = after.error.p95, after.seconds.median
+        gain = "the reference itself"
+        if reached:
+            gain = f"{before.error.p95 / reached:.2g} times as accurate ({reached:.2g})"
+        price = f"{seconds / before.seconds.median:.2g} times the time ({seconds:.2g} s)"
+        said.append(f"{changes(before.choice, after.choice)}: {gain} in {price}.")
     default = next((q for q in frontier.points if q.choice == default_choice()), None)
     if default is not None:
         said.append(

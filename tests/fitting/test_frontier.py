@@ -75,8 +75,9 @@ def test_the_cheapest_that_is_accurate_enough_is_chosen(made):
     assert chosen.choice == POINTS[2]  # 0.1, 0.05, 0.025
     cheaper = [*made.points, point(POINTS[7], 0.02, 0.5)]
     assert Request(accuracy=0.03).choose(cheaper).choice == POINTS[7]
-    with pytest.raises(Unreachable, match=r"most accurate settings \(quadrature 64.* within 4.9e-05"):
-        Request(accuracy=1e-6).choose(made.points)
+    assert Request(accuracy=3e-5).choose(made.points).choice == REFERENCE  # kept to by half of its fits, not by 95 %
+    with pytest.raises(Unreachable, match=r"most accurate settings \(quadrature 64.* within 2.4e-05 in half"):
+        Request(accuracy=2e-5).choose(made.points)
 
 
 def test_the_most_accurate_that_is_fast_enough_is_chosen(made):
