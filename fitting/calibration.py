@@ -132,12 +132,13 @@ def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[
         references.mkdir(parents=True, exist_ok=True)
         free = [bound == "no" for bound in seen.further.at_bound]
         np.savez(
-            kept, z=seen.further.solution.z, deviation=seen.further.deviation, free=free, body=seen.further.effects.body
-        )
+            kept, z=seen.further.solution.z, deviation=seen.further.deviation, free=free,
+            body=BODIES.index(seen.further.effects.body),
+        )  # fmt: skip
     with np.load(kept, allow_pickle=False) as reference:
         best = {key: reference[key] for key in reference}
-    body = str(best["body"])
-    target = REFERENCE.settings(config).effects_of(body), best["z"]  # type: ignore[arg-type]
+    body = BODIES[int(best["body"])]
+    target = REFERENCE.settings(config).effects_of(body), best["z"]
     same = body == fitted.effects.body
     away = np.abs(fitted.solution.z - best["z"]) / best["deviation"] if same else np.array([])
     return {

@@ -8,6 +8,7 @@ import json
 import shutil
 import subprocess
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from datetime import date
 from pathlib import Path
@@ -162,7 +163,8 @@ def main(text: str) -> int:
     try:
         for found in work_on(**given):
             print(json.dumps(found), flush=True)
-    except Exception as error:  # told by the process that waits
+    except Exception as error:  # whatever it is: the process that waits tells the last line, the rest is in errors.txt
+        traceback.print_exc()
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 1
     return 0
