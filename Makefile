@@ -36,7 +36,7 @@ bench-gpu: install
 # Half an hour; what it measures is committed and shipped.
 cost: install
 	$(BIN)/merlfit cost -o results/bench/cost
-	cp results/bench/cost/frontier.json fitting/frontier.json
+	mv results/bench/cost/frontier.json fitting/frontier.json
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases

@@ -63,10 +63,10 @@ def choice_of(config: Config) -> Choice:
     return Choice(diffraction=effects.diffraction, order=effects.order, **config.fit.model_dump(include=FITTED))
 
 
-def _choice(tier: str, grid: str, azimuths: int, precision: str, starts: int) -> Choice:
+def _choice(tier: str, grid: str, azimuths: int, precision: Precision, starts: int) -> Choice:
     diffraction, _, order = tier.partition(" ")
-    given: dict[str, Any] = {"grid": grid, "azimuths": azimuths, "precision": precision, "starts": starts}
-    return Choice(diffraction=diffraction, order=int(order or Config().effects.order), **given)  # type: ignore[arg-type]
+    given: dict[str, Any] = {"diffraction": diffraction, "order": int(order or Config().effects.order), "grid": grid}
+    return Choice(**given, azimuths=azimuths, precision=precision, starts=starts)
 
 
 POINTS = (

@@ -1,0 +1,143 @@
+"""What accuracy costs: measured, interrupted, told in tables, a paragraph and a plot."""
+
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from frontiers import measurement, point, spread
+from merlfit.fitting import accuracy, calibration, cli, cost, frontier, tiers
+from merlfit.fitting.choice import POINTS, REFERENCE, default_choice
+from merlfit.fitting.cost_plot import frontier_figure
+from merlfit.fitting.cost_report import changes, front, gains, tables, write_markdown
+from merlfit.fitting.frontier import Frontier
+from merlfit.model import published
+from typer.testing import CliRunner
+
+runner = CliRunner()
+
+
+def test_a_paragraph_says_what_each_step_gains(made):
+    said = gains(made)
+    assert said.count("2 times as accurate") == len(POINTS) - 1
+    assert said.count("1.5 times the time") == len(POINTS) - 1
+    assert "The defaults (quadrature 32, fine grid, 8 azimuths, float64, 4 starts) are within 0.0002" in said
+    assert changes(POINTS[0], POINTS[1]) == "Quadrature instead of lobe"
+    assert changes(POINTS[-2], POINTS[-1]) == "Order 64 instead of 32 and 16 azimuths instead of 8"
+    dearer = [q if q.choice != default_choice() else point(q.choice, 1.0, 1e3) for q in made.points]
+    worse = made.model_copy(update={"points": dearer})
+    assert default_choice() not in [q.choice for q in front(worse)]
+    alike = made.model_copy(update={"points": [point(q, 0.1 - 1e-3 * k, 1.5**k) for k, q in enumerate(POINTS)]})
+    assert [q.choice for q in front(alike)] == [POINTS[0], POINTS[11]]  # what gains a hundredth is no step
+
+
+def test_tables_and_plot_mark_the_defaults(made, tmp_path):
+    write_markdown(made, tmp_path / "cost.md")
+    lines = (tmp_path / "cost.md").read_text().splitlines()
+    assert [line.count("|") for line in lines if "4 starts*" in line] == [14]
+    assert [line.count("|") for line in lines if "quadrature 32*" in line] == [11]
+    assert sum(map(len, (table.rows for table in tables(made)))) == len(POINTS) + len(tiers.TIERS)
+    figure = frontier_figure(made)
+    assert "invented materials" in figure.get_suptitle()
+    for axis in figure.axes:
+        assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
+        assert any(line.get_marker() == "*" for line in axis.lines)
+    drawn = [line for line in figure.axes[1].lines if len(line.get_xdata()) == len(POINTS)]
+    assert len(drawn) == 1  # the front, on which all points are
+    np.testing.assert_allclose(drawn[0].get_ydata(), [q.error.p95 for q in made.points])
+
+
+def test_an_interrupted_measurement_goes_on_and_another_one_starts_anew(monkeypatch, tmp_path):
+    asked, broken = [], [str(POINTS[1])]
+    row = {
+        "body": "none", "status": "CONVERGED", "cost": 0.1, "rmse": 0.1, "estimate": 1e-3, "seconds": 1.0,
+        "estimate_seconds": 0.5, "other_body": False, "error": 1e-4, "parameters": 0.5, "megabytes": 900.0,
+    }  # fmt: skip
+    speed = {"value_ns": 1.0, "gradient_ns": 2.0, "compile_seconds": [1.0, 2.0]}
+
+    def worker(work, section, names, file, repeats):
+        asked.append((section, len(names)))
+        for k, name in enumerate(names):
+            if section in broken and k == 3:
+                raise cost.CostError(section)
+            errors = {name: spread(1e-3).model_dump() for name in tiers.TIERS if name != "exact"}
+            yield {name: errors if section == cost.ERRORS else speed if section == cost.TIMES else row}
+
+    monkeypatch.setattr(cost, "_worker", worker)
+    (tmp_path / "work").mkdir()  # somebody's own
+    with pytest.raises(cost.CostError):
+        cost.measure(None, tmp_path, 1, lambda _: None)
+    assert asked[-1] == (broken.pop(), 20)
+    asked.clear()
+    found = cost.measure(None, tmp_path, 1, lambda _: None)
+    assert asked[0] == (str(POINTS[1]), 17)
+    assert str(REFERENCE) not in dict(asked)
+    assert [q.choice for q in found.points] == list(POINTS)
+    asked.clear()
+    cost.measure(None, tmp_path, 1, lambda _: None)
+    assert asked == []  # until everything is written
+    cost.tidy(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["rows.json", "work"]
+    kept = json.loads((tmp_path / "rows.json").read_text())
+    assert set(kept[str(POINTS[0])]) == set(calibration.names())
+    monkeypatch.setattr(cost, "read", lambda path: measurement("drawn-1000")[0])
+    one = cost.measure(Path("one.binary"), tmp_path, 1, lambda _: None)
+    assert asked[0] == (str(REFERENCE), 1)
+    assert one.data == "drawn-1000 alone, not a genuine MERL file"
+
+
+def test_a_worker_that_fails_says_why(tmp_path):
+    with pytest.raises(cost.CostError, match="no-such-material"):
+        list(cost._worker(tmp_path, str(POINTS[0]), ["no-such-material.sgd"], None, 1))
+
+
+def test_calibration_materials_exist():
+    assert len(set(calibration.names())) == 20
+    for material, source in calibration.PUBLISHED:
+        assert material in published.materials(source)
+    assert np.nanmin(calibration.drawn(1000)) > 0
+
+
+def test_errors_beyond_their_estimate_are_counted_as_astray():
+    row = {"rmse": 0.1, "estimate": 1e-3, "seconds": 1.0, "other_body": False, "error": 1e-4, "parameters": 0.5,
+           "megabytes": 900.0, "estimate_seconds": 0.5, "status": "AT_BOUND"}  # fmt: skip
+    astray = {**row, "error": 0.05, "other_body": True, "parameters": None, "status": "STEP_LIMIT"}
+    once, twice = (cost._point(POINTS[0], [row] * (20 - k) + [astray] * k) for k in (1, 2))
+    assert (once.astray, once.promised.p95, once.error.p95, once.error.worst) == (0.0, 1e-3, 1e-4, 0.05)
+    assert (twice.astray, twice.promised.p95, twice.other_body, twice.failed) == (0.05, 0.05, 0.1, 0.1)
+
+
+@pytest.mark.slow
+def test_a_file_is_measured_from_beginning_to_end(monkeypatch, tmp_path, file):
+    """With two cheap points, the second as reference, and three tiers of few directions, all in this process."""
+    monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))
+    for module in (cost, frontier):
+        monkeypatch.setattr(module, "POINTS", (POINTS[1], POINTS[3]))
+    for module in (cost, calibration, accuracy):
+        monkeypatch.setattr(module, "REFERENCE", POINTS[3])
+    monkeypatch.setattr(tiers, "TIERS", {name: tiers.TIERS[name] for name in ("off", "quadrature 8", "exact")})
+    for name, few in {"SETS": 3, "DIRECTIONS": 4, "LISTED": 64, "LISTED_EXACT": 2, "REPEATS": 1}.items():
+        monkeypatch.setattr(tiers, name, few)
+
+    def worker(*job):
+        yield from (json.loads(json.dumps(row)) for row in cost.work_on(*job))
+
+    monkeypatch.setattr(cost, "_worker", worker)
+    out = tmp_path / "cost"
+    try:
+        shown = runner.invoke(cli.app, ["cost", str(file), "-o", str(out)])
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+    assert shown.exit_code == 0, shown.output
+    assert sorted(p.name for p in out.iterdir()) == ["cost.md", "cost.png", "frontier.json", "rows.json"]
+    assert not (tmp_path / "cache" / frontier.FILE).exists()  # of one file: no fit goes by it
+    found = Frontier.model_validate_json((out / "frontier.json").read_bytes())
+    assert found.data == "drawn-1000.binary alone, not a genuine MERL file"
+    assert found.points[0].error.worst > found.points[1].error.worst
+    assert all(q.promised.worst >= q.error.worst and q.seconds.worst > q.estimate_seconds.worst for q in found.points)
+    off, quadrature, exact = found.tiers
+    assert off.error.median > quadrature.error.median
+    assert exact.error is None
+    assert exact.gradient_ns > exact.value_ns > quadrature.value_ns > off.value_ns
+    assert all(q.fit_gradient_ns > q.fit_value_ns > 0 for q in (off, quadrature))

@@ -1,0 +1,50 @@
+"""Frontiers of invented numbers, and synthetic materials as they are read, for the tests of what accuracy costs."""
+
+from pathlib import Path
+
+import numpy as np
+from merlfit.fitting import calibration, run, synthesis, tiers
+from merlfit.fitting.choice import POINTS
+from merlfit.fitting.config import load
+from merlfit.fitting.export import versions
+from merlfit.fitting.frontier import Frontier, Point, Spread, Tier
+from merlfit.fitting.problem import weighted_samples
+from merlfit.fitting.threads import machine
+from merlfit.merl_io.binary import Measurement
+
+
+def spread(value):
+    return Spread(median=value / 2, p95=value, worst=2 * value)
+
+
+def point(choice, error, seconds, astray=0.0):
+    return Point(
+        choice=choice, error=spread(error), promised=spread(error), astray=astray, failed=0.0, other_body=0.0,
+        rmse=spread(0.1), parameters=None, seconds=spread(seconds), estimate_seconds=spread(0.5), megabytes=900.0,
+    )  # fmt: skip
+
+
+def invented():
+    """A frontier of invented numbers: every point twice as accurate as the last and 1.5 times as dear."""
+    points = [point(choice, 0.1 / 2**k, 1.5**k) for k, choice in enumerate(POINTS)]
+    listed = [
+        Tier(name=name, error=None if name == "exact" else spread(1e-3), value_ns=10.0, gradient_ns=30.0,
+             compile_seconds=(1.0, 2.0), fit_value_ns=1.0, fit_gradient_ns=4.0)
+        for name in tiers.TIERS
+    ]  # fmt: skip
+    return Frontier(
+        data="invented materials", directions="invented", materials=["a"], machine=machine(), taken="2026-11-22",
+        versions=versions(), tiers=listed, points=points,
+    )  # fmt: skip
+
+
+def measurement(name, **given):
+    """A synthetic material as it would be read, its samples, and a configuration."""
+    seed, _, source = name.removeprefix("drawn-").partition(".")
+    values = synthesis.from_published(seed, source)[0] if source else calibration.drawn(int(seed))
+    measured = Measurement(Path(name), values, np.isfinite(values).all(0), 0, 0, 0, "", "")
+    return measured, weighted_samples(measured), load(posterior=False, **given)
+
+
+def fit(measured, samples, config):
+    return run.fit(measured, samples, config, lambda _: None, run._Clock())
