@@ -118,6 +118,7 @@ def difference(found, expected):
     return np.max(np.abs(found - expected) / scale)
 
 
+@pytest.mark.slow
 def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     """Rows of three azimuths and as many nodes: nothing is gathered but the bins themselves."""
     samples = thin(coarse[0], (run.COARSE[0], 5, 30))
@@ -130,6 +131,7 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
         np.testing.assert_allclose(np.asarray(cost(effects, z, problem)), found[:, -1, -1], rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
     samples = thin(coarse[0], (10, 10, 1))
     for effects in (FREE, Effects("subsurface", "lobe", masking="height_correlated", acquisition="free")):

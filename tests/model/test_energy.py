@@ -67,6 +67,7 @@ def test_conserving_split_gives_back_no_more_than_it_receives(effects):
         assert albedo(effects, values).max() <= 1 + 1e-3
 
 
+@pytest.mark.slow
 def test_a_ringing_lobe_gives_back_no_more_than_it_receives():
     """Order 100 where 2000 would be needed, before a mirror: the printed split has the negative values of the sum."""
     effects = Effects(diffraction="zonal", split="conserving")
