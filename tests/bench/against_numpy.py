@@ -109,8 +109,9 @@ NOTES = [
 
 def run(folder, out, every):
     """Two conductors, or all six."""
+    data = f"{RECONSTRUCTIONS}: {'all six' if every else 'two of the six'} conductors"
     record = Record(
-        "against_numpy", "Fits against plain NumPy with finite differences", f"{RECONSTRUCTIONS}: {'all six' if every else 'two of the six'} conductors", NOTES,
+        "against_numpy", "Fits against plain NumPy with finite differences", data, NOTES,
         {"fine": Target("fine stage faster than scipy on plain NumPy (scaled), median", 100, "times", True),
          "whole": Target("whole fit faster than scipy on plain NumPy (scaled), median", 100, "times", True),
          "least": Target("the same, smallest ratio", 100, "times", True)},
