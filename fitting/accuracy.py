@@ -24,7 +24,7 @@ from . import export
 from .choice import FITTED, POINTS, REFERENCE, Choice
 from .config import Config, ConfigError
 from .frontier import Point, load
-from .levenberg_marquardt import PULL, RESIDUAL_SCALE, Solution, compress, solve
+from .levenberg_marquardt import Solution, compress, solve
 from .outcome import Fitted
 from .problem import Problem, make_problem
 from .request import Request, needed, usable
@@ -57,8 +57,8 @@ def remaining(model: Model, problem: Problem) -> float:
     normal = normal_equations(effects, point, problem)
     if not np.all(np.isfinite(normal)):
         return np.inf
-    near = compress(point, normal, PULL * jnp.sum(normal[:, -1, -1]))
-    return float(jnp.linalg.norm(near.value[:-1])) / RESIDUAL_SCALE
+    near = compress(point, normal)
+    return float(jnp.linalg.norm(near.value[:-1]))
 
 
 def estimate(model: Model, problem: Problem, config: Config) -> float:
@@ -79,10 +79,7 @@ def reference_problem(samples: Samples) -> Problem:
 
 
 def carry_on(model: Model, settings: Config, samples: Samples) -> tuple[Effects, Solution]:
-    """The last steps once more from where a fit is.
-
-    Even with the same settings it gains: what pulls free coordinates towards 0 is relative to the cost at the start.
-    """
+    """The last steps once more from where a fit is."""
     effects = settings.effects_of(model[0].body)
     problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
     return effects, solve(effects, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)

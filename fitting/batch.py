@@ -21,7 +21,7 @@ from jax import Array
 from ..merl_io.samples import Samples, thin
 from ..model.effects import Effects
 from .config import Config
-from .levenberg_marquardt import CLEAR, OFFSET_TOLERANCE, PULL, Solution, _machine
+from .levenberg_marquardt import CLEAR, OFFSET_TOLERANCE, Solution, _machine
 from .problem import Part, Problem, make_problem
 from .residuals import _normal_equations, _spread_out
 from .run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, GRIDS, TRIAL_STEPS, cheaper
@@ -98,7 +98,7 @@ class _Fit(eqx.Module):
     """Where one material is on its way; in a batch all arrays have a leading axis.
 
     Attributes:
-        y: accepted point (P,). state: of the solver. kept: normal equations at y. pull: weight of z^2.
+        y: accepted point (P,). state: of the solver. kept: normal equations at y.
         offset: relative offset at y. steps: evaluations. blocked: last step whose trial was not finite.
         converged: whether it met the tolerance. active: whether it goes on.
     """
@@ -106,7 +106,6 @@ class _Fit(eqx.Module):
     y: Array
     state: Any
     kept: Array
-    pull: Array
     offset: Array
     steps: Array
     blocked: Array
@@ -122,18 +121,18 @@ def _mapped_machine(size: int, rtol: float) -> tuple[Callable[..., _Fit], Callab
     def start(y: Array, kept: Array) -> _Fit:
         state = eqx.tree_at(lambda s: s.y_eval, dynamic, y)
         finite = jnp.all(jnp.isfinite(kept))
-        pull, never = PULL * jnp.nan_to_num(kept[:, -1, -1].sum()), jnp.asarray(-CLEAR)
-        return _Fit(y, state, kept, pull, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
+        never = jnp.asarray(-CLEAR)
+        return _Fit(y, state, kept, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
 
     def advance(fit: _Fit, normal: Array) -> _Fit:
-        y, state, stop, accepted, offset = step(fit.y, fit.state, normal, fit.pull)
+        y, state, stop, accepted, offset = step(fit.y, fit.state, normal)
         steps = fit.steps + 1
         better = accepted | (steps == 1)
         offset = jnp.where(better, offset, fit.offset)
         blocked = jnp.where(jnp.all(jnp.isfinite(normal)), fit.blocked, steps)
         converged = (stop & (steps > blocked + CLEAR)) | (offset < OFFSET_TOLERANCE)
         kept = jnp.where(better, normal, fit.kept)
-        moved = _Fit(y, state, kept, fit.pull, offset, steps, blocked, converged, ~converged)
+        moved = _Fit(y, state, kept, offset, steps, blocked, converged, ~converged)
         return jax.tree.map(lambda new, old: jnp.where(fit.active, new, old), moved, fit)
 
     return jax.jit(jax.vmap(start)), jax.jit(jax.vmap(advance))

@@ -2,9 +2,12 @@
 
 optimistix wants a residual function and differentiates it. Ours has a million residuals, so it is shown an equivalent
 one with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of
-squares as the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps of the stock
+squares as the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps of the
 solver M is summed at the point that it wants to see next, and the solver is given the affine function with that value
 and that Jacobian. Its step is compiled once for all models, grids and files.
+
+The cost is that of Eq. 56 times 1 + PRIOR |z|^2, a weak prior that holds directions which the data leave open and
+vanishes with the cost. It is a sum of squares like the cost itself: of the residuals times sqrt(1 + PRIOR |z|^2).
 """
 
 import warnings
@@ -18,20 +21,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jax import Array
+from jax.typing import ArrayLike
 
 from ..model.effects import Effects
 from .problem import Problem
 from .residuals import normal_equations
+from .trust_region import TrustRegion
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
-# Costs are relative to the energy of the measurement; as optimistix starts with a damping of 1, residuals are scaled so
-# that this is a light one.
-RESIDUAL_SCALE = 100.0
-# Pull of z towards 0, relative to the cost at the start of a solve: stops drift along directions that the data leave
-# open and beyond a bound (z = 6 is 0.25 % from it and costs 1 %), and vanishes with the cost when the model is exact.
-PULL = 3e-4
+PRIOR = 3e-4  # weight of |z|^2: z = 6 is 0.25 % from a bound and costs 1 %
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
 NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected
 CLEAR = 8  # steps since a trial where the model was not finite: before that, short steps are a wall, not a minimum
@@ -96,24 +95,32 @@ class _Affine(eqx.Module):
         return self.value + self.slope @ (z - self.at)
 
 
-def compress(z: Array, normal: Array, pull: Array) -> _Affine:
-    """P + 1 residuals that stand for all: same cost, gradient and Gauss-Newton matrix at ``z``.
+def prior_factor(z: ArrayLike) -> tuple[Array, Array]:
+    """What the prior multiplies residuals by, s = sqrt(1 + PRIOR |z|^2), and its derivatives (P,)."""
+    z = jnp.asarray(z)
+    factor = jnp.sqrt(1 + PRIOR * jnp.sum(z * z))
+    return factor, PRIOR * z / factor
+
+
+def compress(z: Array, normal: Array) -> _Affine:
+    """P + 1 residuals that stand for all, prior included: same cost, gradient and Gauss-Newton matrix at ``z``.
 
     Args:
         normal: per-channel (J|r)^T W (J|r), shape (C, P+1, P+1); J of the prediction, r = measured - predicted.
-        pull: weight of z^2, added to the cost.
     """
     sign = jnp.ones(len(z) + 1).at[-1].set(-1.0)  # the residual's derivative is minus that of the prediction
-    leash = jnp.concatenate([jnp.eye(len(z)), z[:, None]], 1)
-    r = _factor((jnp.sum(normal, 0) * sign * sign[:, None] + pull * leash.T @ leash) * RESIDUAL_SCALE**2)
+    factor, slope = prior_factor(z)
+    with_prior = (factor * jnp.eye(len(z) + 1)).at[-1, :-1].add(slope)  # (J|r) to (s J + r ds/dz | s r)
+    signed = jnp.sum(normal, 0) * sign * sign[:, None]
+    r = _factor(with_prior.T @ signed @ with_prior)
     r = jnp.where(jnp.all(jnp.isfinite(r)), r, jnp.eye(len(r)) * NON_FINITE_COST)
     return _Affine(z, r[:, -1], r[:, :-1])
 
 
 @cache
 def _machine(size: int, rtol: float) -> tuple[Any, Callable[..., Any]]:
-    """Initial state and compiled step of optimistix' Levenberg-Marquardt for P parameters."""
-    solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol)
+    """Initial state and compiled step of the solver for P parameters."""
+    solver = TrustRegion(rtol=rtol, atol=rtol)
     z = jnp.zeros(size)
     shape = jax.ShapeDtypeStruct((size + 1,), z.dtype)
 
@@ -125,28 +132,28 @@ def _machine(size: int, rtol: float) -> tuple[Any, Callable[..., Any]]:
     dynamic, static = eqx.partition(state, eqx.is_array)
 
     @jax.jit
-    def step(y: Array, dynamic: Any, normal: Array, pull: Array) -> tuple[Array, Any, Array, Array, Array]:  # noqa: ANN401
+    def step(y: Array, dynamic: Any, normal: Array) -> tuple[Array, Any, Array, Array, Array]:  # noqa: ANN401
         state = eqx.combine(dynamic, static)
-        near = compress(state.y_eval, normal, pull)
+        near = compress(state.y_eval, normal)
         y, state, _ = solver.step(affine, y, near, {}, state, frozenset())
+        stop, _ = solver.terminate(affine, y, near, {}, state, frozenset())
         accepted = state.num_steps_since_acceptance == 0
-        return y, eqx.filter(state, eqx.is_array), state.terminate, accepted, relative_offset(near.value)
+        return y, eqx.filter(state, eqx.is_array), stop, accepted, relative_offset(near.value)
 
     return dynamic, step
 
 
 def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
-    """Drive the stock solver, summing normal equations at every point that it asks for."""
+    """Drive the solver, summing normal equations at every point that it asks for."""
     state, step = _machine(len(z), rtol)
     y, state = jnp.asarray(z), eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(z))
     kept = normal = evaluate(y)
-    pull = jnp.asarray(PULL * np.nan_to_num(np.asarray(kept)[:, -1, -1].sum()))
     offset, converged, steps, blocked = float("inf"), False, 0, -CLEAR
     if not np.isfinite(kept).all():
         return Solution(np.asarray(y), float("nan"), np.asarray(kept), 1, offset, False)
     while steps < limit and not converged:
         normal = evaluate(state.y_eval) if steps else kept
-        y, state, stop, accepted, trial_offset = step(y, state, normal, pull)
+        y, state, stop, accepted, trial_offset = step(y, state, normal)
         steps += 1
         if steps == 1 or bool(accepted):
             kept, offset = normal, float(trial_offset)
@@ -160,17 +167,15 @@ def _scipy(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Soluti
     """The same compressed residuals given to MINPACK: a cross-check."""
     from scipy.optimize import least_squares
 
-    pull = PULL * evaluate(jnp.asarray(z))[:, -1, -1].sum()
-
     def near(z: np.ndarray) -> _Affine:
         point = jnp.asarray(z)
-        return compress(point, evaluate(point), pull)
+        return compress(point, evaluate(point))
 
     jac: Any = lambda z: np.asarray(near(z).slope)  # noqa: E731 - Any: scipy's stub knows names only
     found = least_squares(
         lambda z: np.asarray(near(z).value), z, jac, method="lm", xtol=rtol, ftol=rtol**2, max_nfev=limit
     )
-    return _solution(evaluate, found.x, pull, int(found.nfev), bool(found.status > 0))
+    return _solution(evaluate, found.x, int(found.nfev), bool(found.status > 0))
 
 
 def _jaxopt(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
@@ -179,29 +184,27 @@ def _jaxopt(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solut
         warnings.simplefilter("ignore")
         import jaxopt
 
-    pull = PULL * evaluate(jnp.asarray(z))[:, -1, -1].sum()
-
     @jax.custom_jvp
     def residual(z: Array) -> Array:
-        return compress(z, evaluate(z), pull).value
+        return compress(z, evaluate(z)).value
 
     @residual.defjvp
     def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-        near = compress(primals[0], evaluate(primals[0]), pull)
+        near = compress(primals[0], evaluate(primals[0]))
         return near.value, near.slope @ tangents[0]
 
     solver = jaxopt.LevenbergMarquardt(
-        residual, materialize_jac=True, solver="cholesky", maxiter=limit, xtol=rtol, gtol=rtol,
+        residual, materialize_jac=True, solver="cholesky", maxiter=limit, tol=rtol**2,
         jit=False,  # its loop would compile the normal equations once more, several times over
     )  # fmt: skip
     found = solver.run(jnp.asarray(z))
     steps = int(found.state.iter_num)
-    return _solution(evaluate, np.asarray(found.params), pull, steps, steps < limit)
+    return _solution(evaluate, np.asarray(found.params), steps, steps < limit)
 
 
-def _solution(evaluate: Callable, z: np.ndarray, pull: Array, steps: int, converged: bool) -> Solution:
+def _solution(evaluate: Callable, z: np.ndarray, steps: int, converged: bool) -> Solution:
     normal = evaluate(jnp.asarray(z))
-    offset = float(relative_offset(compress(jnp.asarray(z), normal, pull).value))
+    offset = float(relative_offset(compress(jnp.asarray(z), normal).value))
     return Solution(z, float(normal[:, -1, -1].sum()), np.asarray(normal), steps, offset, converged)
 
 

@@ -9,6 +9,7 @@ import pytest
 from bench import plain_numpy, processes, record
 from bench.against_scipy import Whole
 from lobes import ANGLES, draw
+from merlfit.fitting.levenberg_marquardt import compress
 from merlfit.fitting.problem import make_problem
 from merlfit.fitting.residuals import normal_equations
 from merlfit.fitting.run import predict_samples
@@ -64,11 +65,12 @@ def test_scipy_is_given_the_same_problem():
     weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
     samples = thin(fold(grid, 0.3 + 0 * weight, weight), (10, 10, 45))
     z = np.random.default_rng(1).normal(size=layout_of(effects).size) / 2
-    whole = Whole(effects, samples, 0.01)
+    whole = Whole(effects, samples)
     residuals, slope = whole.residuals(z), whole.slope(z)
-    normal = np.asarray(normal_equations(effects, jnp.asarray(z), make_problem(samples))).sum(0)
-    np.testing.assert_allclose(slope.T @ slope, normal[:-1, :-1] + 0.01 * np.eye(len(z)), rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(slope.T @ residuals, -normal[:-1, -1] + 0.01 * z, rtol=1e-8, atol=1e-12)
+    ours = compress(jnp.asarray(z), normal_equations(effects, jnp.asarray(z), make_problem(samples)))
+    np.testing.assert_allclose(slope.T @ slope, ours.slope.T @ ours.slope, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(slope.T @ residuals, ours.slope.T @ ours.value, rtol=1e-8, atol=1e-12)
+    assert whole.objective(z) == pytest.approx(float(ours.value @ ours.value), rel=1e-9)
     left = np.sum(samples.weight * (samples.value - predict_samples(effects, z, samples)) ** 2)
     assert whole.cost(z) == pytest.approx(left / np.sum(samples.weight * samples.value**2), rel=1e-9)
 

@@ -15,7 +15,7 @@ import typer
 from . import record
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-ON_CPU = ("fit", "cold", "growth", "batch", "against_scipy", "against_numpy")  # short ones first
+ON_CPU = ("fit", "cold", "growth", "batch", "solver", "against_scipy", "against_numpy")  # short ones first
 SECTIONS = (*ON_CPU, "gpu")
 
 

@@ -4,7 +4,7 @@ import time
 
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.levenberg_marquardt import PULL
+from merlfit.fitting.levenberg_marquardt import prior_factor
 from merlfit.fitting.problem import energy
 from merlfit.fitting.run import COARSE, GRIDS, TRIAL_STEPS
 from merlfit.fitting.starts import starting_points
@@ -31,20 +31,23 @@ class Plain:
         self.layout, self.samples, self.calls = layout_of(effects), samples, 0
         self.root = np.sqrt(samples.weight / energy(samples))
 
-    def residuals(self, z, leash=0.0):
-        """Of all bins, and the pull towards 0 below them."""
+    def residuals(self, z):
+        """Of all bins, with the prior."""
+        return float(prior_factor(z)[0]) * self.bare(z)
+
+    def bare(self, z):
+        """Of all bins, without the prior."""
         self.calls += 1
         s, values = self.samples, {k: np.asarray(x) for k, x in self.layout.values(jnp.asarray(z)).items()}
         found = plain_numpy.brdf(values, s.theta_h, s.theta_d, s.cos_i, s.cos_o)
-        return np.concatenate([(self.root * (s.value - found)).ravel(), leash * z])
+        return (self.root * (s.value - found)).ravel()
 
     def cost(self, z):
-        return float(np.sum(self.residuals(z) ** 2))
+        return float(np.sum(self.bare(z) ** 2))
 
     def solve(self, start, most):
         """least_squares with finite differences, asked for so many residuals at the most, differences not counted."""
-        leash = np.sqrt(PULL * self.cost(start))
-        options = {"x_scale": "jac", "max_nfev": most, "args": (leash,), **TOLERANCES}
+        options = {"x_scale": "jac", "max_nfev": most, **TOLERANCES}
         return least_squares(self.residuals, start, "2-point", **options)
 
 

@@ -5,9 +5,9 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.levenberg_marquardt import PULL
+from merlfit.fitting.levenberg_marquardt import prior_factor
 from merlfit.fitting.problem import directions, energy, shares
-from merlfit.fitting.residuals import _predict, normal_equations
+from merlfit.fitting.residuals import _predict
 from merlfit.fitting.threads import CORES, side_by_side
 from merlfit.fitting.transforms import layout_of
 from scipy.optimize import least_squares
@@ -23,15 +23,14 @@ NEAR = 1e-3  # of the final cost: near enough
 
 
 class Whole:
-    """Weighted residuals of all bins with light and their Jacobian, both by all cores, and the pull towards 0."""
+    """Weighted residuals of all bins with light and their Jacobian, both by all cores, with the prior."""
 
-    def __init__(self, effects, samples, pull):
+    def __init__(self, effects, samples):
         where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
         self.parts = shares(where, where.log_base.size)
         root = np.sqrt(samples.weight / energy(samples))
         self.shape, self.used = root.shape, root > 0
         self.root, self.target = root[self.used], (root * samples.value)[self.used]
-        self.leash = np.sqrt(pull)
         predicted = lambda z, part: _predict(effects, layout_of(effects).values(z), part)  # noqa: E731
         self.predicted, self.jacobian = jax.jit(predicted), jax.jit(jax.jacfwd(predicted))
 
@@ -41,20 +40,25 @@ class Whole:
         blocks = np.moveaxis(np.concatenate(found), 1, 0)
         return blocks.reshape(*self.shape, *blocks.shape[5:])[self.used]
 
+    def bare(self, z):
+        """Residuals of the data alone."""
+        return self.target - self.root * self.rows(self.predicted, z)
+
     def residuals(self, z):
-        return np.concatenate([self.target - self.root * self.rows(self.predicted, z), self.leash * z])
+        return float(prior_factor(z)[0]) * self.bare(z)
 
     def slope(self, z):
+        factor, rate = prior_factor(z)
         slope = self.rows(self.jacobian, z)
-        slope *= -self.root[:, None]
-        return np.concatenate([slope, self.leash * np.eye(len(z))])
+        slope *= -float(factor) * self.root[:, None]
+        return slope + self.bare(z)[:, None] * np.asarray(rate)
 
     def cost(self, z):
         """Of the data alone, on all bins, relative to their energy."""
-        return float(np.sum(self.residuals(z)[: len(self.target)] ** 2))
+        return float(np.sum(self.bare(z) ** 2))
 
     def objective(self, z):
-        """What both minimise: cost and pull."""
+        """What both minimise: cost and prior."""
         return float(np.sum(self.residuals(z) ** 2))
 
 
@@ -62,9 +66,8 @@ def measure(path, body):
     """Seconds and final costs of both from the same start, with scipy's costs as time went by."""
     config, effects, samples, start = coarse_optimum(path, body)
 
-    problem, solution, runs = fine_stage(config, effects, samples, start)
-    pull = PULL * float(normal_equations(effects, jnp.asarray(start), problem)[:, -1, -1].sum())
-    whole = Whole(effects, samples, pull)
+    _, solution, runs = fine_stage(config, effects, samples, start)
+    whole = Whole(effects, samples)
     whole.residuals(start), whole.slope(start)  # compiled
     trace, begun = [], time.perf_counter()
 
@@ -85,12 +88,12 @@ def measure(path, body):
 
 
 NOTES = [
-    "Both start at the coarse optimum and minimise the same cost with the same pull towards 0, in float64, on both "
+    "Both start at the coarse optimum and minimise the same cost with the same prior, in float64, on both "
     f"cores, those of BLAS included, after compilation. merlfit: azimuths gathered, then solved (median of {REPEATS}). "
     "scipy: `least_squares(method='trf', x_scale='jac', ftol=1e-6, xtol=1e-5)` with the JAX residuals of all bins that "
     "hold light and their dense Jacobian (`jacfwd`), no gathering, one run. Near: when scipy had come within "
     f"{NEAR:.1%} of the lowest cost it found.",
-    "Costs: of all bins, without the pull. Difference: merlfit's less scipy's; negative where merlfit's is lower.",
+    "Costs: of all bins, without the prior. Difference: merlfit's less scipy's; negative where merlfit's is lower.",
 ]
 
 

@@ -171,6 +171,23 @@ def test_solvers_of_three_libraries_agree(coarse):
         np.testing.assert_allclose(other.z, ours.z, atol=0.05)
 
 
+def test_compressed_residuals_hold_the_prior():
+    rng = np.random.default_rng(4)
+    z, residual, jacobian = rng.normal(size=5), rng.normal(size=40), rng.normal(size=(40, 5))
+
+    def whole(z):
+        """Residuals of a linear model with the prior, plainly: r = residual - J (z - z0)."""
+        return (residual - jacobian @ (z - start)) * np.sqrt(1 + levenberg_marquardt.PRIOR * z @ z)
+
+    start = z.copy()
+    both = np.concatenate([jacobian, residual[:, None]], 1)
+    found = levenberg_marquardt.compress(jnp.asarray(z), jnp.asarray(both.T @ both)[None])
+    slope = np.array([(whole(z + h) - whole(z - h)) / 2e-6 for h in 1e-6 * np.eye(5)]).T
+    np.testing.assert_allclose(found.value @ found.value, whole(z) @ whole(z), rtol=1e-10)
+    np.testing.assert_allclose(found.slope.T @ found.value, slope.T @ whole(z), rtol=1e-7)
+    np.testing.assert_allclose(found.slope.T @ found.slope, slope.T @ slope, rtol=1e-7)
+
+
 def test_weights_and_median():
     value = np.array([0.0, 1.0, 100.0])
     weight = compressive_weight(value, np.asarray(1.0))

@@ -1,0 +1,114 @@
+"""Our trust region against optimistix' own Levenberg-Marquardt, from the same starting points on the coarse grid."""
+
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from merlfit.fitting.config import load
+from merlfit.fitting.levenberg_marquardt import OFFSET_TOLERANCE, compress, prior_factor, relative_offset, solve
+from merlfit.fitting.problem import make_problem, weighted_samples
+from merlfit.fitting.residuals import normal_equations
+from merlfit.fitting.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
+from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.binary import read
+from merlfit.merl_io.samples import thin
+
+from .materials import TWELVE, file
+from .processes import worker
+from .record import RECONSTRUCTIONS, Record
+
+FOUR = ("nickel", "gold-metallic-paint2", "gray-plastic", "white-marble")
+STARTS, MOST, SPREAD = 10, 200, 1.0  # SPREAD: standard deviation of the starting points' free coordinates
+SCALE = 100.0  # of the residuals, with which the stock solver's first damping, 1, is a light one
+SAME = 1e-3  # of the cost: ends so near to each other are the same
+
+
+def stock(evaluate, z, tolerance=1e-5):
+    """Cost with prior, evaluations, and whether it converged, of optimistix' solver driven as `solve` drives ours."""
+    solver, size = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance), len(z)
+
+    def affine(z, near):
+        value, slope, at = near
+        return SCALE * (value + slope @ (z - at)), None
+
+    start = jnp.zeros(size)
+    near = (jnp.zeros(size + 1), jnp.zeros((size + 1, size)), start)
+    shape = jax.ShapeDtypeStruct((size + 1,), start.dtype)
+    state = solver.init(affine, start, near, {}, shape, None, frozenset())
+    _, static = eqx.partition(state, eqx.is_array)
+
+    @jax.jit
+    def step(y, dynamic, normal):
+        state = eqx.combine(dynamic, static)
+        found = compress(state.y_eval, normal)
+        near = (found.value, found.slope, found.at)
+        y, state, _ = solver.step(affine, y, near, {}, state, frozenset())
+        kept = (state.num_steps_since_acceptance == 0, relative_offset(found.value), jnp.sum(found.value**2))
+        return y, eqx.filter(state, eqx.is_array), state.terminate, *kept
+
+    y = jnp.asarray(z)
+    dynamic, cost = eqx.filter(eqx.tree_at(lambda s: s.y_eval, state, y), eqx.is_array), np.inf
+    for steps in range(1, MOST + 1):
+        y, dynamic, stop, accepted, offset, here = step(y, dynamic, evaluate(eqx.combine(dynamic, static).y_eval))
+        cost = float(here) if accepted or steps == 1 else cost
+        if bool(stop) or (bool(accepted) and offset < OFFSET_TOLERANCE):
+            return cost, steps, True
+    return cost, MOST, False
+
+
+def ours(effects, z, problem):
+    """The same of `solve`."""
+    found = solve(effects, z, problem, MOST)
+    return found.cost * float(prior_factor(found.z)[0]) ** 2, found.steps, found.converged
+
+
+def measure(path, body):
+    """Costs, evaluations and ends of both from random starting points, and seconds an evaluation of each."""
+    effects = cheaper(load(body=body).effects_of(body), COARSE_ORDER)
+    problem = make_problem(thin(weighted_samples(read(path)), COARSE), COARSE_AZIMUTHS)
+    rng, rows = np.random.default_rng(0), {"stock": [], "ours": []}
+    for _ in range(STARTS):
+        z = SPREAD * rng.standard_normal(layout_of(effects).size)
+        for name, run in (
+            ("stock", lambda z: stock(lambda x: normal_equations(effects, x, problem), z)),
+            ("ours", lambda z: ours(effects, z, problem)),
+        ):
+            begun = time.perf_counter()
+            rows[name].append([*run(z), time.perf_counter() - begun])
+    return rows
+
+
+NOTES = [
+    f"{STARTS} starting points each, normal in the free coordinates with standard deviation {SPREAD:g}; the same for "
+    f"both. At most {MOST} evaluations of the normal equations; both stop at the same relative offset. stock: "
+    "`optimistix.LevenbergMarquardt` with its defaults, residuals times 100; ours: `fitting/trust_region.py`.",
+    f"Same end: pairs whose costs differ by less than {SAME:.1%}, for which evaluations are compared (ratio of "
+    "medians). Lower: pairs in which one ended lower by more than that.",
+]
+
+
+def run(folder, out, every):
+    """Four materials, or all twelve."""
+    record = Record(
+        "solver", "The trust region against optimistix' Levenberg-Marquardt", RECONSTRUCTIONS, NOTES, folder=out
+    )
+    for material in TWELVE if every else FOUR:
+        seen, _ = worker("solver", file(folder, material), TWELVE[material])
+        cost, steps, ended, _ = (
+            np.array(x) for x in zip(*(np.array(seen[q]).T for q in ("stock", "ours")), strict=True)
+        )
+        relative = cost[0] / cost[1] - 1
+        same = np.abs(relative) < SAME
+        middle = [float(np.median(s[same])) if same.any() else float("nan") for s in steps]
+        record.add({
+            "material": material, "body": TWELVE[material], "stock converged": int(ended[0].sum()),
+            "ours converged": int(ended[1].sum()), "same end": int(same.sum()), "stock evaluations": middle[0],
+            "our evaluations": middle[1], "ratio": middle[0] / middle[1],
+            "stock lower": int((relative < -SAME).sum()), "ours lower": int((relative > SAME).sum()),
+        }, seen)  # fmt: skip
+    ratios = record.column("ratio")
+    record.notes.append(f"Evaluations to the same end: {np.nanmedian(ratios):.2g} times as many in the median.")
+    record.finish()
