@@ -2,8 +2,8 @@
 
 Free coordinates are scaled by what is known of each parameter beforehand, so that a length in them means something and
 the radius is one number. Parts for optimistix: the descent finds the best point of the ball, the search says how large
-the ball may be. optimistix' own Levenberg-Marquardt lengthens its steps only where the linear model is right to 1 %, and
-creeps; ``results/bench/solver.md`` compares the two.
+the ball may be. optimistix' own Levenberg-Marquardt lengthens its steps only where the linear model is right to 1 %,
+and creeps; ``results/bench/solver.md`` compares the two.
 """
 
 from collections.abc import Callable
