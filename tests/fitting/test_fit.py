@@ -263,7 +263,7 @@ def test_short_steps_before_a_wall_are_no_convergence(edge, converged):
     found = levenberg_marquardt._optimistix(equations, np.zeros(2), 60, 1e-5)
     assert found.converged == converged
     assert np.all(np.isfinite(found.z))
-    np.testing.assert_allclose(found.z[0], min(edge, 5.0), rtol=2e-2)  # the pull towards 0
+    np.testing.assert_allclose(found.z[0], min(edge, 5.0), rtol=2e-2)  # the prior
 
 
 def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):
