@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test test-slow bench bench-gpu cost hard-cases tables lint types install schema clean
+.PHONY: demo test test-slow bench bench-convergence bench-posterior bench-gpu cost hard-cases tables lint types install schema clean
 
 install: $(READY)
 
@@ -29,6 +29,17 @@ test-slow: install
 # An hour on two cores; results/bench/. `python -m tests.bench SECTION` for one; `--few` for fewer materials and files.
 bench: install
 	$(BIN)/python -m tests.bench
+
+# An hour: 12 materials from 100 random starting points each; goes on where it was stopped.
+bench-convergence: install
+	$(BIN)/python -m tests.bench convergence
+
+# Three hours: 200 synthetic materials, and 12 reconstructions in four halves each (both go on where they were
+# stopped), nickel beside HP17.
+bench-posterior: install
+	$(BIN)/python -m tests.bench calibration
+	$(BIN)/python -m tests.bench halves
+	$(BIN)/python -m tests.bench nickel
 
 bench-gpu: install
 	$(BIN)/python -m tests.bench gpu

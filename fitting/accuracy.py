@@ -19,7 +19,6 @@ import numpy as np
 
 from ..merl_io.binary import Measurement
 from ..merl_io.samples import Samples, thin
-from ..model.effects import Effects
 from . import export
 from .choice import FITTED, POINTS, REFERENCE, Choice
 from .config import Config, ConfigError
@@ -30,9 +29,9 @@ from .problem import Problem, make_problem
 from .request import Request, needed, usable
 from .residuals import normal_equations, predict
 from .run import GRIDS, judge
-from .transforms import layout_of
+from .transforms import Layout
 
-Model = tuple[Effects, np.ndarray]  # and its free coordinates
+Model = tuple[Layout, np.ndarray]  # and its free coordinates
 
 
 def distance(a: Model, b: Model, problem: Problem) -> float:
@@ -43,7 +42,7 @@ def distance(a: Model, b: Model, problem: Problem) -> float:
     """
     total = 0.0
     for part in problem.parts:
-        here, there = (predict(e, layout_of(e).values(jnp.asarray(z)), part.directions) for e, z in (a, b))
+        here, there = (predict(e.effects, e.values(jnp.asarray(z)), part.directions) for e, z in (a, b))
         root = np.moveaxis(np.asarray(part.root), 1, 0)
         weighted = root.reshape(*here.shape, -1) @ (here - there)[..., None]
         total += float(np.sum(weighted**2))
@@ -52,9 +51,9 @@ def distance(a: Model, b: Model, problem: Problem) -> float:
 
 def remaining(model: Model, problem: Problem) -> float:
     """Length |J dz| of the Gauss-Newton step from here, relative to the measurement; infinite where the model is."""
-    effects, z = model
+    layout, z = model
     point = jnp.asarray(z)
-    normal = normal_equations(effects, point, problem)
+    normal = normal_equations(layout, point, problem)
     if not np.all(np.isfinite(normal)):
         return np.inf
     near = compress(point, normal)
@@ -67,9 +66,9 @@ def estimate(model: Model, problem: Problem, config: Config) -> float:
     Args:
         problem: all bins as the reference has them (`reference_problem`). config: what was asked for.
     """
-    effects, z = model
-    reference = REFERENCE.settings(config).effects_of(effects.body), z
-    tier = 0.0 if reference[0] == effects else distance(model, reference, problem)
+    layout, z = model
+    reference = REFERENCE.settings(config).layout_of(layout.effects.body), z
+    tier = 0.0 if reference[0] == layout else distance(model, reference, problem)
     return tier + remaining(reference, problem)
 
 
@@ -78,18 +77,18 @@ def reference_problem(samples: Samples) -> Problem:
     return make_problem(samples, REFERENCE.azimuths, REFERENCE.precision)
 
 
-def carry_on(model: Model, settings: Config, samples: Samples) -> tuple[Effects, Solution]:
+def carry_on(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
-    effects = settings.effects_of(model[0].body)
+    layout = settings.layout_of(model[0].effects.body)
     problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
-    return effects, solve(effects, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)
+    return layout, solve(layout, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)
 
 
 class _Try(NamedTuple):
     """Where a fit has come to with some settings, and the error estimated there."""
 
     choice: Choice
-    effects: Effects
+    layout: Layout
     solution: Solution
     error: float
 
@@ -144,22 +143,22 @@ class Aim:
     def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, export.Accuracy]:
         """The error that a fit is estimated to have, and the fit carried on until it is what was asked for."""
         problem, wanted = reference_problem(samples), self.request.accuracy
-        best = self._judged(self.point.choice, (fitted.effects, fitted.solution), problem)
+        best = self._judged(self.point.choice, (fitted.layout, fitted.solution), problem)
         tried = [best]
         for choice in self.finer:
             if wanted is None or best.error <= wanted:
                 break
-            found = carry_on((best.effects, best.solution.z), choice.settings(self.config), samples)
+            found = carry_on((best.layout, best.solution.z), choice.settings(self.config), samples)
             tried.append(self._judged(choice, found, problem))
             best = min(tried, key=lambda t: t.error)
         if best.solution is not fitted.solution:
-            fitted = replace(judge(best.effects, best.solution, measurement, samples), candidates=fitted.candidates)
+            fitted = replace(judge(best.layout, best.solution, measurement, samples), candidates=fitted.candidates)
         return fitted, self._told(tried, best)
 
-    def _judged(self, choice: Choice, found: tuple[Effects, Solution], problem: Problem) -> _Try:
-        effects, solution = found
-        error = max(estimate((effects, solution.z), problem, self.config), self.point.astray)
-        return _Try(choice.applied(self.config), effects, solution, error)
+    def _judged(self, choice: Choice, found: tuple[Layout, Solution], problem: Problem) -> _Try:
+        layout, solution = found
+        error = max(estimate((layout, solution.z), problem, self.config), self.point.astray)
+        return _Try(choice.applied(self.config), layout, solution, error)
 
     def _told(self, tried: list[_Try], best: _Try) -> export.Accuracy:
         asked, point = self.request.accuracy, self.point

@@ -19,60 +19,59 @@ import numpy as np
 from jax import Array
 
 from ..merl_io.samples import Samples, thin
-from ..model.effects import Effects
 from .config import Config
 from .levenberg_marquardt import CLEAR, OFFSET_TOLERANCE, Solution, _machine
 from .problem import Part, Problem, make_problem
-from .residuals import _normal_equations, _spread_out
-from .run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, GRIDS, TRIAL_STEPS, cheaper
-from .starts import starting_points
+from .residuals import _normal_equations, spread_out
+from .run import CANDIDATE_ORDER, COARSE_ORDER, GRIDS, RUNNERS_EACH, cheaper, make_coarse, race
+from .starts import ReadOff, read_off, starting_points
 from .threads import side_by_side
+from .transforms import Layout
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a fit needs of one material: samples and problem of the coarse grid, problem of the last one."""
+    """What a fit needs of one material.
 
-    coarse: Samples
-    coarse_problem: Problem
+    Attributes:
+        seen: where to start. coarse, roughly: problems of the race and of the candidates for starting points.
+        problem: of the last steps.
+    """
+
+    seen: ReadOff
+    coarse: Problem
+    roughly: Problem
     problem: Problem
 
 
 def prepare(samples: Samples, config: Config) -> Prepared:
     """Samples of a file gathered as `run.fit` does it."""
-    coarse, settings = thin(samples, COARSE), config.fit
+    settings = config.fit
     whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
-    return Prepared(coarse, make_problem(coarse, COARSE_AZIMUTHS), whole)
+    return Prepared(read_off(samples), *make_coarse(samples), whole)
 
 
-def fit_batch(effects: Effects, materials: Sequence[Prepared], config: Config) -> list[Solution]:
-    """All materials with the same effects: coarse grid from screened starting points, then the last grid.
+def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> list[Solution]:
+    """All materials with the same effects: a race on the coarse grid, then the last grid.
 
     As `run.fit` does it one by one, without its choice of a body and its judgement on all bins.
     """
-    cheap, settings = cheaper(effects, COARSE_ORDER), config.fit
-    problems = [m.coarse_problem for m in materials]
+    cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
+    problems = [m.coarse for m in materials]
+    count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
+    runners = [starting_points(rough, m.seen, m.roughly, count) for m in materials]
 
-    def follow(z: np.ndarray, steps: int) -> list[Solution]:
-        return solve_batch(cheap, z, problems, steps)
+    def follow(runners: list[np.ndarray], steps: int) -> list[list[Solution]]:
+        rows = [[each[min(k, len(each) - 1)] for each in runners] for k in range(max(map(len, runners)))]
+        found = [solve_batch(cheap, np.array(row), problems, steps) for row in rows]
+        return [list(each)[: len(own)] for each, own in zip(zip(*found, strict=True), runners, strict=True)]
 
-    points = [starting_points(cheap, m.coarse) for m in materials]
-    most = max(map(len, points))  # materials with fewer starting points wait in their last one
-    screened = [follow(np.array([p[min(k, len(p) - 1)] for p in points]), 1) for k in range(most)]
-    costs = np.array([[s.cost for s in found] for found in screened]).T
-    costs = [np.nan_to_num(row[: len(p)], nan=np.inf) for row, p in zip(costs, points, strict=True)]
-    order = [np.resize(np.argsort(row)[: settings.starts], settings.starts) for row in costs]
-    firsts = [np.array([p[o[k]] for p, o in zip(points, order, strict=True)]) for k in range(settings.starts)]
-    trials = [follow(z, min(TRIAL_STEPS, settings.coarse_steps)) for z in firsts]
-    best = [min(each, key=lambda s: s.cost if np.isfinite(s.cost) else np.inf) for each in zip(*trials, strict=True)]
-    if (rest := settings.coarse_steps - TRIAL_STEPS) > 0 and not all(s.converged for s in best):
-        further = follow(np.array([s.z for s in best]), rest)
-        best = [old if old.converged else new for old, new in zip(best, further, strict=True)]
-    return solve_batch(effects, np.array([s.z for s in best]), [m.problem for m in materials], settings.max_steps)
+    best = race(runners, follow, config)
+    return solve_batch(layout, np.array([s.z for s in best]), [m.problem for m in materials], settings.max_steps)
 
 
 def solve_batch(
-    effects: Effects, z: np.ndarray, problems: Sequence[Problem], max_steps: int = 100, rtol: float = 1e-5
+    layout: Layout, z: np.ndarray, problems: Sequence[Problem], max_steps: int = 100, rtol: float = 1e-5
 ) -> list[Solution]:
     """`levenberg_marquardt.solve` for many materials at once.
 
@@ -86,11 +85,11 @@ def solve_batch(
     stacked = _stack(problems)
     start, advance = _mapped_machine(z.shape[1], rtol)
     points = jnp.asarray(z, float)
-    fits = start(points, _equations(effects, points, stacked))
+    fits = start(points, _equations(layout, points, stacked))
     for step in range(max_steps):
         if not bool(jnp.any(fits.active)):
             break
-        fits = advance(fits, _equations(effects, fits.state.y_eval, stacked) if step else fits.kept)
+        fits = advance(fits, _equations(layout, fits.state.y_eval, stacked) if step else fits.kept)
     return [_solution(fits, k) for k in range(len(problems))]
 
 
@@ -158,9 +157,10 @@ def _stack(problems: Sequence[Problem]) -> Problem:
     return Problem(tuple(parts), jnp.stack([q.rest for q in problems]), jnp.stack([q.scatter for q in problems]))
 
 
-def _equations(effects: Effects, z: Array, stacked: Problem) -> Array:
+def _equations(layout: Layout, z: Array, stacked: Problem) -> Array:
     """Normal equations of all materials, (M, C, P+1, P+1)."""
     by_material: Any = Part(directions=None, root=0, target=0)  # type: ignore
-    mapped = jax.vmap(partial(_normal_equations, effects), in_axes=(0, by_material))
-    compact = reduce(add, side_by_side(lambda part: mapped(z, part), stacked.parts))
-    return jax.vmap(partial(_spread_out, effects))(compact, stacked.rest)
+    mapped = jax.vmap(partial(_normal_equations, layout.effects), in_axes=(0, by_material))
+    values = jax.vmap(layout.values)(z)
+    compact = reduce(add, side_by_side(lambda part: mapped(values, part), stacked.parts))
+    return jax.vmap(partial(spread_out, layout))(z, compact, stacked.rest)

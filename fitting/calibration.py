@@ -21,6 +21,7 @@ from ..merl_io.binary import Measurement, write
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples
 from ..model.effects import BODIES, Effects
+from ..model.parameters import parameters
 from .accuracy import carry_on, distance, estimate, reference_problem
 from .choice import REFERENCE, Choice
 from .config import Config, load
@@ -29,7 +30,6 @@ from .problem import Problem, directions
 from .residuals import predict
 from .run import fit_file, judge
 from .synthesis import from_published
-from .transforms import layout_of
 
 PLAUSIBLE = {
     "beta": (0.01, 0.5), "p": (0.3, 2.0), "b": (0.3, 30.0), "c": (1.3, 4.0), "sigma_s": (0.005, 0.1),
@@ -56,7 +56,7 @@ def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[Effects, d
     rng = rng or _generator(seed)
     effects = Effects(BODIES[seed % len(BODIES)], acquisition="free")
     values = {}
-    for q in layout_of(effects).parameters:
+    for q in parameters(effects):
         low, high = PLAUSIBLE[q.name]
         values[q.name] = jnp.asarray(low * (high / low) ** rng.uniform(size=3 if q.per_channel else ()))
     return effects, values
@@ -114,10 +114,10 @@ class _Probe:
     def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, None]:
         start = time.perf_counter()
         problem = reference_problem(samples)
-        error = estimate((fitted.effects, fitted.solution.z), problem, self.config)
+        error = estimate((fitted.layout, fitted.solution.z), problem, self.config)
         seconds, further = time.perf_counter() - start, None
         if self.choice == REFERENCE:
-            found = carry_on((fitted.effects, fitted.solution.z), self.choice.settings(self.config), samples)
+            found = carry_on((fitted.layout, fitted.solution.z), self.choice.settings(self.config), samples)
             further = judge(*found, measurement, samples)
         self.seen = _Seen(fitted, problem, error, seconds, further)
         return fitted, None
@@ -130,20 +130,20 @@ def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[
     fitted, kept = seen.fitted, references / f"{path.stem}.npz"
     if seen.further is not None:
         references.mkdir(parents=True, exist_ok=True)
-        free = [bound == "no" for bound in seen.further.at_bound]
+        best, free = seen.further, [bound == "no" for bound in seen.further.at_bound]
         np.savez(
-            kept, z=seen.further.solution.z, deviation=seen.further.deviation, free=free,
-            body=BODIES.index(seen.further.effects.body),
+            kept, z=best.solution.z, values=best.values, errors=best.standard_errors, free=free,
+            body=BODIES.index(best.effects.body),
         )  # fmt: skip
     with np.load(kept, allow_pickle=False) as reference:
         best = {key: reference[key] for key in reference}
     body = BODIES[int(best["body"])]
-    target = REFERENCE.settings(config).effects_of(body), best["z"]
+    target = REFERENCE.settings(config).layout_of(body), best["z"]
     same = body == fitted.effects.body
-    away = np.abs(fitted.solution.z - best["z"]) / best["deviation"] if same else np.array([])
+    away = np.abs(fitted.values - best["values"]) / best["errors"] if same else np.array([])
     return {
         "body": fitted.effects.body, "status": fitted.status.name, "cost": fitted.solution.cost,
-        "rmse": fitted.errors.rmse, "error": distance((fitted.effects, fitted.solution.z), target, seen.problem),
+        "rmse": fitted.errors.rmse, "error": distance((fitted.layout, fitted.solution.z), target, seen.problem),
         "estimate": seen.estimate, "seconds": seconds, "estimate_seconds": seen.seconds, "other_body": not same,
         "parameters": float(np.max(away[best["free"]], initial=0.0)) if same else None,
         "megabytes": _peak_megabytes(),

@@ -12,8 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ..model.acquisition import Apparatus
 from ..model.effects import PRESETS, Acquisition, Body, Colour, Diffraction, Effects, Fresnel, Masking, Split
+from ..model.parameters import PRIORS, LogNormal, Priors
 from .levenberg_marquardt import Backend
 from .problem import AZIMUTHS, Precision
+from .transforms import Layout, layout_of
+from .weights import HIGHLIGHT
 
 
 class ConfigError(ValueError):
@@ -67,21 +70,49 @@ class ApparatusSection(_Section):
     lamp_nearness: Annotated[float, Field(ge=0)] = Apparatus.lamp_nearness
 
 
+class LogNormalSection(_Section):
+    """A log-normal prior: median, and the factor of one standard deviation up or down."""
+
+    median: Annotated[float, Field(gt=0)]
+    factor: Annotated[float, Field(ge=1.1)]
+
+
+def _prior(name: str) -> LogNormalSection:
+    return LogNormalSection(**asdict(getattr(PRIORS, name)))
+
+
+class PriorsSection(_Section):
+    """[priors]: what is known of the parameters beforehand (:class:`merlfit.model.parameters.Priors`)."""
+
+    half_width: LogNormalSection = _prior("half_width")
+    p: LogNormalSection = _prior("p")
+    b: LogNormalSection = _prior("b")
+    c: LogNormalSection = _prior("c")
+    sigma_rel: LogNormalSection = _prior("sigma_rel")
+    n: LogNormalSection = _prior("n")
+    k: LogNormalSection = _prior("k")
+    eta: LogNormalSection = _prior("eta")
+    dispersion: LogNormalSection = _prior("dispersion")
+
+
 class FitSection(_Section):
     """[fit]: the solver, and what accuracy it works with.
 
     Attributes:
-        starts: how many of the screened starting points are followed on the coarse grid.
+        starts: of the coarse grid's race: three times as many starting points run its first lap, so many the second.
         coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on the last one.
+        highlight: least share of the weighted energy for the bins within the half width of the lobe
+            (``weights.weighted_samples``); 0 is HP17 Eq. 56 as printed.
         grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 22nd.
         azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).
         precision: of the model; sums are always taken in float64.
         backend: solver; others than optimistix are for cross-checks.
     """
 
-    starts: Annotated[int, Field(ge=1, le=32)] = 4
+    starts: Annotated[int, Field(ge=1, le=32)] = 8
     coarse_steps: Annotated[int, Field(ge=1)] = 80
     max_steps: Annotated[int, Field(ge=1)] = 40
+    highlight: Annotated[float, Field(ge=0, le=0.9)] = HIGHLIGHT
     grid: Literal["fine", "medium", "coarse"] = "fine"
     azimuths: Annotated[int, Field(ge=2, le=90)] = AZIMUTHS
     precision: Precision = "float64"
@@ -99,11 +130,12 @@ class PosteriorSection(_Section):
     """[posterior]: the sampler.
 
     Attributes:
-        enabled: whether to sample at all. max_steps: at the most; sampling stops when the chain is long enough.
+        enabled: whether to sample at all. max_steps: at the most, after those of tuning; sampling stops when
+            the chain is good enough.
     """
 
     enabled: bool = True
-    max_steps: Annotated[int, Field(ge=10)] = 2700
+    max_steps: Annotated[int, Field(ge=10)] = 6000
 
 
 class Config(_Section):
@@ -112,6 +144,7 @@ class Config(_Section):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     effects: EffectsSection = EffectsSection()
     apparatus: ApparatusSection = ApparatusSection()
+    priors: PriorsSection = PriorsSection()
     fit: FitSection = FitSection()
     posterior: PosteriorSection = PosteriorSection()
 
@@ -136,6 +169,11 @@ class Config(_Section):
         """The effects to fit with one body."""
         chosen = self.effects.model_copy(update={"body": body}).model_dump(exclude={"preset"})
         return Effects(**chosen, apparatus=Apparatus(**self.apparatus.model_dump()))
+
+    def layout_of(self, body: Body) -> Layout:
+        """The parameters to fit with one body, in the coordinates that the priors make."""
+        priors = Priors(**{name: LogNormal(**given) for name, given in self.priors.model_dump().items()})
+        return layout_of(self.effects_of(body), priors)
 
 
 def load(

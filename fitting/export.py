@@ -15,8 +15,8 @@ from ..merl_io.atomic import write_atomically
 from ..model.effects import Effects
 from .choice import Choice
 
-SCHEMA_VERSION = "1.1"
-PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee")
+SCHEMA_VERSION = "1.2"
+PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
 
 class ResultError(ValueError):
@@ -80,12 +80,39 @@ class ParameterResult(_Part):
     source: str
 
 
+class Direction(_Part):
+    """A direction in free coordinates that the data do not determine.
+
+    ``curvature`` of the likelihood along it, in units of the prior's; its larger ``components``, by coordinate.
+    """
+
+    curvature: float
+    components: dict[str, float]
+
+
+class Identifiability(_Part):
+    """What the data determine, by the Gaussian approximation at the fit.
+
+    ``correlation`` of the parameters ``names``. In the free ``coordinates`` the prior is standard normal:
+    ``contraction`` is one minus the standard deviation that is left of it, ``determined`` the number of directions in
+    which the likelihood is at least as curved as the prior, ``undetermined`` the others.
+    """
+
+    names: list[str]
+    correlation: list[list[float]]
+    coordinates: list[str]
+    contraction: list[float]
+    determined: int
+    undetermined: list[Direction]
+
+
 class Candidate(_Part):
-    """One body on the coarse grid."""
+    """One body on the coarse grid; ``converged`` is false of one so far behind that it was not followed further."""
 
     body: str
     cost: float | None
     bic: float | None
+    converged: bool = True
 
 
 class Fit(_Part):
@@ -110,18 +137,42 @@ class Metrics(_Part):
     smape: float | None
 
 
+class DerivedResult(_Part):
+    """One derived quantity, of the material without the apparatus; quantiles are null without a posterior to trust."""
+
+    name: str
+    quantity: str
+    channel: str | None
+    meaning: str
+    unit: str
+    value: float
+    quantiles: Quantiles | None
+
+
 class PosteriorResult(_Part):
-    """How the sampling went."""
+    """How the sampling went (docs/statistics.md). Not ``sufficient``, there are no quantiles, and ``message`` says why.
+
+    ``effective_bins``: how many independent residuals those of the fit are worth. ``draws`` from the chain were weighed
+    by the likelihood of all bins; ``pareto_k`` is the shape of the largest weights. Lists are by ``coordinates``:
+    ``r_hat``, ``bulk_size``, ``tail_size`` of the chain, ``effective_size`` of the weighted draws, ``contraction`` one
+    minus the posterior's standard deviation, of which the prior's is one.
+    """
 
     sufficient: bool
     message: str
     steps: int
     walkers: int
     acceptance: float
-    autocorrelation_steps: list[float]
-    effective_size: list[float]
-    effective_bins_per_channel: list[float]
-    thinning_error: float | None
+    effective_bins: float
+    draws: int
+    pareto_k: float | None
+    coordinates: list[str]
+    autocorrelation_steps: list[float | None]
+    r_hat: list[float | None]
+    bulk_size: list[float | None]
+    tail_size: list[float | None]
+    effective_size: list[float | None]
+    contraction: list[float | None]
     chain_file: str
 
 
@@ -155,14 +206,16 @@ class Accuracy(_Part):
 
 
 class Result(_Part):
-    """One material; version 1.0 had no ``accuracy``."""
+    """One material; version 1.0 had no ``accuracy``, 1.1 no ``identifiability`` and no ``derived``."""
 
-    schema_version: Literal["1.0", "1.1"] = SCHEMA_VERSION
+    schema_version: Literal["1.0", "1.1", "1.2"] = SCHEMA_VERSION
     source: Source
     model: Model | None
     parameters: list[ParameterResult]
     fit: Fit
     metrics: Metrics
+    identifiability: Identifiability | None = None
+    derived: list[DerivedResult] = []
     posterior: PosteriorResult | None
     accuracy: Accuracy | None = None
     seconds: dict[str, float]
@@ -170,11 +223,15 @@ class Result(_Part):
     versions: dict[str, str]
     config: dict[str, Any]
 
-    def values(self) -> dict[str, Any]:
-        """Values by parameter name, arrays for those per channel: what the model takes."""
+    def values(self, flat: np.ndarray | None = None) -> dict[str, Any]:
+        """Values by parameter name, arrays for those per channel: what the model takes.
+
+        Args:
+            flat: other values of the ``parameters``, a draw from the posterior say.
+        """
         grouped: dict[str, list[float]] = {}
-        for q in self.parameters:
-            grouped.setdefault(q.parameter, []).append(q.value)
+        for k, q in enumerate(self.parameters):
+            grouped.setdefault(q.parameter, []).append(q.value if flat is None else float(flat[k]))
         single = {q.parameter for q in self.parameters if q.channel is None}
         return {name: v[0] if name in single else np.array(v) for name, v in grouped.items()}
 

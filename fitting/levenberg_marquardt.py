@@ -24,13 +24,13 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from ..model.effects import Effects
 from .problem import Problem
 from .residuals import normal_equations
+from .transforms import Layout
 from .trust_region import TrustRegion
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
-PRIOR = 3e-4  # weight of |z|^2: z = 6 is 0.25 % from a bound and costs 1 %
+PRIOR = 1e-2  # weight of |z|^2: as much as in the posterior of a material whose residuals are worth 100 bins in all
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
 NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected
 CLEAR = 8  # steps since a trial where the model was not finite: before that, short steps are a wall, not a minimum
@@ -75,6 +75,11 @@ class Solution:
     steps: int
     offset: float
     converged: bool
+
+    @property
+    def objective(self) -> float:
+        """What is minimised: cost and prior."""
+        return self.cost * float(prior_factor(self.z)[0]) ** 2
 
 
 def _factor(m: Array) -> Array:
@@ -209,7 +214,7 @@ def _solution(evaluate: Callable, z: np.ndarray, steps: int, converged: bool) ->
 
 
 def solve(
-    effects: Effects,
+    layout: Layout,
     z: np.ndarray,
     problem: Problem,
     max_steps: int = 100,
@@ -227,7 +232,7 @@ def solve(
     """
 
     def evaluate(z: Array) -> Array:
-        return normal_equations(effects, z, problem)
+        return normal_equations(layout, z, problem)
 
     start = np.asarray(z, dtype=float)
     if backend == "scipy":

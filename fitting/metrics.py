@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..merl_io.grid import MerlGrid
+from .threads import side_by_side
 
 THETA_MAX_RAD = 1.4  # HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
+LEAST_PAIRS = 10  # of bins, to speak of a correlation between them
 SIN_FLOOR = 0.02  # of theta_i in the RMSE weight, as the reference evaluation of the published parameters has it
 
 
@@ -43,32 +45,38 @@ def errors(measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, grid:
 
 
 def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:
-    """Correlation length of a zero-mean field along one axis, in bins: 1 + 2 sum of squared correlations over all lags.
+    """Integrated correlation length of a zero-mean field along one axis, in bins: 1 + 2 sum of correlations.
 
-    Squared, because the number of degrees of freedom of a sum of squares is sought (Bartlett): sum e^2 over n bins
-    scatters as a chi-square of n / length degrees. 1 for independent bins, n for a constant field.
+    It says how many bins are worth one for a quantity that hardly changes over that length: the mean of n of them
+    scatters as that of n / length independent ones. The sum ends before the first lag whose correlation is not positive
+    (Geyer's initial positive sequence): beyond it there is but noise. 1 for independent bins, n for a constant field.
+    Slices without any datum are passed over.
     """
-    lags = field.shape[axis]
-    rows = np.moveaxis(np.where(used, field, 0.0), axis, 0).reshape(lags, -1)
-    counted = np.moveaxis(used, axis, 0).reshape(lags, -1).astype(np.float32)  # exact sums up to 2^24 pairs of rows
+    field, used = (np.moveaxis(x, axis, 0) for x in (field, used))
+    kept = used.reshape(len(used), -1).any(1)
+    rows, counted = np.where(used, field, 0.0)[kept].reshape(kept.sum(), -1), used[kept].reshape(kept.sum(), -1)
+    counted = counted.astype(np.float32)  # exact sums up to 2^24 pairs of rows
     products, pairs = rows @ rows.T, counted @ counted.T  # every pair of rows; those at one lag are a diagonal
     variance = np.trace(products) / np.trace(pairs, dtype=float)
-    total = 1.0
-    for lag in range(1, lags):
+    length = 1.0
+    for lag in range(1, len(rows)):
         count = np.trace(pairs, lag, dtype=float)
-        if count < 10 or variance == 0:
+        covariance = np.trace(products, lag) / count if count >= LEAST_PAIRS else 0.0
+        if covariance <= 0:
             break
-        correlation = np.trace(products, lag) / count / variance
-        total += 2 * (1 - lag / lags) * min(correlation**2, 1.0)
-    return float(total)
+        length += 2 * (1 - lag / len(rows)) * min(covariance / variance, 1.0)
+    return float(length)
 
 
 def effective_count(field: np.ndarray, used: np.ndarray) -> float:
-    """How many independent equal bins the residuals of one channel are worth.
+    """N: how many independent equal residuals those of all channels are worth.
 
-    ``field`` holds weighted residuals sqrt(w) (m - p), (H, D, P). Two things make them fewer than the bins: a few bins
-    may carry most of the cost (participation, 3 (sum e^2)^2 / sum e^4, which is the number of bins for equal Gaussian
-    ones), and neighbours err alike (the product of correlation lengths along the three axes).
+    Two things make them fewer than the bins: a few may carry most of the cost (participation, 3 (sum e^2)^2 / sum e^4,
+    which is their number for equal Gaussian ones), and they err alike (the product of correlation lengths along the
+    three angles and over the channels).
+
+    Args:
+        field: weighted residuals sqrt(w) (m - p), (C, H, D, P). used: which of them count, the same shape.
     """
     largest = np.max(np.abs(field[used]), initial=0.0)
     if largest == 0:
@@ -76,5 +84,5 @@ def effective_count(field: np.ndarray, used: np.ndarray) -> float:
     field = field / largest  # its square may be no number otherwise
     e2 = field[used] ** 2
     participation = min(3 * e2.sum() ** 2 / np.sum(e2**2), e2.size)
-    lengths = np.prod([correlation_length(field, used, axis) for axis in range(3)])
-    return float(max(participation / lengths, 2.0))
+    lengths = side_by_side(lambda axis: correlation_length(field, used, axis), range(field.ndim))
+    return float(max(participation / np.prod(lengths), 1.0))

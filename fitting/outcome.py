@@ -4,28 +4,29 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..merl_io.binary import OUTLIER, Measurement
 from ..merl_io.samples import Samples
+from ..model.derived import quantities
 from ..model.effects import Effects
 from ..model.parameters import WAVELENGTHS_UM
 from ..model.two_scale import grazing_exponent
 from . import export, metrics
 from .config import Config
+from .identifiability import identifiability
 from .laplace import laplace_covariance
 from .levenberg_marquardt import Solution, Status
 from .problem import energy
-from .transforms import layout_of
+from .transforms import Layout
 
 if TYPE_CHECKING:  # the sampler's libraries take a second to load
-    from .posterior import Posterior
+    from .sampling import Sampled
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
-UNRESOLVED = 0.5  # standard error of logit(u), that is two standard errors from the bound: nearer it is at it
+RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
 OUTLIERS = (
     "{count} bins of the file are outliers, over {times:g} times brighter than what is beside them: they dominate the "
     "RMSE, and the cost hardly feels them"
@@ -38,30 +39,46 @@ class Fitted:
     """A fit on all bins.
 
     Attributes:
-        effects: what was fitted. solution: where it ended. counts: effective sample counts per channel (C,).
-        errors: metrics. candidates: bodies that were compared on the coarse grid.
+        layout: what was fitted, and in which coordinates. solution: where it ended.
+        count: effective sample count of the residuals. errors: metrics.
+        candidates: bodies that were compared on the coarse grid.
     """
 
-    effects: Effects
+    layout: Layout
     solution: Solution
-    counts: np.ndarray
+    count: float
     errors: metrics.Errors
     candidates: list[export.Candidate]
 
+    @property
+    def effects(self) -> Effects:
+        """What was fitted."""
+        return self.layout.effects
+
     @cached_property
-    def deviation(self) -> np.ndarray:
-        """Standard errors of the free coordinates by the Laplace approximation, (P,)."""
-        return np.sqrt(np.diag(laplace_covariance(self.solution.normal, self.counts, self.solution.z)))
+    def values(self) -> np.ndarray:
+        """Physical values, (P,)."""
+        return np.asarray(self.layout.flat(jnp.asarray(self.solution.z)))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the physical values, by the Laplace approximation, (P, P)."""
+        slopes = np.asarray(self.layout.slopes(jnp.asarray(self.solution.z)))
+        return slopes @ laplace_covariance(self.solution.normal, self.count) @ slopes.T
+
+    @cached_property
+    def standard_errors(self) -> np.ndarray:
+        """Of the physical values, (P,)."""
+        return np.sqrt(np.diag(self.covariance))
 
     @cached_property
     def at_bound(self) -> list[Bound]:
         """At which bound each entry is: within 1 % of it, and no two standard errors away (a dark albedo is not)."""
-        u = layout_of(self.effects).position(self.solution.z)
-        unresolved = self.deviation > UNRESOLVED
-        return [
-            "no" if not open_ or EDGE <= x <= 1 - EDGE else "lower" if x < EDGE else "upper"
-            for x, open_ in zip(u, unresolved, strict=True)
-        ]
+        entries = self.layout.entries
+        place = [float(q.position(x)) for q, x in zip(entries, self.values, strict=True)]
+        error = [q.stretch(x) * e for q, x, e in zip(entries, self.values, self.standard_errors, strict=True)]
+        near = [min(x, 1 - x) < EDGE and min(x, 1 - x) <= RESOLVED * e for x, e in zip(place, error, strict=True)]
+        return ["no" if not at else "lower" if x < EDGE else "upper" for x, at in zip(place, near, strict=True)]
 
     @property
     def status(self) -> Status:
@@ -86,7 +103,7 @@ def make_result(
     measurement: Measurement,
     samples: Samples,
     fitted: Fitted | None,
-    chain: "Posterior | None",
+    sampled: "Sampled | None",
     config: Config,
     seconds: dict[str, float],
     accuracy: export.Accuracy | None = None,
@@ -119,52 +136,84 @@ def make_result(
         steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
     )  # fmt: skip
     errors = export.Metrics(rmse=export.finite(fitted.errors.rmse), smape=export.finite(fitted.errors.smape))
-    posterior = None if chain is None else _posterior_part(chain, fitted, measurement.name)
+    found = identifiability(fitted.layout, s.normal, fitted.count, fitted.covariance)
     return export.Result(
-        model=_model_part(fitted.effects, s.z), parameters=parameter_results(fitted, chain), fit=fit_part,
-        metrics=errors, posterior=posterior, **common,
-    )  # fmt: skip
+        model=_model_part(fitted.layout, s.z), parameters=parameter_results(fitted), fit=fit_part,
+        metrics=errors, identifiability=found, posterior=None, **common,
+    ).model_copy(update={} if sampled is None else posterior_parts(fitted, sampled, measurement.name))  # fmt: skip
 
 
-def parameter_results(fitted: Fitted, chain: "Posterior | None") -> list[export.ParameterResult]:
+def parameter_results(fitted: Fitted, sampled: "Sampled | None" = None) -> list[export.ParameterResult]:
     """Every entry with value, Laplace standard error, posterior quantiles, bounds."""
-    layout, z = layout_of(fitted.effects), fitted.solution.z
-    deviation = fitted.deviation
-    values, slopes = jax.jvp(layout.values, (jnp.asarray(z),), (jnp.ones(len(z)),))
-    flat = [np.concatenate([np.ravel(part[q.name]) for q in layout.parameters]) for part in (values, slopes)]
-    bounds = fitted.at_bound
-    quantiles = None
-    if chain is not None and chain.sufficient:
-        quantiles = np.quantile(chain.values(layout), [0.05, 0.5, 0.95], axis=0)
+    layout, bounds = fitted.layout, fitted.at_bound
+    intervals = [None] * layout.size if sampled is None else _intervals(sampled, sampled.values)
     return [
         export.ParameterResult(
             name=name, parameter=q.name, symbol=q.symbol, channel=name.rsplit("_", 1)[-1] if q.per_channel else None,
-            meaning=q.meaning, unit=q.unit, value=float(flat[0][i]),
-            standard_error=export.finite(abs(flat[1][i]) * deviation[i]) if bounds[i] == "no" else None,
-            quantiles=None if quantiles is None else export.Quantiles(
-                q05=float(quantiles[0, i]), q50=float(quantiles[1, i]), q95=float(quantiles[2, i])),
-            lower=q.lower, upper=q.upper,
+            meaning=q.meaning, unit=q.unit, value=float(fitted.values[i]),
+            standard_error=export.finite(fitted.standard_errors[i]) if bounds[i] == "no" else None,
+            quantiles=intervals[i], lower=q.lower, upper=q.upper,
             at_bound=bounds[i],
-            prior=q.prior, source=q.source,
+            prior=layout.prior(q), source=q.source,
         )
         for i, (name, q) in enumerate(zip(layout.names, layout.entries, strict=True))
     ]  # fmt: skip
 
 
-def _model_part(effects: Effects, z: np.ndarray) -> export.Model:
-    layout = layout_of(effects)
+def _intervals(sampled: "Sampled", values: np.ndarray) -> list[export.Quantiles | None]:
+    """Of every column of values (n, P) of the draws; none where the posterior is not to be trusted."""
+    from .importance import quantiles
+
+    if not sampled.posterior.sufficient:
+        return [None] * values.shape[1]
+    found = quantiles(values, sampled.posterior.weights)
+    return [export.Quantiles(q05=low, q50=middle, q95=high) for low, middle, high in found.T.tolist()]
+
+
+def derived_results(fitted: Fitted, sampled: "Sampled") -> list[export.DerivedResult]:
+    """Every derived quantity with its value at the fit and posterior quantiles."""
+    found, channels = [], fitted.layout.channels
+    for q in quantities(fitted.effects):
+        values = sampled.derived[q.name].reshape(len(sampled.values), -1)
+        given = zip(np.ravel(sampled.at_fit[q.name]).tolist(), _intervals(sampled, values), strict=True)
+        for k, (value, interval) in enumerate(given):
+            channel = channels[k] if q.per_channel else None
+            found.append(export.DerivedResult(
+                name=f"{q.name}_{channel}" if channel else q.name, quantity=q.name, channel=channel, meaning=q.meaning,
+                unit=q.unit, value=value, quantiles=interval,
+            ))  # fmt: skip
+    return found
+
+
+def _model_part(layout: Layout, z: np.ndarray) -> export.Model:
+    effects = layout.effects
     return export.Model(
         effects=effects, grazing_exponent=float(grazing_exponent(layout.values(jnp.asarray(z)), effects)),
         channels=list(layout.channels), wavelengths_um=list(WAVELENGTHS_UM),
     )  # fmt: skip
 
 
-def _posterior_part(chain: "Posterior", fitted: Fitted, name: str) -> export.PosteriorResult:
-    return export.PosteriorResult(
-        sufficient=chain.sufficient, message=chain.message, steps=len(chain.chain), walkers=chain.chain.shape[1],
-        acceptance=chain.acceptance,
-        autocorrelation_steps=np.round(chain.autocorrelation, 2).tolist(),
-        effective_size=np.round(chain.effective_size, 1).tolist(),
-        effective_bins_per_channel=np.round(fitted.counts, 1).tolist(),
-        thinning_error=export.finite(chain.thinning_error), chain_file=f"{name}.chain.npz",
+def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, object]:
+    """What sampling adds to a result, by field of it.
+
+    Args:
+        name: of the material, after which the file of the chain is named.
+    """
+    p, d = sampled.posterior, sampled.posterior.diagnosis
+    spread = np.sqrt(p.weights @ (p.draws - p.weights @ p.draws) ** 2)  # 1 is the prior's
+    posterior = export.PosteriorResult(
+        sufficient=p.sufficient, message=p.message, steps=len(p.chain.states), walkers=p.chain.states.shape[1],
+        acceptance=p.chain.acceptance, effective_bins=round(fitted.count, 2), draws=len(p.draws),
+        pareto_k=export.finite(p.pareto_k), coordinates=list(fitted.layout.coordinates),
+        autocorrelation_steps=_numbers(d.times, 2), r_hat=_numbers(d.r_hat, 4),
+        bulk_size=_numbers(d.bulk), tail_size=_numbers(d.tail), effective_size=_numbers(p.effective_size),
+        contraction=_numbers(1 - spread, 3), chain_file=f"{name}.chain.npz",
     )  # fmt: skip
+    return {
+        "parameters": parameter_results(fitted, sampled), "derived": derived_results(fitted, sampled),
+        "posterior": posterior,
+    }  # fmt: skip
+
+
+def _numbers(values: np.ndarray, digits: int = 1) -> list[float | None]:
+    return [export.finite(round(float(x), digits)) for x in values]

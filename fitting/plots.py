@@ -4,6 +4,8 @@ import zipfile
 from pathlib import Path
 
 import corner
+import jax
+import jax.numpy as jnp
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,7 +20,12 @@ from .export import Model, Result
 
 matplotlib.use("Agg")
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
+BAND_DRAWS = 100  # of the posterior, for the bands of the lobe plot
 CHANNEL_COLOURS = {"R": "#c0392b", "G": "#2e8b57", "B": "#2f5fb3"}
+
+
+class NoPicture(ValueError):
+    """A picture that cannot be drawn; the message says why."""
 
 
 def plane_of_incidence(theta_i: float, theta_o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -54,41 +61,8 @@ def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray) -> 
     return np.asarray(two_scale(values, geometry, model.effects, model.wavelengths_um))
 
 
-def lobe_figure(result: Result, measurement: Measurement) -> Figure:
-    """Measured against fitted lobes in the plane of incidence, one panel an incidence, cube root scale."""
-    assert result.model is not None
-    grid, values = merl_grid(), result.values()
-    theta_o = np.radians(np.linspace(-89, 89, 357))
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    for axis, degrees in zip(figure.subplots(1, len(INCIDENCES_DEG), sharey=True), INCIDENCES_DEG, strict=True):
-        i, o = plane_of_incidence(np.radians(degrees), theta_o)
-        measured = measured_lobe(measurement, grid, *half_difference(i, o))
-        fitted = predicted_lobe(result.model, values, i, o)
-        for k, (name, m, f) in enumerate(zip(result.model.channels, measured, fitted, strict=True)):
-            style = {"color": CHANNEL_COLOURS.get(name, "black")}
-            axis.plot(np.degrees(theta_o), np.cbrt(f), "-", linewidth=1.0, label=f"{name} fitted", **style)
-            seen = slice(2 * k, None, 2 * len(measured))  # channels take turns: one does not hide another
-            axis.plot(np.degrees(theta_o[seen]), np.cbrt(m[seen]), "o", markersize=3.2, fillstyle="none", **style)
-        axis.axvline(degrees, color="gray", linewidth=0.6, linestyle=":")
-        axis.set(title=rf"$\theta_i = {degrees}^\circ$", xlabel=r"$\theta_o$ (deg), mirror side positive")
-        axis.set_xticks([-60, -30, 0, 30, 60])
-        axis.grid(alpha=0.2)
-    first = figure.axes[0]
-    first.set_ylabel(r"cube root of BRDF (sr$^{-1/3}$)")
-    first.plot([], [], "o", color="gray", fillstyle="none", markersize=3.2, label="file")
-    first.legend(fontsize=7)
-    body = "conductor" if result.model.effects.body == "none" else f"dielectric over {result.model.effects.body}"
-    origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
-    figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}, with the acquisition's grazing loss")
-    return figure
-
-
-class NoPicture(ValueError):
-    """A picture that cannot be drawn; the message says why."""
-
-
-def corner_figure(result: Result, folder: Path) -> Figure:
-    """Corner plot of the posterior, from the chain beside the result.
+def chain_file(result: Result, folder: Path) -> dict[str, np.ndarray]:
+    """Names, weighted draws (physical values) and weights of the posterior, from the chain beside the result.
 
     Raises:
         NoPicture: it was not sampled, is not to be trusted, or its chain is missing or of another fit.
@@ -100,16 +74,72 @@ def corner_figure(result: Result, folder: Path) -> Figure:
     path = folder / Path(result.posterior.chain_file).name
     try:
         with np.load(path, allow_pickle=False) as chain:
-            values, names = chain["values"], [str(n) for n in chain["names"]]
+            found = {name: chain[name] for name in ("names", "values", "weights")}
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise NoPicture(f"{path}: cannot be read ({error})") from None
-    if names != [q.name for q in result.parameters]:
+    if [str(n) for n in found["names"]] != [q.name for q in result.parameters]:
         raise NoPicture(f"{path}: is the chain of another fit")
+    return found
+
+
+def band(result: Result, chain: dict[str, np.ndarray], i: np.ndarray, o: np.ndarray) -> np.ndarray:
+    """5 and 95 % of what the posterior predicts for these directions, (2, 3, N)."""
+    assert result.model is not None
+    count = np.arange(BAND_DRAWS) + 0.5
+    drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
+    values = [result.values(chain["values"][k]) for k in drawn]
+    stacked = {name: jnp.asarray([each[name] for each in values]) for name in values[0]}
+    geometry, effects, wavelengths = Geometry.from_vectors(i, o), result.model.effects, result.model.wavelengths_um
+    lobes = jax.jit(lambda all_: jax.lax.map(lambda v: two_scale(v, geometry, effects, wavelengths), all_))(stacked)
+    return np.quantile(np.asarray(lobes), [0.05, 0.95], axis=0)
+
+
+def lobe_figure(result: Result, measurement: Measurement, chain: dict[str, np.ndarray] | None = None) -> Figure:
+    """Measured against fitted lobes in the plane of incidence, one panel an incidence, cube root scale.
+
+    Args:
+        chain: draws from the posterior (`chain_file`), of whose predictions 5 to 95 % are shaded.
+    """
+    assert result.model is not None
+    grid, values = merl_grid(), result.values()
+    theta_o = np.radians(np.linspace(-89, 89, 357))
+    figure = Figure(figsize=(15, 4.5), layout="constrained")
+    for axis, degrees in zip(figure.subplots(1, len(INCIDENCES_DEG), sharey=True), INCIDENCES_DEG, strict=True):
+        i, o = plane_of_incidence(np.radians(degrees), theta_o)
+        measured = measured_lobe(measurement, grid, *half_difference(i, o))
+        fitted = predicted_lobe(result.model, values, i, o)
+        shaded = None if chain is None else np.cbrt(band(result, chain, i, o))
+        for k, (name, m, f) in enumerate(zip(result.model.channels, measured, fitted, strict=True)):
+            style = {"color": CHANNEL_COLOURS.get(name, "black")}
+            axis.plot(np.degrees(theta_o), np.cbrt(f), "-", linewidth=1.0, label=f"{name} fitted", **style)
+            if shaded is not None:
+                axis.fill_between(np.degrees(theta_o), *shaded[:, k], alpha=0.2, linewidth=0, color=style["color"])
+            seen = slice(2 * k, None, 2 * len(measured))  # channels take turns: one does not hide another
+            axis.plot(np.degrees(theta_o[seen]), np.cbrt(m[seen]), "o", markersize=3.2, fillstyle="none", **style)
+        axis.axvline(degrees, color="gray", linewidth=0.6, linestyle=":")
+        axis.set(title=rf"$\theta_i = {degrees}^\circ$", xlabel=r"$\theta_o$ (deg), mirror side positive")
+        axis.set_xticks([-60, -30, 0, 30, 60])
+        axis.grid(alpha=0.2)
+    first = figure.axes[0]
+    first.set_ylabel(r"cube root of BRDF (sr$^{-1/3}$)")
+    first.plot([], [], "o", color="gray", fillstyle="none", markersize=3.2, label="file")
+    if chain is not None:
+        first.fill_between([], [], [], color="gray", alpha=0.3, linewidth=0, label="5 to 95 % of the posterior")
+    first.legend(fontsize=7)
+    body = "conductor" if result.model.effects.body == "none" else f"dielectric over {result.model.effects.body}"
+    origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
+    figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}, with the acquisition's grazing loss")
+    return figure
+
+
+def corner_figure(result: Result, chain: dict[str, np.ndarray]) -> Figure:
+    """Corner plot of the posterior's draws (`chain_file`)."""
+    values, names = chain["values"], result.parameters
     best = [q.value for q in result.parameters]
     labels = [f"${q.symbol}$" if q.channel is None else f"${q.symbol}$ {q.channel}" for q in result.parameters]
     figure = Figure(figsize=(1.1 * len(names), 1.1 * len(names)))
     corner.corner(
-        values[:: max(1, len(values) // 20_000)], labels=labels, truths=best, quantiles=[0.05, 0.5, 0.95], fig=figure,
+        values, weights=chain["weights"], labels=labels, truths=best, quantiles=[0.05, 0.5, 0.95], fig=figure,
         range=[0.995] * len(names), smooth=1.0, plot_datapoints=False, label_kwargs={"fontsize": 9},
         truth_color="#c0392b", truth_kwargs={"markersize": 3, "linewidth": 0.8}, max_n_ticks=3, labelpad=0.25,
     )  # fmt: skip

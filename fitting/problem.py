@@ -1,9 +1,9 @@
-"""The data of HP17 Eq. 56 as a fit wants them: weights of all bins, and their quadratic forms in blocks on the device.
+"""The data of HP17 Eq. 56 as a fit wants them: quadratic forms of all bins, in blocks on the device.
 
     E^2 = sum over bins and channels of w (measured - p(i,o) predicted)^2
 
-w is the quadrature weight of the fitting measure times the compressive weight of the measured value. The sum over
-azimuths is a quadratic form of a few of them (``merl_io.azimuth``), so that all bins count and few are evaluated.
+w are those of `weights`. The sum over azimuths is a quadratic form of a few of them (``merl_io.azimuth``), so that
+all bins count and few are evaluated.
 """
 
 from dataclasses import replace
@@ -16,19 +16,16 @@ import numpy as np
 from jax import Array
 
 from ..merl_io.azimuth import gather
-from ..merl_io.binary import Measurement
-from ..merl_io.grid import merl_grid
-from ..merl_io.samples import Samples, fold
+from ..merl_io.samples import Samples
 from ..model.acquisition import grazing_log_base
 from ..model.geometry import Geometry
-from .threads import CORES, side_by_side
+from .threads import CORES
 
 T = TypeVar("T")
 Precision = Literal["float64", "float32"]
 AZIMUTHS = 8  # nodes of a row of 180 bins; accuracy in `merl_io.azimuth.gather`
 BLOCK = 8_000  # directions of a block: its 30-odd intermediates of 3 channels stay in a core's cache
 LEAST_SHARE = 20_000  # directions that are worth a thread
-BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
 
 
 class Directions(eqx.Module):
@@ -67,47 +64,6 @@ class Problem(eqx.Module):
     parts: tuple[Part, ...]
     rest: Array
     scatter: Array
-
-
-def compressive_weight(value: np.ndarray, median: np.ndarray) -> np.ndarray:
-    """w_C of HP17 Eq. 57-58, dimensionless in (0, 1]: 1 for dark bins, falling as the power 1.4 of bright ones.
-
-    Args:
-        value: measured BRDF >= 0. median: the cos-weighted median to compare with (broadcasts).
-    """
-    x = np.maximum(value / median, 1e-12)
-    return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** BEND
-
-
-def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
-    """Median of a channel's values with weights cos_i (HP17 after Eq. 58)."""
-    order = np.argsort(value)
-    cumulated = np.cumsum(cos_i[order])
-    return float(value[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
-
-
-def weighted_samples(measurement: Measurement) -> Samples:
-    """Folded samples of a file with the weights of Eq. 56: quadrature weight of the bin times w_C of its value.
-
-    Bins that the horizon cuts with their centre below it are left out: the model is 0 there. Each channel is compared
-    with its own median, so that no channel is fitted at the expense of another.
-    """
-    grid = merl_grid()
-    used = measurement.valid & grid.above & (grid.weight > 0)
-    bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
-
-    def channel(plane: np.ndarray) -> Samples:
-        weight = np.zeros((1, *plane.shape))
-        if used.any():
-            median = max(cos_weighted_median(plane[used], cos_i), 1e-9)
-            weight[0, used] = bin_weight * compressive_weight(plane[used], np.asarray(median))
-        return fold(grid, plane[None], weight)
-
-    red, green, blue = side_by_side(channel, measurement.values)
-    value, weight = (
-        np.concatenate([getattr(each, name) for each in (red, green, blue)]) for name in ("value", "weight")
-    )
-    return replace(red, value=value, weight=weight, scatter=red.scatter + green.scatter + blue.scatter)
 
 
 def energy(samples: Samples) -> float:

@@ -11,7 +11,8 @@ from rich.table import Table
 
 from ..merl_io.binary import BRIGHTEST, OUTLIER
 from ..merl_io.check import FileReport
-from .export import Accuracy, ParameterResult, Result
+from .export import Accuracy, DerivedResult, ParameterResult, Result
+from .identifiability import in_words
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def interval(q: ParameterResult) -> str:
+def interval(q: ParameterResult | DerivedResult) -> str:
     """The 90 % interval, or the reason why there is none."""
     if q.quantiles is None:
         return "-"
@@ -115,17 +116,36 @@ def print_result(console: Console, result: Result) -> None:
         console.print(
             "bodies on the coarse grid (BIC): " + ", ".join(f"{c.body} {number(c.bic)}" for c in f.candidates)
         )
+    if result.identifiability is not None:
+        for line in in_words(result.identifiability):
+            console.print(line, markup=False)
+    if bound := [f"{q.name} ({q.at_bound})" for q in result.parameters if q.at_bound != "no"]:
+        console.print(f"at a bound: {', '.join(bound)}", markup=False)
     if result.accuracy is not None:
         console.print(accuracy_line(result.accuracy))
     if result.posterior is None:
         console.print("posterior: not sampled")
         return
+    if result.derived:
+        console.print(derived_table(result))
     p = result.posterior
+    least = min((x or 0.0 for x in p.effective_size), default=0.0)
     console.print(
-        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}, smallest effective size "
-        f"{min(p.effective_size):.0f}, residuals worth {', '.join(number(n, 3) for n in p.effective_bins_per_channel)} "
-        f"independent bins (R, G, B), thinning changes log L by {number(p.thinning_error, 2)}"
+        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}; {p.draws} draws weighed by all "
+        f"bins, smallest effective size {number(least, 3)}; residuals worth "
+        f"{number(p.effective_bins, 3)} independent ones",
+        markup=False,
     )
+
+
+def derived_table(result: Result) -> Table:
+    """Derived quantities with intervals."""
+    table = Table(title="derived quantities, of the material without the apparatus", title_justify="left")
+    for head in ("quantity", "value", "5 .. 95 %", "unit", "meaning"):
+        table.add_column(head, justify="right" if head in ("value", "5 .. 95 %") else "left")
+    for q in result.derived:
+        table.add_row(q.name, number(q.value), interval(q), "-" if q.unit == "1" else q.unit, q.meaning)
+    return table
 
 
 def accuracy_line(found: Accuracy) -> str:

@@ -16,11 +16,11 @@ from jax import Array
 
 from ..model import two_scale
 from ..model.effects import Effects
-from ..model.parameters import WAVELENGTHS_UM
+from ..model.parameters import WAVELENGTHS_UM, parameters
 from ..model.two_scale import Factor, Setting, Values
 from .problem import Directions, Part, Problem, shares
 from .threads import side_by_side
-from .transforms import layout_of
+from .transforms import Layout
 
 T = TypeVar("T")
 
@@ -44,14 +44,14 @@ def _predict(effects: Effects, values: Mapping[str, Array], part: Directions) ->
     return jax.lax.map(block, part)
 
 
-def cost(effects: Effects, z: Array, problem: Problem) -> Array:
+def cost(effects: Effects, values: Mapping[str, Array], problem: Problem) -> Array:
     """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
-    return reduce(add, side_by_side(lambda part: _cost(effects, z, part), problem.parts), problem.rest)
+    return reduce(add, side_by_side(lambda part: _cost(effects, values, part), problem.parts), problem.rest)
 
 
 @partial(jax.jit, static_argnums=0)
-def _cost(effects: Effects, z: Array, part: Part) -> Array:
-    values = with_tables(effects, layout_of(effects).values(z), part.directions)
+def _cost(effects: Effects, values: Mapping[str, Array], part: Part) -> Array:
+    values = with_tables(effects, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
         s, at, _ = _evaluate(effects, values, b.directions)
@@ -61,43 +61,57 @@ def _cost(effects: Effects, z: Array, part: Part) -> Array:
     return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
 
 
+def weighted_prediction(effects: Effects, values: Mapping[str, Array], part: Part) -> Array:
+    """What is compared with the target of ``part``, of its shape: for few bins, all blocks at once."""
+    values = with_tables(effects, values, part.directions)
+
+    def block(b: Part) -> Array:
+        s, at, _ = _evaluate(effects, values, b.directions)
+        return _weigh(b.root, two_scale.assemble(at, s))
+
+    return jax.vmap(block)(part)
+
+
 def _weigh(root: Array, nodes: Array) -> Array:
     """Root times the values at the nodes of every row."""
     return jnp.sum(root * nodes[..., None, :], -1)
 
 
-def normal_equations(effects: Effects, z: Array, problem: Problem) -> Array:
+def normal_equations(layout: Layout, z: Array, problem: Problem) -> Array:
     """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
 
-    Its last diagonal entry is :func:`cost`. A channel's rows and columns of other channels' parameters are zero, which
-    is why one tangent a parameter, applied to all channels at once, gives the whole Jacobian.
+    Its last diagonal entry is :func:`cost`. Sums are taken of derivatives by physical values. A channel's rows and
+    columns of other channels' parameters are zero, which is why one tangent a parameter, applied to all channels at
+    once, gives the whole Jacobian.
     """
-    compact = reduce(add, side_by_side(lambda part: _normal_equations(effects, z, part), problem.parts))
-    return _spread_out(effects, compact, problem.rest)
+    values = layout.values(z)
+    compact = reduce(add, side_by_side(lambda part: _normal_equations(layout.effects, values, part), problem.parts))
+    return spread_out(layout, z, compact, problem.rest)
 
 
 # XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
 @partial(jax.jit, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False})
-def _normal_equations(effects: Effects, z: Array, part: Part) -> Array:
-    """The same with one row and column a parameter, whether it is per channel or not."""
-    moving = _rates(effects, z, part.directions)
+def _normal_equations(effects: Effects, values: Mapping[str, Array], part: Part) -> Array:
+    """The same by physical values, with one row and column a parameter, whether it is per channel or not."""
+    moving = _rates(effects, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
         return total + _block_gram(effects, *moving, b), None
 
-    groups, channels = len(layout_of(effects).parameters) + 1, part.target.shape[1]
+    groups, channels = len(parameters(effects)) + 1, part.target.shape[1]
     return jax.lax.scan(step, jnp.zeros((channels, groups, groups)), part)[0]
 
 
 @partial(jax.jit, static_argnums=0)
-def _spread_out(effects: Effects, compact: Array, rest: Array) -> Array:
-    """Rows and columns of every parameter where its channel's are."""
-    layout, channels = layout_of(effects), len(compact)
+def spread_out(layout: Layout, z: Array, compact: Array, rest: Array) -> Array:
+    """Rows and columns of every parameter where its channel's are, by free coordinates."""
+    channels = len(compact)
     where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in layout.slices.values()]
     index = np.array([*where, [layout.size] * channels]).T  # (C, groups): row of the full matrix
     full = jnp.zeros((channels, layout.size + 1, layout.size + 1))
     full = full.at[np.arange(channels)[:, None, None], index[:, :, None], index[:, None, :]].set(compact)
-    return full.at[:, -1, -1].add(rest)
+    chain = jnp.eye(layout.size + 1).at[:-1, :-1].set(layout.slopes(z))
+    return (chain.T @ full @ chain).at[:, -1, -1].add(rest)
 
 
 def _evaluate(
@@ -133,32 +147,29 @@ def with_tables(effects: Effects, values: Mapping[str, Array], where: Directions
     return {**values, **{name: table.compute(values, s) for name, table in two_scale.tables(effects).items()}}
 
 
-def _rates(effects: Effects, z: Array, where: Directions) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
-    """Values with tables, and by parameter the rates at which they change when all of its entries of z move."""
-    layout, s = layout_of(effects), _setting(effects, jax.tree.map(lambda x: x[0], where))
-    groups = np.zeros((len(layout.parameters), layout.size))
-    for group, where_ in zip(groups, layout.slices.values(), strict=True):
-        group[where_] = 1.0
-    at, moved = jax.vmap(lambda t: jax.jvp(layout.values, (z,), (t,)), out_axes=(None, 0))(jnp.asarray(groups))
-    rates = {q.name: {q.name: moved[q.name][k]} for k, q in enumerate(layout.parameters)}
+def _rates(
+    effects: Effects, values: Mapping[str, Array], where: Directions
+) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
+    """Values with tables, and by parameter the rates at which they change when it moves, in all channels at once."""
+    s = _setting(effects, jax.tree.map(lambda x: x[0], where))
+    rates = {q: {q: jnp.ones_like(x)} for q, x in values.items()}
     found = {}
     for name, table in two_scale.tables(effects).items():
         own = [q for q in rates if q in table.names]
-        still = {q: jnp.zeros_like(at[q]) for q in own}
+        still = {q: jnp.zeros_like(values[q]) for q in own}
         tangents = [{**still, q: rates[q][q]} for q in own]
-        value, slope = jax.linearize(lambda own, table=table: table.compute({**at, **own}, s), {q: at[q] for q in own})
-        found[name] = value
+        compute = lambda own, table=table: table.compute({**values, **own}, s)  # noqa: E731
+        found[name], slope = jax.linearize(compute, {q: values[q] for q in own})
         slopes = jax.vmap(slope)(jax.tree.map(lambda *x: jnp.stack(x), *tangents))
         for q in rates:
-            rates[q][name] = slopes[own.index(q)] if q in own else jnp.zeros_like(value)
-    return {**at, **found}, rates
+            rates[q][name] = slopes[own.index(q)] if q in own else jnp.zeros_like(found[name])
+    return {**values, **found}, rates
 
 
 def _block_gram(
     effects: Effects, values: Mapping[str, Array], rates: Mapping[str, Mapping[str, Array]], b: Part
 ) -> Array:
     """Normal equations of one block, one row and column a parameter group and one for the residual."""
-    layout = layout_of(effects)
 
     def factor_derivatives(values: Mapping[str, Array], b: Directions) -> tuple[dict[str, Array], dict[str, Array]]:
         s, shaped, table = _parts(effects, values, b)
@@ -175,7 +186,7 @@ def _block_gram(
     def columns(at: dict[str, Array], slopes: dict[str, Array], b: Part) -> list[Array]:
         s = _setting(effects, b.directions)
         result = []
-        for q in layout.parameters:
+        for q in parameters(effects):
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
             change = lambda part: two_scale.assemble({**at, **part}, s)  # noqa: E731
             result.append(_weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))

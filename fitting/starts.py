@@ -1,98 +1,86 @@
-"""Deterministic starting points read off the data: lobe width, reflectance at normal incidence, dark directions.
+"""Starting points: one read off the data, and others scattered over all that matter may be, the best of each kind.
 
-A few dozen combinations of what the data do not say at a glance (kurtosis, nano-geometry, kind of index) around what
-they do say are handed to the caller, who screens them by cost.
+What matters is where basins of attraction differ: how wide the lobe of microfacets is, how much light is diffracted,
+and whether that is the highlight, by a long correlation length, or a haze around it. Costs of starting points of
+different kinds say little about where they lead; among points of one kind the lowest is a good guess. Optical constants
+are not scattered but projected out (`projection`).
 """
 
-from dataclasses import dataclass
-from itertools import product
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.special import ndtr, ndtri
+from scipy.stats.qmc import Sobol
 
 from ..merl_io.samples import Samples
-from ..model.effects import Effects
-from ..model.parameters import WAVELENGTHS_UM
-from .transforms import layout_of
+from .problem import Problem
+from .projection import project
+from .transforms import MIDDLE_UM, Layout
+from .weights import half_width
 
-KURTOSES = (0.4, 1.0)
-NANO = ((0.4, 1.5), (2.0, 1.5), (10.0, 1.5), (2.0, 3.0))  # (b um, c)
-PHASES = (0.15, 1.5)  # (4 pi sigma_s / lambda)^2: a little and most of the light diffracted at normal incidence
-DARK_QUANTILE = 0.1  # of the bins away from the lobe: taken for the body
+CANDIDATES_EACH = 14  # candidates for every starting point that is asked for; a power of 2 in all
+CLASSES = {"beta": 3, "p": 2, "sigma_s": 2}  # kinds: so many classes of each, equally likely
+NEAR = 0.3  # standard deviation of b's coordinate where the highlight is taken for diffracted light
+SCATTER = 1.5  # standard deviation of candidates in units of the prior's
+RIM = 1e-3  # of the places of candidates between 0 and 1
+TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03, "grazing_exponent": 0.5}
+OPTICS = {"n": 1.0, "k": 3.0, "eta": 1.5, "albedo": 0.3}  # before they are projected
 
 
-@dataclass(frozen=True)
-class Clues:
-    """What is read off the data.
+class ReadOff(NamedTuple):
+    """What the data say about where to start: the measured highlight may be the facets' lobe, or diffracted light.
 
     Attributes:
-        half_height: tan(theta_h) where the lobe at small theta_d has fallen to half.
-        f0: reflectance of the lobe at normal incidence per channel, (C,). dark: BRDF away from the lobe, (C,).
-        rise: lobe at grazing theta_d over lobe at small theta_d.
+        first: shared parameters with the former's width, the others typical. b: of the latter (um).
     """
 
-    half_height: float
-    f0: np.ndarray
-    dark: np.ndarray
-    rise: float
+    first: Mapping[str, float]
+    b: float
 
 
-def read_clues(samples: Samples) -> Clues:
-    """Profiles over theta_h at small and at grazing theta_d, averaged over azimuth."""
-    weight = (samples.weight > 0).astype(float)
-
-    def profile(columns: slice) -> np.ndarray:
-        w = weight[:, :, columns]
-        return (w * samples.value[:, :, columns]).sum((2, 3)) / np.maximum(w.sum((2, 3)), 1e-9)
-
-    count = len(samples.theta_d)
-    steep, grazing = profile(slice(0, max(1, count // 6))), profile(slice(int(count * 0.75), int(count * 0.85) + 1))
-    away = (samples.theta_h > 0.6)[:, None, None] & (samples.theta_d < 0.9)[None, :, None] & (weight[0] > 0)
-    fallback = np.median(samples.value[0][weight[0] > 0]) if weight.any() else 0.1
-    dark = np.array([np.quantile(v[away], DARK_QUANTILE) if away.any() else fallback for v in samples.value])
-    lobe = np.maximum(steep - dark[:, None], 0.0)
-    brightness = lobe.mean(0)
-    peak = brightness[:2].max() if brightness.size else 0.0
-    below = np.flatnonzero(brightness < peak / 2)
-    tangent = np.tan(np.minimum(samples.theta_h, 1.5))
-    half_height = tangent[below[0]] if len(below) and below[0] > 0 else tangent[0]
-    # rho = F0 D / (4 cos^2 theta_h) at theta_d = 0 and the integral of D cos over the hemisphere is 1
-    measure = 2 * np.pi * np.sin(samples.theta_h) * np.cos(samples.theta_h) ** 3 * np.gradient(samples.theta_h)
-    f0 = np.clip((4 * lobe * measure).sum(1), 2e-3, 0.98)
-    first = grazing[:, 0] - dark
-    rise = float(np.clip(first.mean() / max(peak, 1e-9), 1.0, 50.0))
-    return Clues(float(np.clip(half_height, 2e-3, 2.0)), f0, np.maximum(dark, 1e-5), rise)
+def read_off(samples: Samples) -> ReadOff:
+    """Lobes with the half width of the highlight; a diffraction lobe's is where 2 tan(theta_h) / lambda = 1 / b."""
+    width = half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0)
+    beta = width / np.log(2.0) ** (1 / (2 * TYPICAL["p"]))
+    return ReadOff({"beta": beta, **TYPICAL}, MIDDLE_UM / (2 * width))
 
 
-def starting_points(effects: Effects, samples: Samples) -> np.ndarray:
-    """Starting points in free coordinates, shape (S, P); the same for the same file, whatever the machine or seed."""
-    clues = read_clues(samples)
-    middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
-    points = []
-    for p, (b, c), phase, (n, k, eta) in product(KURTOSES, NANO, PHASES, _indices(effects, clues)):
-        points.append(
-            {
-                "beta": clues.half_height / np.log(2.0) ** (1 / (2 * p)),
-                "p": p,
-                "b": b,
-                "c": c,
-                "sigma_s": np.sqrt(phase) * middle / (4 * np.pi),
-                "grazing_exponent": 0.5,
-                "n": n,
-                "k": k,
-                "eta": eta,
-                "albedo": np.clip(np.pi * clues.dark, 1e-4, 0.98),
-            }
-        )
-    if effects.diffraction == "off":
-        points = [q for q in points if (q["b"], q["c"]) == NANO[0] and q["sigma_s"] == points[0]["sigma_s"]]
-    return np.array([layout_of(effects).free(q) for q in points])
+def starting_points(
+    layout: Layout, seen: ReadOff, problem: Problem, count: int, over: Callable[..., Iterable] = map
+) -> np.ndarray:
+    """So many starting points in free coordinates, shape (count + 1, P), the first one before them; no random numbers.
 
+    Candidates are a Sobol sequence over the prior of the shared parameters, shifted (modulo 1) so that its first point
+    is that of ``seen``: another first point moves all. In every other candidate b is near that of ``seen``. Of every
+    kind the best is taken, then the second best, and so on.
 
-def _indices(effects: Effects, clues: Clues) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """(n, k, eta) that give F0: a metal's with n = 1, and where F rises towards grazing angles a dielectric's."""
-    root = np.sqrt(clues.f0)
-    dielectric = (1 + root) / (1 - root)
-    metal = (np.ones_like(root), 2 * root / np.sqrt(1 - clues.f0), dielectric)
-    if effects.body != "none":
-        return [metal]  # only eta is used
-    return [metal, (np.minimum(dielectric, 5.0), np.full_like(root, 0.3), dielectric)][: 2 if clues.rise > 1.5 else 1]
+    Args:
+        problem: on which candidates are compared.
+        over: maps a function over batches of candidates.
+    """
+    shared = [q.name for q in layout.parameters if not q.per_channel]
+    most = 1 << (CANDIDATES_EACH * count - 1).bit_length()
+    begun = layout.free({**OPTICS, **{name: seen.first[name] for name in shared}})
+    size = len(shared)  # shared parameters come first
+    places = (ndtr(begun[:size] / SCATTER) + Sobol(size, scramble=False).random(most)) % 1.0
+    points = np.tile(begun, (most, 1))
+    points[1:, :size] = SCATTER * ndtri(np.clip(places[1:], RIM, 1 - RIM))
+    sharp = np.zeros(most, bool)
+    if "b" in shared:
+        sharp[1::2], b = True, shared.index("b")
+        points[sharp, b] = layout.free({**OPTICS, **seen.first, "b": seen.b})[b] + NEAR / SCATTER * points[sharp, b]
+    named = jax.vmap(layout.values)(jnp.asarray(points))
+    costs, found = project(layout.effects, {name: np.asarray(named[name]) for name in shared}, problem, over)
+    classes = np.array([CLASSES.get(name, 1) for name in shared])
+    kinds = [tuple(each) for each in np.column_stack([(places * classes).astype(int), sharp]).tolist()]
+    better: Counter[tuple[int, ...]] = Counter()
+    order = []
+    for i in (np.argsort(np.nan_to_num(costs[1:], nan=np.inf), kind="stable") + 1).tolist():
+        order.append((better[kinds[i]], float(np.nan_to_num(costs[i], nan=np.inf)), i))
+        better[kinds[i]] += 1
+    chosen = [0, *(i for _, _, i in sorted(order)[:count])]
+    return np.array([layout.free({name: x[i] for name, x in found.items()}) for i in chosen])

@@ -24,9 +24,10 @@ from ..model.geometry import Geometry
 from ..model.parameters import WAVELENGTHS_UM, parameters
 from ..model.two_scale import two_scale
 from .frontier import Spread
-from .problem import make_problem, weighted_samples
+from .problem import make_problem
 from .residuals import cost, normal_equations
 from .transforms import layout_of
+from .weights import weighted_samples
 
 SEED, SETS, DIRECTIONS = 20261122, 40, 64
 WHAT = f"synthetic: {SETS} conductors drawn from the priors of the fit, {DIRECTIONS} directions of MERL's grid each"
@@ -114,9 +115,10 @@ def _fit_times(effects: Effects, file: Path) -> dict[str, float]:
     """Cost and normal equations of all bins as a fit evaluates them."""
     problem, bins = make_problem(weighted_samples(read(file))), merl_grid().above.size
     fitted = Effects(effects.body, effects.diffraction, effects.order, effects.zonal_order, acquisition="free")
-    z = jnp.asarray(layout_of(fitted).free({**TYPICAL, "grazing_exponent": 0.5}))
-    _, value = _clock(lambda z: cost(fitted, z, problem), z)
-    _, gradient = _clock(lambda z: normal_equations(fitted, z, problem), z)
+    layout = layout_of(fitted)
+    z = jnp.asarray(layout.free({**TYPICAL, "grazing_exponent": 0.5}))
+    _, value = _clock(lambda z: cost(fitted, layout.values(z), problem), z)
+    _, gradient = _clock(lambda z: normal_equations(layout, z, problem), z)
     return {"fit_value_ns": value / bins * 1e9, "fit_gradient_ns": gradient / bins * 1e9}
 
 

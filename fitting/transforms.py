@@ -1,7 +1,13 @@
-"""Between the bounded parameters of a material and the free coordinates in which they are fitted.
+"""Between the bounded parameters of a material and the free coordinates in which they are fitted and sampled.
 
-A parameter in [lower, upper] is placed at a position u in [0, 1], linear or logarithmic as its declaration says, and
-z = logit(u) is free, for solvers. A prior uniform in u is the logistic density u (1 - u) in z.
+Free coordinates z are those in which the prior is standard normal: every parameter given those before it. A log-normal
+prior of median m and factor f, cut at the bounds, is
+
+    log(value - offset) = log m + shift + log f Phi^-1(A + Phi(z) (B - A)),    A, B = Phi(bound's distance / log f),
+
+a uniform one lower + Phi(z) (upper - lower). The shifts make coordinates of what the data show: the half width of the
+lobe instead of beta, given p; the height that diffracts into directions that exist instead of sigma_s, given b and c;
+and the ratio of eta - 1 to that of the middle channel in the others.
 """
 
 from collections.abc import Mapping
@@ -9,14 +15,22 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.scipy.special import ndtr, ndtri
 from jax.typing import ArrayLike
 
+from ..model.diffraction import renormalisation
 from ..model.effects import Effects
-from ..model.parameters import CHANNELS, Parameter, parameters
+from ..model.parameters import CHANNELS, PRIORS, WAVELENGTHS_UM, LogNormal, Parameter, Priors, parameters
 
-INSIDE = 1e-6  # starting points are moved this far inside their bounds
+INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved
+HALF = float(np.log(np.log(2.0))) / 2
+MIDDLE_UM = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
+LAST = ("beta", "sigma_s")  # given others
+MIDDLE = "eta of the middle channel"  # given which the others are
+LEAST = 1e-300
 
 
 @dataclass(frozen=True)
@@ -24,11 +38,17 @@ class Layout:
     """Where each parameter sits in the flat vector: shared ones first, then per-channel ones, channel by channel.
 
     Attributes:
-        parameters: the declarations, shared before per-channel. channels: names of the colour channels.
+        effects: what is fitted. priors: of its parameters. channels: names of the colour channels.
     """
 
-    parameters: tuple[Parameter, ...]
+    effects: Effects
+    priors: Priors = PRIORS
     channels: tuple[str, ...] = CHANNELS
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The declarations, shared before per-channel."""
+        return parameters(self.effects)
 
     def _width(self, parameter: Parameter) -> int:
         return len(self.channels) if parameter.per_channel else 1
@@ -54,6 +74,11 @@ class Layout:
         )
 
     @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Name of every free coordinate: the quantity that its prior is of."""
+        return tuple(n.replace(q.name, q.quantity or q.name, 1) for n, q in zip(self.names, self.entries, strict=True))
+
+    @property
     def entries(self) -> tuple[Parameter, ...]:
         """Declaration of every entry."""
         return tuple(q for q in self.parameters for _ in range(self._width(q)))
@@ -61,38 +86,103 @@ class Layout:
     @partial(jax.jit, static_argnums=0)
     def values(self, z: Array) -> dict[str, Array]:
         """Physical values by name: scalars, and ``(C,)`` for parameters per channel."""
-        where = self.slices
-        return {
-            q.name: from_free(q, z[where[q.name]] if q.per_channel else z[where[q.name]][0]) for q in self.parameters
-        }
+        where, found = self.slices, {}
+        for q in sorted(self.parameters, key=lambda q: q.name in LAST):
+            place = z[where[q.name]] if q.per_channel else z[where[q.name]][0]
+            if q.name == "eta":
+                found[MIDDLE] = self._value(q, place[len(self.channels) // 2], found)
+            found[q.name] = self._value(q, place, found)
+        return {name: value for name, value in found.items() if name != MIDDLE}
+
+    @partial(jax.jit, static_argnums=0)
+    def flat(self, z: Array) -> Array:
+        """Physical values, shape (P,)."""
+        named = self.values(z)
+        return jnp.concatenate([jnp.ravel(named[q.name]) for q in self.parameters])
+
+    @partial(jax.jit, static_argnums=0)
+    def slopes(self, z: Array) -> Array:
+        """d value_i / d z_j, (P, P)."""
+        return jax.jacfwd(self.flat)(z)
 
     def free(self, values: Mapping[str, ArrayLike]) -> np.ndarray:
         """Free coordinates of physical values; values on or beyond a bound are moved just inside."""
-        return np.concatenate([np.atleast_1d(to_free(q, np.asarray(values[q.name]))) for q in self.parameters])
+        inside = {q.name: np.clip(np.asarray(values[q.name], float), q.lower, q.upper) for q in self.parameters}
+        given = {q.name: np.broadcast_to(inside[q.name], self._shape(q)) for q in self.parameters}
+        return np.asarray(self._flat_free(given))
+
+    @partial(jax.jit, static_argnums=0)
+    def _flat_free(self, values: Mapping[str, Array]) -> Array:
+        given = {**values, MIDDLE: values["eta"][len(self.channels) // 2]} if "eta" in values else values
+        return jnp.concatenate([jnp.ravel(self._free(q, values[q.name], given)) for q in self.parameters])
+
+    def _shape(self, parameter: Parameter) -> tuple[int, ...]:
+        return (len(self.channels),) if parameter.per_channel else ()
 
     def position(self, z: ArrayLike) -> np.ndarray:
-        """Position of every entry between its bounds, in [0, 1]."""
-        return 1 / (1 + np.exp(-np.clip(np.asarray(z), -700, 700)))
+        """Position of every entry between its bounds, in [0, 1], in the parameter's own scale."""
+        found = self.values(jnp.asarray(z))
+        return np.concatenate([np.ravel(q.position(found[q.name])) for q in self.parameters])
+
+    def prior(self, parameter: Parameter) -> str:
+        """The prior in words."""
+        bounds = f"in [{parameter.lower:g}, {parameter.upper:g}]"
+        if parameter.scale == "linear":
+            return f"uniform {bounds}"
+        given: LogNormal = getattr(self.priors, parameter.quantity or parameter.name)
+        of = parameter.quantity or parameter.name
+        said = f"{of} - {parameter.offset:g}" if parameter.offset else of
+        said += f" log-normal, {given.median:g} times or over {given.factor:g}"
+        if parameter.name == "eta":
+            said += f", in other channels that of the middle one times or over {self.priors.dispersion.factor:g}"
+        return f"{said}; {parameter.name} {bounds}"
+
+    def _expected(self, q: Parameter, values: Mapping[str, Array]) -> tuple[ArrayLike, ArrayLike]:
+        """Median and standard deviation of log(value - offset), given other values."""
+        given: LogNormal = getattr(self.priors, q.quantity or q.name)
+        median, deviation = np.log(given.median), np.log(given.factor)
+        if q.name == "beta":
+            return median - HALF / values["p"], deviation
+        if q.name == "sigma_s" and self.effects.renormalised:
+            share = renormalisation(jnp.zeros(()), values["b"] / MIDDLE_UM, values["c"])
+            return median - jnp.log(share) / 2, deviation
+        if MIDDLE in values and q.name == "eta":
+            outer, ratio = np.arange(len(self.channels)) != len(self.channels) // 2, self.priors.dispersion
+            around = jnp.log(values[MIDDLE] - q.offset) + np.log(ratio.median)
+            return jnp.where(outer, around, median), np.where(outer, np.log(ratio.factor), deviation)
+        return median, deviation
+
+    def _ends(self, q: Parameter, values: Mapping[str, Array]) -> tuple[ArrayLike, ArrayLike, Array, Array]:
+        """Median and standard deviation of log(value - offset), and the bounds in units of that from the median."""
+        median, deviation = self._expected(q, values)
+        low, high = np.log(np.array([q.lower, q.upper]) - q.offset)
+        return median, deviation, jnp.asarray((low - median) / deviation), jnp.asarray((high - median) / deviation)
+
+    def _value(self, q: Parameter, z: Array, values: Mapping[str, Array]) -> Array:
+        """Physical value at free coordinate z."""
+        if q.scale == "linear":
+            return q.lower + (q.upper - q.lower) * ndtr(z)
+        median, deviation, low, high = self._ends(q, values)
+        inside = ndtr(high) - ndtr(low)
+        below, above = ndtr(low) + ndtr(z) * inside, ndtr(-high) + ndtr(-z) * inside
+        left = below < above  # each from its own end, where it is exact
+        normal = jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
+        return q.offset + jnp.exp(median + deviation * jnp.clip(normal, low, high))
+
+    def _free(self, q: Parameter, value: Array, values: Mapping[str, Array]) -> Array:
+        """Free coordinate of a physical value."""
+        if q.scale == "linear":
+            return ndtri(jnp.clip((value - q.lower) / (q.upper - q.lower), INSIDE, 1 - INSIDE))
+        median, deviation, low, high = self._ends(q, values)
+        logarithm = jnp.log(jnp.maximum(value - q.offset, LEAST))
+        normal = jnp.clip((logarithm - median) / deviation, low + INSIDE, high - INSIDE)
+        inside = ndtr(high) - ndtr(low)
+        below, above = (ndtr(normal) - ndtr(low)) / inside, (ndtr(-normal) - ndtr(-high)) / inside
+        left = below < above
+        return jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
 
 
 @cache
-def layout_of(effects: Effects) -> Layout:
+def layout_of(effects: Effects, priors: Priors = PRIORS) -> Layout:
     """The flat vector of everything that these effects leave to be fitted."""
-    return Layout(parameters(effects))
-
-
-def from_free(parameter: Parameter, z: Array) -> Array:
-    """Physical value at free coordinate z."""
-    return parameter.between(jax.nn.sigmoid(z))
-
-
-def to_free(parameter: Parameter, value: np.ndarray) -> np.ndarray:
-    """Free coordinate of a physical value."""
-    lower, upper = parameter.lower - parameter.offset, parameter.upper - parameter.offset
-    shifted = np.clip(value - parameter.offset, lower, upper)
-    if parameter.scale == "linear":
-        u = (shifted - lower) / (upper - lower)
-    else:
-        u = np.log(shifted / lower) / np.log(upper / lower)
-    u = np.clip(u, INSIDE, 1 - INSIDE)
-    return np.log(u) - np.log1p(-u)
+    return Layout(effects, priors)

@@ -90,11 +90,15 @@ def genuine_names() -> dict[str, str]:
     return {row[0]: Path(row[-1]).stem for row in rows}
 
 
-def read(path: str | os.PathLike[str]) -> Measurement:
+def read(path: str | os.PathLike[str], fitted_sha1: str | None = None) -> Measurement:
     """Read a MERL file; holds one float64 copy of its numbers.
 
+    Args:
+        fitted_sha1: of the file that was fitted, if it must be that one.
+
     Raises:
-        MerlError: missing, a directory, no permission, truncated, too long, other dims, another format, no valid bin.
+        MerlError: missing, a directory, no permission, truncated, too long, other dims, another format, no valid bin,
+            not the one that was fitted.
     """
     path = Path(path)
     try:
@@ -113,6 +117,8 @@ def read(path: str | os.PathLike[str]) -> Measurement:
     except OSError as error:
         raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
     sha1, blob = hashlib.sha1(raw.data), hashlib.sha1(b"blob %d\0" % FILE_BYTES)
+    if fitted_sha1 not in (None, sha1.hexdigest()):
+        raise MerlError(f"{path}: is not the file that was fitted (other SHA-1)")
     blob.update(raw.data)
     stored = raw[HEADER.size :].view("<f8").reshape((CHANNELS, *DIMS))
     return _measurement(path, stored, sha1.hexdigest(), blob.hexdigest())

@@ -142,8 +142,8 @@ def _position(theta: Real, beta: Scalar) -> Real:
     return (1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)) * INCIDENCES / 2 - 0.02
 
 
-def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Geometry, Array]:
-    """Half vectors for light at the nodes of incidence, and the measure cos_o domega_o of their viewers.
+def half_vectors(theta_i: Real, beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Geometry, Array]:
+    """Half vectors for light at the angles ``theta_i`` (rad), (A,), and the measure cos_o domega_o of their viewers.
 
     The same theta_h for every incidence, in log tan(theta_h): panels around the edge of D, and from 45 degrees on,
     where at normal incidence all viewers set at once. Azimuths from the plane of incidence to where the viewer sets,
@@ -154,9 +154,9 @@ def half_vectors(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) ->
         degree: of zonal harmonics, whose ringing two nodes a degree in either outer panel resolve; 0 for lobes without.
 
     Returns:
-        geometry with theta_h ``(1, R, 1)`` and the rest ``(INCIDENCES, R, AZIMUTHS)``; measure of that shape.
+        geometry with theta_h ``(1, R, 1)`` and the rest ``(A, R, AZIMUTHS)``; measure of that shape.
     """
-    theta_i = incidences(beta)[:, None, None]
+    theta_i = theta_i[:, None, None]
     log_beta = jnp.log(beta)
     high = float(np.log(np.tan(STEEPEST)))
     low = jnp.minimum(log_beta, -jnp.log1p(largest_B)) - 5.0

@@ -1,11 +1,15 @@
 """The parameters of the two-scale model, declared once: symbol, meaning, unit, default, bounds, prior.
 
-Fitting, posterior, JSON, tables and plots all read this list. Prior: uniform in the parameter's own ``scale`` between
-its bounds, which are those of plausible matter seen in visible light.
+Fitting, posterior, JSON, tables and plots all read this list. Bounds are those of plausible matter seen in visible
+light. Priors are weak: log-normal ones, cut at the bounds, say of what order a quantity is, and 95 % of them lie within
+the square of their factor either way.
 """
 
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
+from jax.typing import ArrayLike
 
 from .effects import Effects
 from .numerics import Real
@@ -15,15 +19,56 @@ WAVELENGTHS_UM = (0.645, 0.526, 0.444)  # HP17 Section 5: one wavelength stands 
 
 
 @dataclass(frozen=True)
+class LogNormal:
+    """A log-normal prior: its median, and the factor of one standard deviation up or down."""
+
+    median: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class Priors:
+    """The log-normal priors, by quantity; what is not here is uniform between its bounds.
+
+    Attributes:
+        half_width: tan(theta_h) where the distribution of normals has fallen to half, beta (ln 2)^(1/(2 p)): what one
+            sees of a lobe, whatever its kurtosis. From a mirror (0.1 degrees) to cloth.
+        p: kurtosis exponent; 1 is Beckmann's distribution, nickel's is 0.51 in HP15 Fig. 12.
+        b: correlation length (um), from below the wavelengths to what is no longer nano-geometry.
+        c: c - 1, of the falloff exponent.
+        sigma_rel: height (um) of what diffracts into directions that exist, at normal incidence and the middle
+            wavelength (HP17 Eq. 17): that is seen, and not sigma_s.
+        n, k: of metals in visible light (silver's n is 0.05, rhodium's k 7).
+        eta: eta - 1, of a coat or a plastic, in the middle channel.
+        dispersion: ratio of eta - 1 in another channel to that. Transparent matter disperses by a few per cent; the
+            rest is for what white balance may be off.
+    """
+
+    half_width: LogNormal = LogNormal(0.03, 5.0)
+    p: LogNormal = LogNormal(0.8, 2.0)
+    b: LogNormal = LogNormal(2.0, 4.0)
+    c: LogNormal = LogNormal(0.7, 2.5)
+    sigma_rel: LogNormal = LogNormal(0.03, 2.5)
+    n: LogNormal = LogNormal(1.0, 3.0)
+    k: LogNormal = LogNormal(2.0, 2.5)
+    eta: LogNormal = LogNormal(0.5, 1.7)
+    dispersion: LogNormal = LogNormal(1.0, 1.2)
+
+
+PRIORS = Priors()
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One parameter of a model.
 
     Attributes:
         name: key in JSON and in parameter dictionaries. symbol: as in the papers (TeX). meaning: in words.
         unit: "um", "1" (dimensionless) ... default: a typical value. lower, upper: physical bounds.
-        scale: ``log`` or ``linear``: the coordinate in which the prior is uniform.
+        scale: ``log``, with a log-normal prior, or ``linear``, with a uniform one.
         offset: subtracted before the logarithm (c - 1, eta - 1).
         per_channel: one value per colour channel.
+        quantity: field of :class:`Priors` with its prior, if that is not of its own name.
         source: where the parameter is defined.
     """
 
@@ -38,14 +83,7 @@ class Parameter:
     offset: float = 0.0
     per_channel: bool = False
     source: str = "HP17"
-
-    @property
-    def prior(self) -> str:
-        """The prior in words."""
-        if self.scale == "linear":
-            return f"uniform in [{self.lower:g}, {self.upper:g}]"
-        shifted = f"{self.name} - {self.offset:g}" if self.offset else self.name
-        return f"{shifted} log-uniform, {self.name} in [{self.lower:g}, {self.upper:g}]"
+    quantity: str | None = None
 
     def between(self, u: Real) -> Real:
         """Value at the position u in [0, 1] between the bounds, in the parameter's own scale."""
@@ -54,10 +92,22 @@ class Parameter:
         lower, upper = self.lower - self.offset, self.upper - self.offset
         return self.offset + lower * (upper / lower) ** u
 
+    def position(self, value: ArrayLike) -> np.ndarray:
+        """Inverse of :meth:`between`."""
+        value, lower, upper = (np.asarray(x) - self.offset for x in (value, self.lower, self.upper))
+        if self.scale == "linear":
+            return np.asarray((value - lower) / (upper - lower))
+        return np.asarray(np.log(value / lower) / np.log(upper / lower))
+
+    def stretch(self, value: ArrayLike) -> np.ndarray:
+        """d position/d value."""
+        value, lower, upper = (np.asarray(x) - self.offset for x in (value, self.lower, self.upper))
+        return np.asarray(1 / (upper - lower) if self.scale == "linear" else 1 / (value * np.log(upper / lower)))
+
 
 SURFACE = (
     Parameter("beta", r"\beta", "width of the distribution of microfacet normals", "1", 0.1, 1e-3, 1.0,
-              source="HP17 Eq. 35"),
+              source="HP17 Eq. 35", quantity="half_width"),
     Parameter("p", "p", "kurtosis exponent of the distribution of microfacet normals", "1", 0.8, 0.2, 5.0,
               source="HP17 Eq. 35"),
 )  # fmt: skip
@@ -66,7 +116,7 @@ DIFFRACTION = (
     Parameter("c", "c", "falloff exponent of the nano-geometry's spectrum", "1", 2.0, 1.01, 6.0, offset=1.0,
               source="HP17 Eq. 14"),
     Parameter("sigma_s", r"\sigma_s", "standard deviation of the nano-geometry's height", "um", 0.03, 1e-4, 0.5,
-              source="HP17 Eq. 18"),
+              source="HP17 Eq. 18", quantity="sigma_rel"),
 )  # fmt: skip
 CONDUCTOR = (
     Parameter("n", "n", "real part of the index of refraction", "1", 1.0, 0.02, 10.0, per_channel=True,

@@ -276,7 +276,8 @@ def surface_albedo(v: Values, s: Setting) -> Array:
     effects, wavelengths_um = s.effects, s.wavelength_um.reshape(-1)
     largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
     degree = effects.zonal_order if effects.diffraction == "zonal" else 0
-    geometry, measure = energy.half_vectors(v["beta"], v["p"], largest_B, degree)
+    incidences = energy.incidences(v["beta"])
+    geometry, measure = energy.half_vectors(incidences, v["beta"], v["p"], largest_B, degree)
     inner = replace(effects.material, order=min(effects.order, energy.ORDER))
     s = setting(geometry, inner, wavelengths_um)
     lobes = {name: f.evaluate(own, s) for name, f in factors(inner).items() if name not in ("under", "toll")}

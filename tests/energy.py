@@ -2,7 +2,7 @@
 
 Directional albedo of the whole material, by a product rule over half vectors of its own: rings cut where the viewer
 sets, panels in log tan(theta_h) around the edge of the distribution of normals and where the horizon begins to cut.
-Synthetic parameter sets drawn from the priors of the fit, effects from a list in which every choice of every switch
+Synthetic parameter sets drawn between the bounds of the fit, effects from a list in which every choice of every switch
 occurs.
 """
 
@@ -107,7 +107,7 @@ def albedo(effects, values, incidences_deg=INCIDENCES_DEG, radii=RADII, azimuths
 
 
 def draw(rng, effects):
-    """One parameter set from the priors (uniform in each parameter's own scale), for one wavelength."""
+    """One parameter set between the bounds (uniform in each parameter's own scale), for one wavelength."""
     values = {}
     for q in parameters(effects):
         values[q.name] = q.between(jnp.asarray(rng.uniform(size=1 if q.per_channel else None)))
@@ -159,8 +159,8 @@ def main(arguments):
 
 def write(rows):
     what = (
-        f"directional albedo at {WAVELENGTH_UM} um, {sum(r['sets'] for r in rows)} synthetic parameter sets from the "
-        "priors of the fit, every other one with a body of albedo 1 or, where there is no body, with n = 0.02, k = 15"
+        f"directional albedo at {WAVELENGTH_UM} um, {sum(r['sets'] for r in rows)} synthetic parameter sets between "
+        "the bounds of the fit, every other one with a body of albedo 1 or, without a body, with n = 0.02, k = 15"
     )
     STORE.write_text(json.dumps({"what": what, "rows": rows}, indent=1) + "\n")
     lines = [

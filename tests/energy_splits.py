@@ -11,10 +11,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import jax.numpy as jnp
-import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
-from merlfit.fitting.transforms import layout_of
 
 from . import refit
 from .reconstructions import make
@@ -31,12 +28,10 @@ SHOWN = ("beta", "p", "b", "c", "sigma_s", "grazing_exponent", "n_G", "k_G", "et
 
 def told(fitted, seconds):
     """A fit as plain data."""
-    layout, solution = layout_of(fitted.effects), fitted.solution
-    values = layout.values(jnp.asarray(solution.z))
-    flat = np.concatenate([np.ravel(values[q.name]) for q in layout.parameters])
+    solution = fitted.solution
     return {
         "cost": solution.cost, "rmse": fitted.errors.rmse, "converged": solution.converged,
-        "seconds": round(seconds, 1), "parameters": dict(zip(layout.names, flat.tolist(), strict=True)),
+        "seconds": round(seconds, 1), "parameters": dict(zip(fitted.layout.names, fitted.values.tolist(), strict=True)),
     }  # fmt: skip
 
 

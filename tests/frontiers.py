@@ -8,8 +8,8 @@ from merlfit.fitting.choice import POINTS
 from merlfit.fitting.config import load
 from merlfit.fitting.export import versions
 from merlfit.fitting.frontier import Frontier, Point, Spread, Tier
-from merlfit.fitting.problem import weighted_samples
 from merlfit.fitting.threads import machine
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import Measurement
 
 
@@ -47,4 +47,4 @@ def measurement(name, **given):
 
 
 def fit(measured, samples, config):
-    return run.fit(measured, samples, config, lambda _: None, run._Clock())
+    return run.fit(measured, samples, config)

@@ -14,7 +14,6 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
-from merlfit.fitting.transforms import layout_of
 from merlfit.model.acquisition import APPARATUS, Apparatus, derived_exponent
 from merlfit.model.two_scale import grazing_exponent
 
@@ -35,7 +34,7 @@ LAMP = Apparatus(
 
 def told(fitted):
     """A fit as plain data."""
-    layout, solution = layout_of(fitted.effects), fitted.solution
+    layout, solution = fitted.layout, fitted.solution
     values = layout.values(jnp.asarray(solution.z))
     where = layout.names.index("grazing_exponent") if "grazing_exponent" in layout.names else None
     free = where is not None and fitted.at_bound[where] == "no"
@@ -43,7 +42,7 @@ def told(fitted):
     return {
         "status": fitted.status.name, "converged": solution.converged, "cost": solution.cost,
         "rmse": fitted.errors.rmse, "beta": float(values["beta"]), "p": float(values["p"]), "k": k,
-        "k_standard_error": float(k * (1 - k) * fitted.deviation[where]) if free else None,
+        "k_standard_error": float(fitted.standard_errors[where]) if free else None,
     }  # fmt: skip
 
 

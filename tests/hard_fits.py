@@ -15,7 +15,7 @@ from merlfit.fitting.config import parse
 from merlfit.fitting.export import Result
 from merlfit.fitting.levenberg_marquardt import Status
 from merlfit.fitting.outcome import make_result
-from merlfit.fitting.problem import weighted_samples
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import Measurement, MerlError, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.effects import Effects
@@ -77,7 +77,7 @@ def fit(file: dict) -> Result:
     m = measurement(degenerate(file))
     samples, scale = weighted_samples(m), file.get("weight", 1.0)
     samples = replace(samples, weight=samples.weight * scale, scatter=samples.scatter * scale)
-    fitted = run.fit(m, samples, CONFIG, lambda _: None, run._Clock())
+    fitted = run.fit(m, samples, CONFIG)
     return make_result(m, samples, fitted, None, CONFIG, {})
 
 

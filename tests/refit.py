@@ -3,8 +3,9 @@
 from merlfit.fitting import run
 from merlfit.fitting.config import parse
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem, weighted_samples
+from merlfit.fitting.problem import make_problem
 from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 
@@ -30,14 +31,14 @@ class Material:
         config = parse(
             {"effects": {"body": body}, "fit": {"max_steps": max_steps}, "posterior": {"enabled": False}}, ""
         )
-        return run.fit(self.measurement, self.samples, config, lambda _: None, run._Clock())
+        return run.fit(self.measurement, self.samples, config)
 
     def continued(self, fitted, effects, coarse_steps=60, max_steps=20):
         """A fit with other effects from where another one ended, coarse grid first."""
-        start = layout_of(effects).free(layout_of(fitted.effects).values(fitted.solution.z))
-        near = solve(effects, start, self.coarse, coarse_steps)
-        solution = solve(effects, near.z, self.whole, max_steps)
-        return run.judge(effects, solution, self.measurement, self.samples)
+        layout = layout_of(effects, fitted.layout.priors)
+        near = solve(layout, layout.free(fitted.layout.values(fitted.solution.z)), self.coarse, coarse_steps)
+        solution = solve(layout, near.z, self.whole, max_steps)
+        return run.judge(layout, solution, self.measurement, self.samples)
 
 
 def cost(solution_cost, converged):

@@ -61,17 +61,17 @@ def test_its_lobes_within_the_bounds_of_the_fit():
 
 
 def test_scipy_is_given_the_same_problem():
-    grid, effects = merl_grid(), Effects("lambert", "off", acquisition="free")
+    grid, layout = merl_grid(), layout_of(Effects("lambert", "off", acquisition="free"))
     weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
     samples = thin(fold(grid, 0.3 + 0 * weight, weight), (10, 10, 45))
-    z = np.random.default_rng(1).normal(size=layout_of(effects).size) / 2
-    whole = Whole(effects, samples)
+    z = np.random.default_rng(1).normal(size=layout.size) / 2
+    whole = Whole(layout, samples)
     residuals, slope = whole.residuals(z), whole.slope(z)
-    ours = compress(jnp.asarray(z), normal_equations(effects, jnp.asarray(z), make_problem(samples)))
+    ours = compress(jnp.asarray(z), normal_equations(layout, jnp.asarray(z), make_problem(samples)))
     np.testing.assert_allclose(slope.T @ slope, ours.slope.T @ ours.slope, rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(slope.T @ residuals, ours.slope.T @ ours.value, rtol=1e-8, atol=1e-12)
     assert whole.objective(z) == pytest.approx(float(ours.value @ ours.value), rel=1e-9)
-    left = np.sum(samples.weight * (samples.value - predict_samples(effects, z, samples)) ** 2)
+    left = np.sum(samples.weight * (samples.value - predict_samples(layout, z, samples)) ** 2)
     assert whole.cost(z) == pytest.approx(left / np.sum(samples.weight * samples.value**2), rel=1e-9)
 
 

@@ -5,6 +5,7 @@ import importlib.util
 import json
 import math
 import re
+import shutil
 import tomllib
 from pathlib import Path
 from typing import get_args
@@ -12,7 +13,7 @@ from typing import get_args
 import jsonschema
 import numpy as np
 import pytest
-from merlfit.fitting import cli, export, plots
+from merlfit.fitting import cli, export, importance, plots
 from merlfit.fitting.config import Config, ConfigError, known_keys, load, parse
 from merlfit.fitting.levenberg_marquardt import Status
 from merlfit.merl_io.atomic import write_atomically
@@ -39,8 +40,11 @@ def fitted(tmp_path_factory):
     file = folder / "blue-metallic-paint.binary"
     assert call("synth", "blue-metallic-paint", "--source", "abc_microfacet", "-o", file).exit_code == 0
     settings = folder / "short.toml"
-    settings.write_text('[effects]\nbody = "none"\n[fit]\nstarts = 2\n[posterior]\nmax_steps = 60\n')
-    done = call("fit", file, folder / "missing.binary", "-o", folder / "out", "--config", settings, "--seed", "3")
+    settings.write_text('[effects]\nbody = "none"\n[fit]\nstarts = 2\n[posterior]\nmax_steps = 200\n')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(importance, "MOST_DRAWS", 60)  # a thirtieth of a second each
+        patch.setattr(importance, "DRAWS", 40)
+        done = call("fit", file, folder / "missing.binary", "-o", folder / "out", "--config", settings, "--seed", "3")
     return folder, file, done
 
 
@@ -72,19 +76,58 @@ def test_a_chain_too_short_says_so_and_gives_no_intervals(fitted):
     result = export.read_result(fitted[0] / "out" / "blue-metallic-paint.json")
     assert result.posterior is not None
     assert not result.posterior.sufficient
-    assert "too short" in result.posterior.message
-    assert all(q.quantiles is None for q in result.parameters)
-    with np.load(fitted[0] / "out" / result.posterior.chain_file, allow_pickle=False) as chain:
-        assert chain["chain_free"].shape == (60, 24, len(result.parameters))
+    said = r"\d+ steps are \d+ autocorrelation times, 50 are needed; go on with the chain by `merlfit sample`"
+    assert re.fullmatch(said, result.posterior.message)
+    assert result.derived
+    assert all(q.quantiles is None for q in [*result.parameters, *result.derived])
+    size, p = len(result.parameters), result.posterior
+    assert len(p.coordinates) == len(p.r_hat) == len(p.effective_size) == len(p.contraction) == size
+    with np.load(fitted[0] / "out" / p.chain_file, allow_pickle=False) as chain:
+        assert chain["chain_free"].shape == (p.steps, p.walkers, size) == (p.steps, 32, size)
+        assert chain["log_prob"].shape == (p.steps, 32)
+        assert chain["draws_free"].shape == chain["values"].shape == (p.draws, size)
+        assert chain["weights"].shape == chain["log_ratio"].shape == (p.draws,)
+        assert chain["weights"].sum() == pytest.approx(1)
+        assert tuple(chain["names"]) == tuple(q.name for q in result.parameters)
+        assert tuple(chain["coordinates"]) == tuple(p.coordinates)
+        for q in result.derived:
+            assert len(chain[f"derived_{q.quantity}"]) == p.draws
 
 
 def test_inspect_prints_and_draws(fitted):
     folder = fitted[0]
     shown = call("inspect", folder / "out" / "blue-metallic-paint.json", "-o", folder / "pictures")
     assert shown.exit_code == 0
-    for word in ("beta", "sigma_s", "too short", "conductor"):
+    for word in ("beta", "sigma_s", "50 are needed", "conductor", "derived quantities"):
         assert word in shown.stdout
     assert (folder / "pictures" / "blue-metallic-paint.lobes.png").stat().st_size > 20_000
+
+
+def test_sampling_goes_on_with_the_chain_beside_a_fit(fitted, tmp_path, monkeypatch):
+    folder = fitted[0]
+    for name in ("blue-metallic-paint.json", "blue-metallic-paint.chain.npz"):
+        shutil.copy(folder / "out" / name, tmp_path)
+    path, chain = tmp_path / "blue-metallic-paint.json", tmp_path / "blue-metallic-paint.chain.npz"
+    before = export.read_result(path)
+    monkeypatch.setattr(importance, "MOST_DRAWS", 60)
+    monkeypatch.setattr(importance, "DRAWS", 40)
+    shown = call("sample", path, "--max-steps", "20")
+    assert shown.exit_code == cli.FAILED_FIT
+    assert "50 are needed" in shown.stdout
+    after = export.read_result(path)
+    assert after.posterior.steps == before.posterior.steps + 20
+    assert after.fit == before.fit
+    assert after.seconds["posterior"] > before.seconds["posterior"]
+    with np.load(chain) as longer, np.load(folder / "out" / chain.name) as shorter:
+        np.testing.assert_array_equal(longer["chain_free"][: before.posterior.steps], shorter["chain_free"])
+        spoiled = {**shorter, "fit_free": shorter["fit_free"] + 0.1}
+    np.savez(chain, **spoiled)
+    refused = call("sample", path, "--max-steps", "20")
+    assert refused.exit_code == 2
+    assert "is the chain of another fit; delete it" in refused.stderr
+    other = tmp_path / "other.binary"
+    write(other, np.ones((3, 90, 90, 180)))
+    assert "not the file that was fitted" in call("sample", path, "--file", other).stderr
 
 
 def test_a_fit_becomes_a_merl_file_again(fitted):
@@ -115,7 +158,12 @@ def test_a_long_chain_is_drawn_and_a_chain_of_another_fit_is_not(fitted):
     assert shown.exit_code == 0
     assert (folder / "pictures" / "blue-metallic-paint.corner.png").stat().st_size > 50_000
     with np.load(folder / "out" / result.posterior.chain_file) as chain:
-        np.savez(folder / "out" / "other.npz", names=chain["names"][:-1], values=chain["values"][:, :-1])
+        np.savez(
+            folder / "out" / "other.npz",
+            names=chain["names"][:-1],
+            values=chain["values"][:, :-1],
+            weights=chain["weights"],
+        )
     result.posterior.chain_file = "other.npz"
     export.write_result(path, result)
     assert "chain of another fit" in call("inspect", path, "-o", folder / "pictures").stderr
@@ -201,7 +249,7 @@ def test_default_toml_is_the_defaults():
     assert parse(tomllib.loads(text), "default.toml") == Config()
     data = tomllib.loads(re.sub(r"^# (?=\w+ = )", "", text, flags=re.M))  # with the keys that presets set
     assert parse(data, "default.toml") == Config()
-    sections = ("effects", "apparatus", "fit", "posterior")
+    sections = ("effects", "apparatus", "priors", "fit", "posterior")
     assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", *sections} == set(known_keys())
 
 
@@ -297,7 +345,7 @@ def test_writing_is_atomic(tmp_path):
 
 
 def test_every_command_has_help_with_an_example():
-    for command in ("fit", "check", "synth", "materials", "inspect", "demo"):
+    for command in ("fit", "sample", "check", "synth", "materials", "inspect", "demo"):
         shown = call(command, "--help")
         assert shown.exit_code == 0
         assert f"merlfit {command}" in shown.stdout.replace("\n", " ")

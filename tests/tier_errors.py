@@ -1,9 +1,9 @@
 """What each tier of the diffraction lobe costs and errs by: `python -m tests.tier_errors` writes results/tiers.*.
 
-500 synthetic parameter sets drawn from the priors of the fit (conductors), for each of them directions drawn from all
-bins of MERL's grid above the horizon, one of the three wavelengths. The reference is Eq. 27 (`exact`), once with Q/2 on
-the facet and once with F in its place on both sides, which takes the frame of Q out of the comparison; and Eq. 33 at
-order 96, which the cheaper tiers approximate. Time: one BRDF on the whole of MERL's grid, three channels, after
+500 synthetic parameter sets drawn between the bounds of the fit (conductors), for each of them directions drawn from
+all bins of MERL's grid above the horizon, one of the three wavelengths. The reference is Eq. 27 (`exact`), once with
+Q/2 on the facet and once with F in its place on both sides, which takes the frame of Q out of the comparison; and Eq.
+33 at order 96, which the cheaper tiers approximate. Time: one BRDF on the whole of MERL's grid, three channels, after
 compilation, median of five, in the same run; `exact` is timed on a list of directions and scaled. All bins of all sets
 would take `exact` half a year on two cores: the random bins are an unbiased sample of them. With ``--times`` only the
 times are taken anew.
@@ -38,8 +38,8 @@ RESULTS = Path(__file__).parents[1] / "results"
 STORE = RESULTS / "tiers.json"
 SHARES = np.linspace(0, 1, 201)  # of directions, for the plot
 WHAT = (
-    f"synthetic: {SETS} conductor parameter sets drawn from the priors of the fit, {DIRECTIONS} directions each drawn "
-    "from all bins of MERL's grid above the horizon"
+    f"synthetic: {SETS} conductor parameter sets drawn between the bounds of the fit, {DIRECTIONS} directions each "
+    "drawn from all bins of MERL's grid above the horizon"
 )
 
 

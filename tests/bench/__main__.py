@@ -16,13 +16,14 @@ from . import record
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 ON_CPU = ("fit", "cold", "growth", "batch", "solver", "against_scipy", "against_numpy")  # short ones first
-SECTIONS = (*ON_CPU, "gpu")
+APART = ("convergence", "highlight", "calibration", "halves", "nickel", "gpu")  # only when they are named
+SECTIONS = (*ON_CPU, *APART)
 
 
 @app.command()
 def main(
     sections: Annotated[
-        list[str] | None, typer.Argument(help=f"{', '.join(SECTIONS)}; all but gpu by default.")
+        list[str] | None, typer.Argument(help=f"{', '.join(SECTIONS)}; all but {', '.join(APART)} by default.")
     ] = None,
     few: Annotated[bool, typer.Option("--few", help="Fewer materials for comparisons, no batch of all files.")] = False,
     files: Annotated[Path | None, typer.Option(help="Folder to keep the MERL files in, 35 MB each.")] = None,

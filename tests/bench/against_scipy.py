@@ -9,7 +9,6 @@ from merlfit.fitting.levenberg_marquardt import prior_factor
 from merlfit.fitting.problem import directions, energy, shares
 from merlfit.fitting.residuals import _predict
 from merlfit.fitting.threads import CORES, side_by_side
-from merlfit.fitting.transforms import layout_of
 from scipy.optimize import least_squares
 
 from .materials import TWELVE, file
@@ -25,13 +24,13 @@ NEAR = 1e-3  # of the final cost: near enough
 class Whole:
     """Weighted residuals of all bins with light and their Jacobian, both by all cores, with the prior."""
 
-    def __init__(self, effects, samples):
+    def __init__(self, layout, samples):
         where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
         self.parts = shares(where, where.log_base.size)
         root = np.sqrt(samples.weight / energy(samples))
         self.shape, self.used = root.shape, root > 0
         self.root, self.target = root[self.used], (root * samples.value)[self.used]
-        predicted = lambda z, part: _predict(effects, layout_of(effects).values(z), part)  # noqa: E731
+        predicted = lambda z, part: _predict(layout.effects, layout.values(z), part)  # noqa: E731
         self.predicted, self.jacobian = jax.jit(predicted), jax.jit(jax.jacfwd(predicted))
 
     def rows(self, compute, z):
@@ -64,10 +63,10 @@ class Whole:
 
 def measure(path, body):
     """Seconds and final costs of both from the same start, with scipy's costs as time went by."""
-    config, effects, samples, start = coarse_optimum(path, body)
+    config, layout, samples, start = coarse_optimum(path, body)
 
-    _, solution, runs = fine_stage(config, effects, samples, start)
-    whole = Whole(effects, samples)
+    _, solution, runs = fine_stage(config, layout, samples, start)
+    whole = Whole(layout, samples)
     whole.residuals(start), whole.slope(start)  # compiled
     trace, begun = [], time.perf_counter()
 

@@ -19,8 +19,8 @@ def measure(path, body):
 
     real, first, folder = levenberg_marquardt.normal_equations, {}, tempfile.TemporaryDirectory()
 
-    def timed(effects, z, problem):
-        found = jax.block_until_ready(real(effects, z, problem))
+    def timed(layout, z, problem):
+        found = jax.block_until_ready(real(layout, z, problem))
         first.setdefault(sum(part.target.size for part in problem.parts), time.monotonic())
         return found
 

@@ -10,9 +10,9 @@ from merlfit.fitting.batch import fit_batch, prepare, solve_batch
 from merlfit.fitting.compilation import use_persistent_cache
 from merlfit.fitting.config import load
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import weighted_samples
 from merlfit.fitting.run import COARSE_ORDER, cheaper, fit_coarse
 from merlfit.fitting.synthesis import from_published
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import read, write
 from merlfit.model.published import SOURCES, materials
 
@@ -32,7 +32,7 @@ def prepared(names, config):
         for name in names:
             write(path, from_published(name, SOURCE)[0])
             begun = time.perf_counter()
-            found.append(prepare(weighted_samples(read(path)), config))
+            found.append(prepare(weighted_samples(read(path), config.fit.highlight), config))
             seconds += time.perf_counter() - begun
     return found, seconds / len(names)
 
@@ -47,12 +47,12 @@ def timed(compute):
     return found, *seconds
 
 
-def one_by_one(effects, some, config):
+def one_by_one(layout, some, config):
     """Costs of the same fits without a batch."""
-    costs = []
+    cheap, costs = [cheaper(layout, COARSE_ORDER)], []
     for material in some:
-        coarse = fit_coarse(cheaper(effects, COARSE_ORDER), material.coarse, material.coarse_problem, config)
-        costs.append(solve(effects, coarse.z, material.problem, config.fit.max_steps).cost)
+        (found,) = fit_coarse(cheap, material.seen, material.coarse, material.roughly, config)
+        costs.append(solve(layout, found.z, material.problem, config.fit.max_steps).cost)
     return costs
 
 
@@ -71,13 +71,13 @@ def run(folder, out, every, on_cpu=False):
         return
     counts = COUNTS if device.platform == "gpu" else COUNTS_ON_CPU
     config = load(body=BODY, posterior=False)
-    effects = config.effects_of(BODY)
+    layout = config.layout_of(BODY)
     everything, preparing = prepared(materials(SOURCE)[: max(counts)], config)
     record = Record(
         "gpu", "Fits batched over materials",
         f"synthetic: published parameters on MERL's grid ({SOURCES[SOURCE].citation})",
         [f"Device: {device.device_kind} ({device.platform}). `merlfit.fitting.batch.fit_batch`, body {BODY}, all bins, "
-         "float64: coarse grid from screened starting points, then all bins; after compilation, one repeat. One by "
+         "float64: a race on the coarse grid, then all bins; after compilation, one repeat. One by "
          f"one: the same fits without a batch, on the same device. Reading and gathering a file, {preparing:.2g} s "
          "each on the CPU, is not in it. Steps: of the fine stage, of the slowest material and of the mean one."],
         {"cost": Target("cost differs from that of single fits, largest", 1e-6, "relative")},
@@ -85,12 +85,12 @@ def run(folder, out, every, on_cpu=False):
     )  # fmt: skip
     for count in counts:
         some = everything[:count]
-        found, first, whole = timed(lambda some=some: fit_batch(effects, some, config))
+        found, first, whole = timed(lambda some=some: fit_batch(layout, some, config))
         z, problems = np.array([s.z for s in found]), [m.problem for m in some]
-        *_, equations = timed(lambda z=z, q=problems: solve_batch(effects, z, q, 1))
+        *_, equations = timed(lambda z=z, q=problems: solve_batch(layout, z, q, 1))
         alone = None
         if count <= ALONE:
-            costs, _, alone = timed(lambda some=some: one_by_one(effects, some, config))
+            costs, _, alone = timed(lambda some=some: one_by_one(layout, some, config))
             away = max(abs(s.cost / cost - 1) for s, cost in zip(found, costs, strict=True))
             record.set("cost", max(away, record.targets["cost"].value or 0.0))
         steps = [s.steps for s in found]

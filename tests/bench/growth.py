@@ -5,9 +5,10 @@ import time
 import numpy as np
 from merlfit.fitting.config import load
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem, weighted_samples
+from merlfit.fitting.problem import make_problem
 from merlfit.fitting.run import GRIDS
-from merlfit.fitting.starts import starting_points
+from merlfit.fitting.starts import read_off
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 
@@ -19,20 +20,21 @@ from .start import REPEATS
 MATERIAL, BODY, STEPS = "nickel", "none", 6
 SIZES = (("coarse", 8), ("medium", 8), ("fine", 8), ("fine", 16), ("fine", 32))  # rows, nodes of a row
 PRECISIONS = ("float64", "float32")
+OPTICS = {"n": np.ones(3), "k": np.ones(3)}  # where it starts
 NEVER = 1e-14  # tolerance that no step meets
 
 
 def measure(path, grid, azimuths, precision):
     """Seconds a step of a solve that has not converged, and the peaks before and after it (MiB)."""
-    effects = load(body=BODY).effects_of(BODY)
+    layout = load(body=BODY).layout_of(BODY)
     samples = thin(weighted_samples(read(path)), GRIDS[grid])
-    start = starting_points(effects, samples)[0]
     problem = make_problem(samples, int(azimuths), precision)
+    start = layout.free({**OPTICS, **read_off(samples).first})
     before = resident_peak()
     runs = []
     for _ in range(REPEATS + 1):  # the first one compiles
         begun = time.perf_counter()
-        solution = solve(effects, start, problem, STEPS, NEVER)
+        solution = solve(layout, start, problem, STEPS, NEVER)
         runs.append((time.perf_counter() - begun) / solution.steps)
     if solution.steps != STEPS or solution.converged:
         raise RuntimeError(f"{grid}, {azimuths} nodes, {precision}: ended after {solution.steps} of {STEPS} steps")

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .processes import worker
+
 if __package__ == "bench":  # under pytest, which puts the folder of the tests on the path
     import reconstructions
 else:
@@ -20,6 +22,17 @@ def file(folder, material):
     """Its MERL file in the folder, made if it is not there."""
     path = Path(folder) / f"{material}.binary"
     return path if path.is_file() else reconstructions.make(folder, material)
+
+
+def measured(record, materials, folder, *arguments):
+    """Materials that an unfinished run of the section lacks, and what its ``measure`` finds of file and body.
+
+    Every one in a process of its own, with further arguments.
+    """
+    record.resume()
+    for material in materials:
+        if material not in record.column("material"):
+            yield material, worker(record.section, file(folder, material), TWELVE[material], *arguments)[0]
 
 
 def every():

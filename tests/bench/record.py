@@ -89,6 +89,12 @@ class Record:
         print(f"{self.section}: {', '.join(f'{k} {cell(v)}' for k, v in row.items())}", flush=True)
         self.write()
 
+    def resume(self):
+        """Take the rows of an unfinished run of this section from its file, details included."""
+        path = self.folder / f"{self.section}.json"
+        held = json.loads(path.read_text()) if path.is_file() else {"finished": True}
+        self.rows = [] if held["finished"] else held["rows"]
+
     def column(self, name, **where):
         """Numbers of one column in the rows where other columns have the given values."""
         return [r[name] for r in self.rows if all(r[k] == v for k, v in where.items())]

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from merlfit.fitting.config import load
-from merlfit.fitting.levenberg_marquardt import OFFSET_TOLERANCE, compress, prior_factor, relative_offset, solve
-from merlfit.fitting.problem import make_problem, weighted_samples
+from merlfit.fitting.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
+from merlfit.fitting.problem import make_problem
 from merlfit.fitting.residuals import normal_equations
 from merlfit.fitting.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 
@@ -21,7 +21,7 @@ from .processes import worker
 from .record import RECONSTRUCTIONS, Record
 
 FOUR = ("nickel", "gold-metallic-paint2", "gray-plastic", "white-marble")
-STARTS, MOST, SPREAD = 10, 200, 1.0  # SPREAD: standard deviation of the starting points' free coordinates
+STARTS, MOST, SPREAD = 10, 200, 1.0  # SPREAD: of the starting points, in units of the prior's
 SCALE = 100.0  # of the residuals, with which the stock solver's first damping, 1, is a light one
 SAME = 1e-3  # of the cost: ends so near to each other are the same
 
@@ -59,22 +59,22 @@ def stock(evaluate, z, tolerance=1e-5):
     return cost, MOST, False
 
 
-def ours(effects, z, problem):
+def ours(layout, z, problem):
     """The same of `solve`."""
-    found = solve(effects, z, problem, MOST)
-    return found.cost * float(prior_factor(found.z)[0]) ** 2, found.steps, found.converged
+    found = solve(layout, z, problem, MOST)
+    return found.objective, found.steps, found.converged
 
 
 def measure(path, body):
     """Costs, evaluations and ends of both from random starting points, and seconds an evaluation of each."""
-    effects = cheaper(load(body=body).effects_of(body), COARSE_ORDER)
+    layout = cheaper(load(body=body).layout_of(body), COARSE_ORDER)
     problem = make_problem(thin(weighted_samples(read(path)), COARSE), COARSE_AZIMUTHS)
     rng, rows = np.random.default_rng(0), {"stock": [], "ours": []}
     for _ in range(STARTS):
-        z = SPREAD * rng.standard_normal(layout_of(effects).size)
+        z = SPREAD * rng.standard_normal(layout.size)
         for name, run in (
-            ("stock", lambda z: stock(lambda x: normal_equations(effects, x, problem), z)),
-            ("ours", lambda z: ours(effects, z, problem)),
+            ("stock", lambda z: stock(lambda x: normal_equations(layout, x, problem), z)),
+            ("ours", lambda z: ours(layout, z, problem)),
         ):
             begun = time.perf_counter()
             rows[name].append([*run(z), time.perf_counter() - begun])
@@ -82,7 +82,7 @@ def measure(path, body):
 
 
 NOTES = [
-    f"{STARTS} starting points each, normal in the free coordinates with standard deviation {SPREAD:g}; the same for "
+    f"{STARTS} starting points each, drawn from the prior with {SPREAD:g} times its standard deviation; the same for "
     f"both. At most {MOST} evaluations of the normal equations; both stop at the same relative offset. stock: "
     "`optimistix.LevenbergMarquardt` with its defaults, residuals times 100; ours: `fitting/trust_region.py`.",
     f"Same end: pairs whose costs differ by less than {SAME:.1%}, for which evaluations are compared (ratio of "

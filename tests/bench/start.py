@@ -4,10 +4,11 @@ import time
 
 from merlfit.fitting.config import load
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem, weighted_samples
-from merlfit.fitting.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper, fit_coarse
+from merlfit.fitting.problem import make_problem
+from merlfit.fitting.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
+from merlfit.fitting.starts import read_off
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import read
-from merlfit.merl_io.samples import thin
 
 REPEATS = 3
 # Where either side stops: relative decrease of cost (OFFSET_TOLERANCE squared), tolerance on z (rtol of `solve`).
@@ -15,20 +16,19 @@ TOLERANCES = {"ftol": 1e-6, "xtol": 1e-5}
 
 
 def coarse_optimum(path, body):
-    """Config, effects, samples of all bins, and the coarse optimum from which `run.fit` goes on."""
+    """Config, layout, samples of all bins, and the coarse optimum from which `run.fit` goes on."""
     config = load(body=body, posterior=False)
-    effects, samples = config.effects_of(body), weighted_samples(read(path))
-    coarse = thin(samples, COARSE)
-    found = fit_coarse(cheaper(effects, COARSE_ORDER), coarse, make_problem(coarse, COARSE_AZIMUTHS), config)
-    return config, effects, samples, found.z
+    layout, samples = config.layout_of(body), weighted_samples(read(path), config.fit.highlight)
+    (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], read_off(samples), *make_coarse(samples), config)
+    return config, layout, samples, found.z
 
 
-def fine_stage(config, effects, samples, start):
+def fine_stage(config, layout, samples, start):
     """Problem, solution and seconds of gathering and solving, repeatedly, without the first time."""
     seconds = []
     for _ in range(REPEATS + 1):
         begun = time.perf_counter()
         problem = make_problem(samples)
-        solution = solve(effects, start, problem, config.fit.max_steps)
+        solution = solve(layout, start, problem, config.fit.max_steps)
         seconds.append(time.perf_counter() - begun)
     return problem, solution, seconds[1:]

@@ -49,34 +49,35 @@ def one():
     """A material, its samples, and the best fit of it: from the parameters that it was made of."""
     measured, samples, config = measurement(HELD[0], body="none")
     effects, values = calibration.truth(1000)
-    effects, solution = carry_on((effects, layout_of(effects).free(values)), REFERENCE.settings(config), samples)
-    return samples, config, run.judge(effects, solution, measured, samples), reference_problem(samples)
+    layout = layout_of(effects)
+    layout, solution = carry_on((layout, layout.free(values)), REFERENCE.settings(config), samples)
+    return samples, config, run.judge(layout, solution, measured, samples), reference_problem(samples)
 
 
 def test_the_distance_is_that_of_all_bins(one):
     samples, _, fitted, problem = one
-    effects, z = fitted.effects, fitted.solution.z
-    cheap = Effects(effects.body, "lobe", acquisition="free")
-    for a, b in (((effects, z), (effects, z + 0.1)), ((effects, z), (cheap, z))):
+    layout, z = fitted.layout, fitted.solution.z
+    cheap = layout_of(Effects(layout.effects.body, "lobe", acquisition="free"))
+    for a, b in (((layout, z), (layout, z + 0.1)), ((layout, z), (cheap, z))):
         here, there = (run.predict_samples(*model, samples) for model in (a, b))
         expected = np.sqrt(np.sum(samples.weight * (here - there) ** 2) / energy(samples))
         assert distance(a, b, problem) == pytest.approx(expected, rel=1e-3)
-    assert distance((effects, z), (effects, z), problem) == 0.0
+    assert distance((layout, z), (layout, z), problem) == 0.0
 
 
 def test_the_step_that_remains_is_the_way_to_the_reference(one):
     _, config, fitted, problem = one
-    effects, z = fitted.effects, fitted.solution.z
-    assert effects.order == REFERENCE.order
+    layout, z = fitted.layout, fitted.solution.z
+    assert layout.effects.order == REFERENCE.order
     rng = np.random.default_rng(0)
     for size in (0.01, 0.1):
         moved = z + size * rng.normal(size=len(z))
-        away = distance((effects, moved), (effects, z), problem)
-        assert remaining((effects, moved), problem) == pytest.approx(away, rel=0.2)
-        assert estimate((effects, moved), problem, config) == remaining((effects, moved), problem)
-    cheap = Effects(effects.body, order=8, acquisition="free")
+        away = distance((layout, moved), (layout, z), problem)
+        assert remaining((layout, moved), problem) == pytest.approx(away, rel=0.2)
+        assert estimate((layout, moved), problem, config) == remaining((layout, moved), problem)
+    cheap = layout_of(Effects(layout.effects.body, order=8, acquisition="free"))
     both = estimate((cheap, z), problem, config)
-    assert both == pytest.approx(distance((cheap, z), (effects, z), problem) + remaining((effects, z), problem))
+    assert both == pytest.approx(distance((cheap, z), (layout, z), problem) + remaining((layout, z), problem))
 
 
 @pytest.mark.slow
@@ -93,7 +94,7 @@ def test_a_fit_that_misses_is_taken_on(one):
     assert [q.settings.starts for q in told.tried] == [1] * len(told.tried)
     assert len(told.tried) > 1
     assert told.settings == told.tried[-1].settings
-    assert finished.solution.cost < rough.solution.cost
+    assert finished.solution.objective < rough.solution.objective
     assert len(finished.candidates) == len(rough.candidates) == 1
     beyond = Aim(Request(accuracy=1e-9), start, config, "here").finish(fitted, measured, samples)[1]
     assert not beyond.met
@@ -107,11 +108,11 @@ def test_a_fit_that_misses_is_taken_on(one):
 
 def test_what_is_not_finite_is_infinitely_far(one):
     _, config, fitted, problem = one
-    effects, z = fitted.effects, fitted.solution.z
+    layout, z = fitted.layout, fitted.solution.z
     nowhere = np.full_like(z, np.nan)
-    assert remaining((effects, nowhere), problem) == np.inf
-    assert distance((effects, nowhere), (effects, z), problem) == np.inf
-    assert estimate((effects, nowhere), problem, config) == np.inf
+    assert remaining((layout, nowhere), problem) == np.inf
+    assert distance((layout, nowhere), (layout, z), problem) == np.inf
+    assert estimate((layout, nowhere), problem, config) == np.inf
 
 
 def test_carrying_on_never_ends_worse(one, monkeypatch):
@@ -119,7 +120,7 @@ def test_carrying_on_never_ends_worse(one, monkeypatch):
     samples, config, fitted, _ = one
     measured, *_ = measurement(HELD[0])
     lost = replace(fitted.solution, z=np.full_like(fitted.solution.z, np.nan))
-    monkeypatch.setattr(accuracy, "carry_on", lambda *_: (fitted.effects, lost))
+    monkeypatch.setattr(accuracy, "carry_on", lambda *_: (fitted.layout, lost))
     finished, told = Aim(Request(accuracy=1e-9), point(POINTS[1], 0.5, 1.0), config, "here").finish(
         fitted, measured, samples
     )
@@ -154,10 +155,9 @@ def held_case(name, wanted):
     aim = Aim(asked, asked.choose(frontier.shipped().points), config, "shipped")
     finished, told = aim.finish(fit(measured, samples, aim.settings), measured, samples)
     best = fit(measured, samples, REFERENCE.settings(config))
-    effects, solution = carry_on((best.effects, best.solution.z), REFERENCE.settings(config), samples)
+    layout, solution = carry_on((best.layout, best.solution.z), REFERENCE.settings(config), samples)
     here, there = (
-        run.predict_samples(*model, samples)
-        for model in ((finished.effects, finished.solution.z), (effects, solution.z))
+        run.predict_samples(*model, samples) for model in ((finished.layout, finished.solution.z), (layout, solution.z))
     )
     achieved = np.sqrt(np.sum(samples.weight * (here - there) ** 2) / energy(samples))
     return float(achieved), told.estimated, told.met

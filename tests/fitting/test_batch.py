@@ -11,22 +11,24 @@ from merlfit.fitting import run
 from merlfit.fitting.batch import fit_batch, prepare, solve_batch
 from merlfit.fitting.config import parse
 from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem, weighted_samples
+from merlfit.fitting.problem import make_problem
+from merlfit.fitting.starts import read_off
 from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
 from merlfit.model.effects import Effects
 
-EFFECTS = Effects("lambert", "off", acquisition="free")
+LAYOUT = layout_of(Effects("lambert", "off", acquisition="free"))
 
 
 def measured(seed):
     """Synthetic: a random material of the model itself, 5 % of noise; the free coordinates it was made of."""
     grid, rng = merl_grid(), np.random.default_rng(seed)
     blank = Measurement(Path("synthetic"), np.ones((3, *grid.above.shape)), grid.above, 0, 0, 0, "", "")
-    z = rng.normal(size=layout_of(EFFECTS).size) / 2
-    half = run.predict_samples(EFFECTS, z, weighted_samples(blank))
+    z = rng.normal(size=LAYOUT.size) / 2
+    half = run.predict_samples(LAYOUT, z, weighted_samples(blank))
     values = np.concatenate([half, half[..., ::-1]], -1)
     values = values * np.exp(0.05 * rng.normal(size=values.shape))
     return dataclasses.replace(blank, values=np.where(grid.above, values, 0.0)), z
@@ -42,8 +44,8 @@ def three():
 
 def test_each_ends_where_it_ends_by_itself(three):
     problems, starts = three
-    together = solve_batch(EFFECTS, starts, problems, 60)
-    alone = [solve(EFFECTS, z, q, 60) for z, q in zip(starts, problems, strict=True)]
+    together = solve_batch(LAYOUT, starts, problems, 60)
+    alone = [solve(LAYOUT, z, q, 60) for z, q in zip(starts, problems, strict=True)]
     for one, other in zip(together, alone, strict=True):
         assert one.cost == pytest.approx(other.cost, rel=1e-6)
         np.testing.assert_allclose(one.z, other.z, atol=1e-5)
@@ -55,9 +57,9 @@ def test_each_ends_where_it_ends_by_itself(three):
 
 def test_a_finished_one_stays_put(three):
     problems, starts = three
-    whole = solve_batch(EFFECTS, starts, problems, 60)
+    whole = solve_batch(LAYOUT, starts, problems, 60)
     first = min(range(3), key=lambda k: whole[k].steps)
-    stopped = solve_batch(EFFECTS, starts, problems, whole[first].steps)
+    stopped = solve_batch(LAYOUT, starts, problems, whole[first].steps)
     assert whole[first].converged
     assert whole[first].steps == stopped[first].steps < max(s.steps for s in whole)
     np.testing.assert_array_equal(whole[first].z, stopped[first].z)
@@ -68,8 +70,8 @@ def test_a_finished_one_stays_put(three):
 def test_one_that_is_not_finite_does_not_spoil_the_others(three):
     problems, starts = three
     spoiled = eqx.tree_at(lambda q: q.rest, problems[1], jnp.full(3, jnp.nan))
-    found = solve_batch(EFFECTS, starts, [problems[0], spoiled, problems[2]], 60)
-    whole = solve_batch(EFFECTS, starts, problems, 60)
+    found = solve_batch(LAYOUT, starts, [problems[0], spoiled, problems[2]], 60)
+    whole = solve_batch(LAYOUT, starts, problems, 60)
     assert np.isnan(found[1].cost)
     assert (found[1].converged, found[1].steps) == (False, 1)
     np.testing.assert_array_equal(found[1].z, starts[1])
@@ -80,18 +82,17 @@ def test_materials_must_share_their_directions(three):
     problems, starts = three
     other = make_problem(thin(weighted_samples(measured(1)[0]), (10, 5, 18)))
     with pytest.raises(ValueError, match="share their directions"):
-        solve_batch(EFFECTS, starts[:2], [problems[0], other])
+        solve_batch(LAYOUT, starts[:2], [problems[0], other])
 
 
 def test_whole_fits_are_those_of_single_files():
     settings = {"grid": "coarse", "azimuths": 4, "starts": 2, "coarse_steps": 40}
     config = parse({"fit": settings, "posterior": {"enabled": False}}, "test")
     files = [weighted_samples(measured(seed)[0]) for seed in (4, 5)]
-    together = fit_batch(EFFECTS, [prepare(samples, config) for samples in files], config)
+    together = fit_batch(LAYOUT, [prepare(samples, config) for samples in files], config)
     for samples, found in zip(files, together, strict=True):
-        coarse = thin(samples, run.COARSE)
-        best = run.fit_coarse(EFFECTS, coarse, make_problem(coarse, run.COARSE_AZIMUTHS), config)
-        alone = solve(EFFECTS, best.z, make_problem(coarse, 4), config.fit.max_steps)
+        (best,) = run.fit_coarse([LAYOUT], read_off(samples), *run.make_coarse(samples), config)
+        alone = solve(LAYOUT, best.z, make_problem(thin(samples, run.COARSE), 4), config.fit.max_steps)
         assert (found.steps, found.converged) == (alone.steps, alone.converged)
         assert found.cost == pytest.approx(alone.cost, rel=1e-6)
         np.testing.assert_allclose(found.z, alone.z, atol=1e-4)

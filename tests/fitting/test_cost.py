@@ -22,7 +22,8 @@ def test_a_paragraph_says_what_each_step_gains(made):
     said = gains(made)
     assert said.count("2 times as accurate") == len(POINTS) - 1
     assert said.count("1.5 times the time") == len(POINTS) - 1
-    assert "The defaults (quadrature 32, fine grid, 8 azimuths, float64, 4 starts) are within 0.0002" in said
+    default = default_choice()
+    assert f"The defaults ({default}) are within {0.1 / 2 ** POINTS.index(default):.2g}" in said
     assert changes(POINTS[0], POINTS[1]) == "Quadrature instead of lobe"
     assert changes(POINTS[-2], POINTS[-1]) == "Order 64 instead of 32 and 16 azimuths instead of 8"
     dearer = [q if q.choice != default_choice() else point(q.choice, 1.0, 1e3) for q in made.points]
@@ -35,7 +36,7 @@ def test_a_paragraph_says_what_each_step_gains(made):
 def test_tables_and_plot_mark_the_defaults(made, tmp_path):
     write_markdown(made, tmp_path / "cost.md")
     lines = (tmp_path / "cost.md").read_text().splitlines()
-    assert [line.count("|") for line in lines if "4 starts*" in line] == [14]
+    assert [line.count("|") for line in lines if f"{default_choice().starts} starts*" in line] == [14]
     assert [line.count("|") for line in lines if "quadrature 32*" in line] == [11]
     assert sum(map(len, (table.rows for table in tables(made)))) == len(POINTS) + len(tiers.TIERS)
     figure = frontier_figure(made)

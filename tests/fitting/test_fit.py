@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from merlfit.fitting import levenberg_marquardt, run
 from merlfit.fitting import problem as problems
-from merlfit.fitting.config import Config, load
+from merlfit.fitting.config import Config, load, parse
 from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
-from merlfit.fitting.problem import compressive_weight, cos_weighted_median, make_problem, weighted_samples
+from merlfit.fitting.problem import make_problem
 from merlfit.fitting.residuals import _predict, cost, normal_equations
-from merlfit.fitting.starts import read_clues, starting_points
+from merlfit.fitting.starts import read_off, starting_points
 from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
@@ -35,7 +36,7 @@ PLASTIC = {
     "albedo": np.array([0.5, 0.2, 0.05]),
 }  # fmt: skip
 EXPONENT = 0.35
-FREE = Effects("none", acquisition="free")
+FREE = layout_of(Effects("none", acquisition="free"))
 
 
 def tabulate(values, effects, exponent=EXPONENT):
@@ -84,24 +85,37 @@ def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):
     result = run.fit_file(tmp_path / "nickel.binary", tmp_path, load(body="none", posterior=False))
     assert result.fit.succeeded
     assert result.fit.cost < 0.0226
-    assert result.metrics.rmse < 0.11
+    assert result.metrics.rmse < 0.075
     assert result.metrics.smape < 0.15
+
+
+def test_a_narrow_highlight_is_not_given_up(make_merl, tmp_path):
+    """White marble's carries so little of Eq. 56 as printed that its minimum has three times the error."""
+    make_merl.main(tmp_path, "white-marble")
+
+    def rmse(**given):
+        config = parse({"effects": {"body": "plastic"}, "fit": given, "posterior": {"enabled": False}}, "here")
+        result = run.fit_file(tmp_path / "white-marble.binary", tmp_path, config)
+        assert result.fit.succeeded
+        return result.metrics.rmse
+
+    assert rmse() < 0.055
+    assert rmse(highlight=0.0) > 0.15
 
 
 @pytest.fixture(scope="module")
 def coarse(files):
     samples = weighted_samples(read(files["conductor"]))
-    thinned = thin(samples, run.COARSE)
-    return samples, thinned, make_problem(thinned)
+    return samples, make_problem(thin(samples, run.COARSE))
 
 
-def plain(effects, z, samples):
+def plain(layout, z, samples):
     """Normal equations of all bins of the samples, from the whole Jacobian."""
     where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
     root = np.sqrt(samples.weight / problems.energy(samples))
 
     def predicted(z):
-        return _predict(effects, layout_of(effects).values(z), where)
+        return _predict(layout.effects, layout.values(z), where)
 
     def rows(x):
         return np.moveaxis(np.asarray(x), 1, 0).reshape(root.shape + x.shape[5:])
@@ -124,27 +138,30 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     samples = thin(coarse[0], (run.COARSE[0], 5, 30))
     problem = make_problem(samples)
     others = [Effects("plastic", acquisition="derived"), Effects("lambert", "zonal", acquisition=0.3)]
-    for effects in (FREE, *others, Effects("lambert", "off", split="conserving")):
-        z = jnp.asarray(np.random.default_rng(1).normal(size=layout_of(effects).size))
-        expected, found = plain(effects, z, samples), np.asarray(normal_equations(effects, z, problem))
+    for layout in (FREE, *map(layout_of, [*others, Effects("lambert", "off", split="conserving")])):
+        z = jnp.asarray(np.random.default_rng(1).normal(size=layout.size))
+        expected, found = plain(layout, z, samples), np.asarray(normal_equations(layout, z, problem))
         assert difference(found, expected) < 1e-9
-        np.testing.assert_allclose(np.asarray(cost(effects, z, problem)), found[:, -1, -1], rtol=1e-10)
+        alone = np.asarray(cost(layout.effects, layout.values(z), problem))
+        np.testing.assert_allclose(alone, found[:, -1, -1], rtol=1e-10)
 
 
 @pytest.mark.slow
 def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
     samples = thin(coarse[0], (10, 10, 1))
-    for effects in (FREE, Effects("subsurface", "lobe", masking="height_correlated", acquisition="free")):
-        z = jnp.asarray(np.random.default_rng(2).normal(size=layout_of(effects).size))
-        expected = plain(effects, z, samples)
-        few, many = (np.asarray(normal_equations(effects, z, make_problem(samples, k))) for k in (2, 8))
+    other = Effects("subsurface", "lobe", masking="height_correlated", acquisition="free")
+    for layout in (FREE, layout_of(other)):
+        z = jnp.asarray(np.random.default_rng(2).normal(size=layout.size))
+        expected = plain(layout, z, samples)
+        few, many = (np.asarray(normal_equations(layout, z, make_problem(samples, k))) for k in (2, 8))
         assert difference(many, expected) < 1e-3
         assert difference(few, expected) > 10 * difference(many, expected)
 
 
 def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
-    _, thinned, problem = coarse
-    z = jnp.asarray(starting_points(FREE, thinned)[0])
+    thinned = thin(coarse[0], (5, 5, 1))
+    problem = make_problem(thinned)
+    z = jnp.asarray(starting_points(FREE, read_off(coarse[0]), problem, 1)[0])
     assert len(problem.parts) == 1
     assert problem.parts[0].target.shape[0] == 1
     monkeypatch.setattr(problems, "BLOCK", 700)
@@ -162,10 +179,10 @@ def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
 def test_solvers_of_three_libraries_agree(coarse):
     samples = coarse[0]
     problem = make_problem(thin(samples, (10, 10, 45)))
-    effects = Effects("none", "lobe", acquisition="free")
-    start = layout_of(effects).free({**CONDUCTOR, "grazing_exponent": EXPONENT}) + 0.1
-    ours, minpack, jaxopt = (solve(effects, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
-    assert ours.cost < solve(effects, start, problem, 1).cost / 10
+    layout = layout_of(Effects("none", "lobe", acquisition="free"))
+    start = layout.free({**CONDUCTOR, "grazing_exponent": EXPONENT}) + 0.1
+    ours, minpack, jaxopt = (solve(layout, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
+    assert ours.cost < solve(layout, start, problem, 1).cost / 10
     for other in (minpack, jaxopt):
         assert other.cost == pytest.approx(ours.cost, rel=5e-3)
         np.testing.assert_allclose(other.z, ours.z, atol=0.05)
@@ -186,24 +203,6 @@ def test_compressed_residuals_hold_the_prior():
     np.testing.assert_allclose(found.value @ found.value, whole(z) @ whole(z), rtol=1e-10)
     np.testing.assert_allclose(found.slope.T @ found.value, slope.T @ whole(z), rtol=1e-7)
     np.testing.assert_allclose(found.slope.T @ found.slope, slope.T @ slope, rtol=1e-7)
-
-
-def test_weights_and_median():
-    value = np.array([0.0, 1.0, 100.0])
-    weight = compressive_weight(value, np.asarray(1.0))
-    x = value[1:]
-    expected = (((1 - np.exp(-np.log(2) * x)) / np.log(2)) / x) ** 1.4  # HP17 Eq. 57-58
-    np.testing.assert_allclose(weight[1:], expected)
-    assert weight[0] == pytest.approx(1)
-    assert cos_weighted_median(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.1, 1.0])) == 3.0
-
-
-def test_clues_are_read_off_a_known_lobe(files):
-    clues = read_clues(thin(weighted_samples(read(files["plastic"])), run.COARSE))
-    half = PLASTIC["beta"] * np.log(2) ** (1 / (2 * PLASTIC["p"]))
-    assert half / 2 < clues.half_height < 2 * half
-    assert np.all(np.diff(clues.dark) < 0)
-    assert clues.rise > 1.5
 
 
 def test_derived_exponent_falls_with_lobe_width():
@@ -236,18 +235,17 @@ def test_data_below_the_horizon_are_left_out():
     assert not np.any(samples.weight[:, ~grid.above[..., :90]])
     problem = make_problem(thin(samples, (1, 3, 10)))
     for grazing_loss in ("free", 0.0):
-        effects = Effects("lambert", "off", acquisition=grazing_loss)
-        assert np.all(np.isfinite(normal_equations(effects, jnp.zeros(layout_of(effects).size), problem)))
+        layout = layout_of(Effects("lambert", "off", acquisition=grazing_loss))
+        assert np.all(np.isfinite(normal_equations(layout, jnp.zeros(layout.size), problem)))
 
 
 def test_equations_that_are_not_finite_are_a_failure(coarse):
-    _, _, problem = coarse
+    problem = coarse[1]
     spoiled = eqx.tree_at(lambda q: q.parts[0].directions.log_base, problem, replace_fn=lambda x: x - jnp.inf)
-    effects = FREE
-    solution = solve(effects, np.zeros(layout_of(effects).size), spoiled)
+    solution = solve(FREE, np.zeros(FREE.size), spoiled)
     assert not solution.converged
     assert np.isnan(solution.cost)
-    fitted = Fitted(effects, solution, np.ones(3), Errors(0.0, 0.0), [])
+    fitted = Fitted(FREE, solution, np.ones(3), Errors(0.0, 0.0), [])
     assert fitted.status is Status.NON_FINITE
 
 
@@ -267,16 +265,14 @@ def test_short_steps_before_a_wall_are_no_convergence(edge, converged):
 
 
 def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):
-    _, _, problem = coarse
-    effects = Effects("lambert", "off")
-    z = layout_of(effects).free(
-        {"beta": 0.1, "p": 1.0, "eta": np.full(3, 1.5), "albedo": np.array([0.005, 0.005, 0.2])}
-    )
+    problem = coarse[1]
+    layout = layout_of(Effects("lambert", "off"))
+    z = layout.free({"beta": 0.1, "p": 1.0, "eta": np.full(3, 1.5), "albedo": np.array([0.005, 0.005, 0.2])})
     normal = np.zeros((3, 9, 9))
     normal[:, 8, 8] = 1.0
     normal[:, 5, 5] = 1e3  # the first albedo is well determined, the second is not
-    solution = dataclasses.replace(solve(effects, z, problem, 1), z=z, normal=normal, cost=0.3, converged=True)
-    fitted = Fitted(effects, solution, np.full(3, 20.0), Errors(0.0, 0.0), [])
+    solution = dataclasses.replace(solve(layout, z, problem, 1), z=z, normal=normal, cost=0.3, converged=True)
+    fitted = Fitted(layout, solution, 60.0, Errors(0.0, 0.0), [])
     assert fitted.at_bound == ["no"] * 6 + ["lower", "no"]
     assert fitted.status is Status.AT_BOUND
 

@@ -6,59 +6,94 @@ from merlfit.fitting.metrics import correlation_length, effective_count, errors
 from merlfit.fitting.selection import bic
 from merlfit.merl_io.grid import merl_grid
 
-SHAPE = (60, 12, 9)
+SHAPE = (3, 60, 12, 9)  # channels, theta_h, theta_d, phi_d
+EVERYWHERE = np.ones(SHAPE, bool)
 
 
-def autoregressive(rng, coefficient, shape=SHAPE):
-    """Unit-variance residuals with correlation coefficient^lag along the first axis."""
-    field = rng.normal(size=shape)
-    for k in range(1, shape[0]):
+def autoregressive(rng, coefficient, axis=1, shape=SHAPE):
+    """Unit-variance residuals with correlation coefficient^lag along an axis."""
+    field = np.moveaxis(rng.normal(size=shape), axis, 0)
+    for k in range(1, len(field)):
         field[k] = coefficient * field[k - 1] + np.sqrt(1 - coefficient**2) * field[k]
-    return field
+    return np.moveaxis(field, 0, axis)
+
+
+def test_correlation_length_is_the_integrated_one_and_only_along_the_axis():
+    field, used = autoregressive(np.random.default_rng(1), 0.7, 0, (200, 40, 40)), np.ones((200, 40, 40), bool)
+    assert correlation_length(field, used, 0) == pytest.approx((1 + 0.7) / (1 - 0.7), rel=0.05)
+    assert correlation_length(field, used, 1) == pytest.approx(1, abs=0.05)
+    assert correlation_length(np.ones((30, 5, 5)), np.ones((30, 5, 5), bool), 0) == pytest.approx(30, rel=0.01)
+    there_and_back = np.where(np.arange(30) % 2, 1.0, -1.0)[:, None] * np.ones(5)
+    assert correlation_length(there_and_back, np.ones((30, 5), bool), 0) == 1  # and not less
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.5, 0.8])
-def test_effective_count_is_that_of_the_chi_square_of_the_sum_of_squares(coefficient):
-    """A sum of squares of N independent residuals scatters by sqrt(2/N) of itself: N read off 1500 draws."""
+def test_effective_count_is_that_of_the_variance_of_a_smooth_mean(coefficient):
+    """Sum u e of n residuals, u smooth, scatters by sqrt(n/N) times what independent ones would: 1500 draws."""
     rng = np.random.default_rng(0)
-    used = np.ones(SHAPE, bool)
-    sums = np.array([np.sum(autoregressive(rng, coefficient) ** 2) for _ in range(1500)])
-    seen = 2 * (sums.mean() / sums.std()) ** 2
-    estimated = np.mean([effective_count(autoregressive(rng, coefficient), used) for _ in range(10)])
+    smooth = (1 + np.cos(np.linspace(0, np.pi, SHAPE[1])))[:, None, None] * np.linspace(1, 2, SHAPE[2])[:, None]
+    sums = np.array([np.sum(smooth * autoregressive(rng, coefficient)) for _ in range(1500)])
+    seen = SHAPE[0] ** 2 * np.sum(smooth**2 * np.ones(SHAPE[1:])) * np.prod(SHAPE[1:]) / sums.var()
+    estimated = np.mean([effective_count(autoregressive(rng, coefficient), EVERYWHERE) for _ in range(20)])
     assert estimated == pytest.approx(seen, rel=0.15)
     if coefficient:
-        assert np.prod(SHAPE) > 1.4 * estimated  # to count bins would be wrong
+        assert np.prod(SHAPE) > 2 * estimated  # to count bins would be wrong
 
 
-def test_correlation_length_is_bartletts_and_only_along_the_axis():
-    field, used = autoregressive(np.random.default_rng(1), 0.7, (200, 20, 20)), np.ones((200, 20, 20), bool)
-    assert correlation_length(field, used, 0) == pytest.approx((1 + 0.49) / (1 - 0.49), rel=0.05)
-    assert correlation_length(field, used, 1) == pytest.approx(1, abs=0.02)
-    assert correlation_length(np.ones((30, 2, 2)), np.ones((30, 2, 2), bool), 0) == pytest.approx(30, rel=0.1)
+def test_channels_that_are_copies_count_once_and_independent_ones_thrice():
+    field = autoregressive(np.random.default_rng(5), 0.8)
+    alone = effective_count(field[:1], EVERYWHERE[:1])
+    assert effective_count(field[:1] * np.ones((3, 1, 1, 1)), EVERYWHERE) == pytest.approx(alone)
+    each = [effective_count(field[k : k + 1], EVERYWHERE[:1]) for k in range(3)]
+    assert effective_count(field, EVERYWHERE) == pytest.approx(sum(each), rel=0.15)
 
 
-def test_masked_bins_do_not_count():
+def test_what_is_not_used_does_not_matter():
     rng = np.random.default_rng(2)
     field, used = autoregressive(rng, 0.5), rng.uniform(size=SHAPE) < 0.5
     spoiled = np.where(used, field, 1e6)
     assert effective_count(spoiled, used) == effective_count(field, used)
-    everywhere = effective_count(field, np.ones(SHAPE, bool))
-    assert effective_count(field, used) == pytest.approx(used.mean() * everywhere, rel=0.15)
+    assert effective_count(np.where(used, field, np.nan), used) == effective_count(field, used)
+
+
+def test_half_of_the_azimuths_count_half():
+    field, used = autoregressive(np.random.default_rng(2), 0.8, shape=(3, 60, 12, 36)), np.ones((3, 60, 12, 36), bool)
+    everywhere = effective_count(field, used)
+    used[..., 18:] = False
+    assert effective_count(field, used) == pytest.approx(everywhere / 2, rel=0.15)
+    assert effective_count(field, used) == pytest.approx(effective_count(field[..., :18], used[..., :18]))
+
+
+@pytest.mark.parametrize("axis", [1, 2])
+def test_every_other_row_of_a_smooth_field_says_as_much_as_all(axis):
+    shape = (3, 60, 60, 9)
+    used, field = np.ones(shape, bool), autoregressive(np.random.default_rng(6), 0.9, axis, shape)
+    everywhere = effective_count(field, used)
+    np.moveaxis(used, axis, 0)[::2] = False
+    assert effective_count(field, used) == pytest.approx(everywhere, rel=0.1)
 
 
 def test_a_few_bins_that_carry_the_cost_are_what_counts():
     rng = np.random.default_rng(3)
     field = rng.normal(size=SHAPE)
-    field[:, 0] *= 100  # one column of twelve
-    assert effective_count(field, np.ones(SHAPE, bool)) == pytest.approx(60 * 9, rel=0.2)
+    field[:, :, 0] *= 100  # one column of twelve
+    assert effective_count(field, EVERYWHERE) == pytest.approx(3 * 60 * 9, rel=0.25)
+
+
+def test_extreme_fields_are_worth_a_finite_number():
+    assert effective_count(np.zeros(SHAPE), EVERYWHERE) == np.prod(SHAPE)
+    assert effective_count(np.ones(SHAPE), EVERYWHERE) == pytest.approx(1, abs=0.5)
+    one = np.zeros(SHAPE)
+    one[0, 3, 4, 5] = 1e-200
+    assert 1 <= effective_count(one, EVERYWHERE) <= 3
 
 
 def test_bic_is_schwarz_with_the_scale_profiled_out():
-    counts = np.array([100.0, 50.0, 10.0])
-    base = bic(np.array([0.1, 0.2, 0.3]), counts, 8)
-    assert bic(np.array([0.1, 0.2, 0.3]), counts, 9) - base == pytest.approx(np.log(160.0))
-    assert base - bic(np.array([0.05, 0.2, 0.3]), counts, 8) == pytest.approx(100 * np.log(2))
-    assert bic(np.array([0.099, 0.2, 0.3]), counts, 9) > base  # 1 % in one channel is not worth a parameter
+    base = bic(0.2, 160.0, 8)
+    assert bic(0.2, 160.0, 9) - base == pytest.approx(np.log(160.0))
+    assert base - bic(0.1, 160.0, 8) == pytest.approx(160 * np.log(2))
+    assert bic(0.199, 160.0, 9) > base  # half a per cent is not worth a parameter
+    assert np.isfinite(bic(0.0, 160.0, 8))
 
 
 def test_errors_are_those_of_the_definitions():

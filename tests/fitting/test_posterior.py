@@ -1,159 +1,267 @@
 """The sampler's parts against what is known of them in closed form."""
 
 import dataclasses
+from functools import cache
 
 import emcee
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import run
+from merlfit.fitting import posterior as sampler
+from merlfit.fitting.emulator import Emulator, log_posterior
 from merlfit.fitting.laplace import laplace_covariance
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.posterior import free_of_normal, independent_proposal, normal_of_free, sample
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.transforms import layout_of
-from merlfit.merl_io.grid import merl_grid
-from merlfit.merl_io.samples import fold, thin
-from merlfit.model.effects import Effects
-from scipy.special import expit
-from scipy.stats import binom, kstest, multivariate_t, norm
+from merlfit.fitting.posterior import (
+    CHECK_EVERY,
+    ENOUGH,
+    WALKERS,
+    Chain,
+    ChainError,
+    Hamiltonian,
+    begin,
+    diagnose,
+    extend,
+    leapfrog,
+    read_chain,
+    spread_over,
+    write_chain,
+)
+from scipy.optimize import minimize
+from stand_ins import LAYOUT, banana, gentle, taught
+
+NOBODY = np.random.RandomState(0).get_state()[1:]
 
 
-def test_independent_proposals_are_the_student_t_whose_ratio_they_report():
-    rng = np.random.default_rng(0)
-    covariance = np.array([[2.0, 0.6, 0.0], [0.6, 1.0, -0.3], [0.0, -0.3, 0.5]])
-    centre = np.array([1.0, -2.0, 0.5])
-    samples = rng.multivariate_normal(centre, covariance, size=40_000)
-    log_prob = -0.5 * np.sum((samples - centre) * np.linalg.solve(covariance, (samples - centre).T).T, 1)
-    propose = independent_proposal(samples, log_prob)
-    old = samples[:20_000]
-    new, log_ratio = propose(old, np.random.RandomState(1))
-    t = multivariate_t(centre, covariance, df=10)
-    np.testing.assert_allclose(log_ratio, t.logpdf(old) - t.logpdf(new), atol=0.2)
-    assert np.median(np.abs(log_ratio - (t.logpdf(old) - t.logpdf(new)))) < 0.02
-    np.testing.assert_allclose(new.mean(0), centre, atol=0.05)
-    np.testing.assert_allclose(np.cov(new.T), covariance * 10 / 8, atol=0.1)
-
-
-def test_walkers_astray_do_not_widen_the_proposals():
-    rng = np.random.default_rng(2)
-    good = rng.normal(size=(20_000, 2))
-    stray = rng.normal(size=(1_000, 2)) + 30
-    samples = np.concatenate([good, stray])
-    log_prob = -0.5 * np.sum(samples**2, 1)
-    new, _ = independent_proposal(samples, log_prob)(good, np.random.RandomState(3))
-    assert np.quantile(np.abs(new), 0.95) < 3.5
-    assert np.cov(samples.T)[0, 0] > 40
-
-
-def test_the_metropolis_hastings_ratio_leaves_the_target_as_it_is():
-    """A skewed target, sampled with independent proposals only: the factor must undo the proposal's density."""
-    rng = np.random.default_rng(4)
-    shape = 3.0  # log of a gamma variable
-    samples = np.log(rng.gamma(shape, size=(20_000, 2)))
-
-    def log_prob(x):
-        return np.sum(shape * x - np.exp(x), 1)
-
-    move = emcee.moves.MHMove(independent_proposal(samples, log_prob(samples)))
-    sampler = emcee.EnsembleSampler(8, 2, log_prob, moves=move, vectorize=True)
-    sampler.random_state = np.random.RandomState(5).get_state()
-    sampler.run_mcmc(samples[:8], 6_000)
-    found = np.exp(sampler.get_chain(flat=True))
-    assert sampler.acceptance_fraction.mean() > 0.4
-    np.testing.assert_allclose(found.mean(0), shape, rtol=0.03)
-    np.testing.assert_allclose(found.var(0), shape, rtol=0.1)
-
-
-def test_sampled_coordinates_make_the_priors_normal():
-    x = np.linspace(-8, 8, 33)
-    z = np.asarray(free_of_normal(jnp.asarray(x)))
-    np.testing.assert_allclose(normal_of_free(z), x, atol=1e-12)
-    np.testing.assert_allclose(expit(z), norm.cdf(x), rtol=1e-12)  # the position between the bounds is uniform
+def silent(*_):
+    """Progress of no interest."""
 
 
 def test_directions_without_data_are_held_by_the_prior():
-    normal = np.zeros((1, 3, 3))
-    normal[0, 0, 0], normal[0, 2, 2] = 4.0, 0.5
-    covariance = laplace_covariance(normal, np.array([10.0]), np.zeros(2))
-    assert covariance[0, 0] == pytest.approx(1 / (10 * 4.0 / 0.5 + 0.5 + 1e-3))
-    assert covariance[1, 1] == pytest.approx(1 / (0.5 + 1e-3))
+    normal = np.zeros((2, 3, 3))
+    normal[0, 0, 0], normal[:, 2, 2] = 4.0, 0.25
+    covariance = laplace_covariance(normal, 10.0)
+    assert covariance[0, 0] == pytest.approx(1 / (10 * 4.0 / 0.5 + 1))
+    assert covariance[1, 1] == pytest.approx(1)
 
 
-@pytest.mark.parametrize("grid", [run.COARSE, run.SAMPLING])
-def test_thinned_grids_see_the_mirror_direction(grid):
-    """A lobe narrower than the first kept row would be invisible, and any height of it a perfect fit."""
-    assert grid[0][:2] == (1, 1)
-    assert sum(grid[0]) == 90
+def moments(log_density):
+    """Mean and covariance of a density in two coordinates, by quadrature."""
+    axis = np.linspace(-5, 8, 521)
+    points = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    found = log_density(points)
+    weight = np.exp(found - found.max())
+    weight /= weight.sum()
+    mean = weight @ points
+    return mean, (points - mean).T @ ((points - mean) * weight[:, None])
 
 
-TRUTH = {
-    "beta": 0.2, "p": 0.8, "eta": np.array([1.5, 1.6, 1.7]), "albedo": np.array([0.5, 0.3, 0.1]),
-}  # fmt: skip
-SETS, NOISE = 4, np.array([0.01, 0.006, 0.003])  # relative to the root mean square, per channel: scales are unknown
+def rough():
+    """An emulator of `banana` that learnt from too few points, seen through noise."""
+    few, rng = banana(), np.random.default_rng(1)
+    noisy = dataclasses.replace(few, weighed=lambda z: few.weighed(z) + 0.2 * rng.normal(size=(len(z), 2)))
+    return taught(noisy, [np.arange(2)], rng.normal(size=(30, 2)) * [1.0, 1.5])
 
 
-@pytest.fixture(scope="module")
-def noisy_posteriors():
-    """Posteriors of synthetic data with independent noise of one size, for which the likelihood is the true one."""
-    effects = Effects("lambert", "off")
-    grid = merl_grid()
-    ones = np.ones((3, 90, 90, 180))
-    blank = thin(fold(grid, ones, np.where(grid.above, 1.0, 0.0) * ones), (10, 10, 45))
-    clean = run.predict_samples(effects, layout_of(effects).free(TRUTH), blank)
-    counts = (blank.weight > 0).sum((1, 2, 3)).astype(float)
-    size = (NOISE * np.sqrt(np.sum(blank.weight * clean**2) / counts.sum()))[:, None, None, None]
-    rng = np.random.default_rng(6)
-    found = []
-    for seed in range(SETS):
-        noise = size * rng.normal(size=clean.shape) / np.sqrt(np.where(blank.weight > 0, blank.weight, np.inf))
-        samples = dataclasses.replace(blank, value=clean + noise)
-        problem = make_problem(samples)
-        best = solve(effects, layout_of(effects).free(TRUTH), problem)
-        assert best.converged
-        target = (effects, problem)
-        chain = sample(target, target, best.z, best.normal, counts, 3000, seed)
-        found.append((best, chain, counts, effects, problem))
-    return found
+ROOT = np.array([[0.8, 0.0], [0.3, 1.1]])
+
+
+def emulated(emulator):
+    """Its log posterior."""
+    return lambda z: log_posterior(z, emulator.channels, emulator.scale)
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say(noisy_posteriors):
-    ranks, inside = [], 0
-    for _, chain, _, effects, _ in noisy_posteriors:
-        assert chain.sufficient, chain.message
-        assert chain.thinning_error < 1e-6
-        values = chain.values(layout_of(effects))
-        truth = np.concatenate([np.ravel(TRUTH[q.name]) for q in layout_of(effects).parameters])
-        ranks.append(np.mean(values < truth, 0))
-        low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
-        assert np.all((low < middle) & (middle < high))
-        inside += np.sum((low < truth) & (truth < high))
-    assert binom.ppf(0.001, SETS * 8, 0.9) <= inside
-    # ranks of the truth are uniform: neither too wide nor too narrow (width 0.289), nor shifted
-    assert kstest(np.ravel(ranks), "uniform").pvalue > 1e-3
-    assert 0.2 < np.std(ranks) < 0.36
+def test_led_moves_leave_the_target_as_it_is_however_rough_the_emulator():
+    few, emulator = banana(), rough()
+    mean, covariance = moments(few.log_posterior)
+    misled, _ = moments(lambda z: np.asarray(emulated(emulator)(jnp.asarray(z))))
+    assert np.max(np.abs(misled - mean)) > 0.1  # what the emulator alone would make of it
+    rng = np.random.default_rng(2)
+    move = emcee.moves.MHMove(Hamiltonian(emulator, np.linalg.cholesky(covariance), 0.2))
+    walkers = emcee.EnsembleSampler(WALKERS, 2, few.log_posterior, moves=move, vectorize=True)
+    walkers.random_state = np.random.RandomState(3).get_state()
+    walkers.run_mcmc(rng.multivariate_normal(mean, covariance, size=WALKERS), 4000)
+    found = walkers.get_chain(discard=200, flat=True)
+    assert 0.2 < walkers.acceptance_fraction.mean() < 0.95  # some are refused: the ratio is at work
+    deviation = np.sqrt(np.diag(covariance))
+    assert np.all(np.abs(found.mean(0) - mean) < 0.04 * deviation)
+    np.testing.assert_allclose(found.std(0), deviation, rtol=0.04)
+    assert np.cov(found.T)[0, 1] == pytest.approx(covariance[0, 1], abs=0.04 * np.prod(deviation))
 
 
-@pytest.mark.slow
-def test_a_well_determined_posterior_is_the_laplace_approximation(noisy_posteriors):
-    """Around the optimum of channels weighed by N_c / S_c, as the likelihood weighs them; Eq. 56 weighs all alike."""
-    astray = 0.0
-    for best, chain, counts, effects, problem in noisy_posteriors:
-        free = chain.chain.reshape(-1, chain.chain.shape[-1])
-        scale = counts / best.normal[:, -1, -1]
-        root = np.sqrt(scale / scale.mean())
-        weighed = eqx.tree_at(
-            lambda q: (q.parts[0].root, q.parts[0].target), problem,
-            (problem.parts[0].root * root[:, *[None] * 4], problem.parts[0].target * root[:, *[None] * 3]),
-        )  # fmt: skip
-        centre = solve(effects, best.z, weighed).z
-        expected = np.sqrt(np.diag(laplace_covariance(best.normal, counts, best.z)))
-        narrow = expected < 0.3  # others are skewed by the bounds
-        assert narrow.sum() >= 7
-        np.testing.assert_allclose(free.std(0)[narrow], expected[narrow], rtol=0.25)
-        assert np.all(np.abs(free.mean(0) - centre) < 0.5 * expected)
-        astray = max(astray, np.max(np.abs(free.mean(0) - best.z) / expected))
-        assert chain.acceptance > 0.4
-    assert astray > 1  # the comparison sees the difference between the two optima
+def test_a_led_walker_that_turns_comes_back():
+    density, rng = emulated(rough()), np.random.default_rng(4)
+    points, momenta = jnp.asarray(rng.normal(size=(2, 20, 2)))
+    there, turned = leapfrog(density, jnp.asarray(ROOT), points, momenta, 7, 0.15)
+    assert np.all(np.linalg.norm(there - points, axis=1) > 1e-2)
+    back, again = leapfrog(density, jnp.asarray(ROOT), there, -turned, 7, 0.15)
+    np.testing.assert_allclose(back, points, atol=1e-8)
+    np.testing.assert_allclose(-again, momenta, atol=1e-8)
+
+
+def test_led_moves_keep_volumes():
+    """In coordinates and momenta together, so that only their densities decide."""
+    density = emulated(rough())
+
+    def move(x):
+        z, p = leapfrog(density, jnp.asarray(ROOT), x[None, :2], x[None, 2:], 7, 0.15)
+        return jnp.concatenate([z[0], p[0]])
+
+    for x in np.random.default_rng(5).normal(size=(5, 4)):
+        assert abs(np.linalg.det(jax.jacfwd(move)(jnp.asarray(x)))) == pytest.approx(1, abs=1e-8)
+
+
+def test_led_moves_of_a_good_emulator_are_accepted_and_go_far():
+    emulator, rng = taught(banana(), [np.arange(2)], np.random.default_rng(1).normal(size=(40, 2))), None
+    few, rng = banana(), np.random.default_rng(6)
+    mean, covariance = moments(few.log_posterior)
+    points = rng.multivariate_normal(mean, covariance / 4, size=500)
+    new, log_ratio = Hamiltonian(emulator, np.linalg.cholesky(covariance), 0.2)(points, np.random.RandomState(7))
+    accepted = np.minimum(np.exp(few.log_posterior(new) - few.log_posterior(points) + log_ratio), 1)
+    assert accepted.mean() > 0.8
+    assert np.mean(np.any(new != points, axis=1)) > 0.8
+    assert np.median(np.linalg.norm((new - points) / np.sqrt(np.diag(covariance)), axis=1)) > 0.5
+
+
+def test_the_ratio_of_a_led_move_is_that_of_the_emulated_posterior():
+    emulator, rng = rough(), np.random.default_rng(9)
+    points = rng.normal(size=(20, 2))
+    new, log_ratio = Hamiltonian(emulator, ROOT, 0.15)(points, np.random.RandomState(10))
+    density = emulated(emulator)
+    np.testing.assert_allclose(log_ratio, density(jnp.asarray(points)) - density(jnp.asarray(new)), atol=1e-8)
+    assert np.any(log_ratio != 0)
+
+
+def test_walkers_led_astray_stay_where_they_are():
+    few = banana()
+    emulator = taught(few, [np.arange(2)], np.random.default_rng(1).normal(size=(40, 2)))
+    points = np.array([[0.0, 0.0], [1e200, 0.0]])
+    new, log_ratio = Hamiltonian(emulator, np.eye(2), 0.15)(points, np.random.RandomState(8))
+    assert np.isfinite(log_ratio[0])
+    assert log_ratio[1] == -np.inf
+    np.testing.assert_array_equal(new[1], points[1])
+
+
+def independent(steps, size=3, seed=0):
+    """A chain of independent draws from the normal distribution."""
+    states = np.random.default_rng(seed).normal(size=(steps, WALKERS, size))
+    return Chain(states, -np.sum(states**2, -1) / 2, 0.0, np.eye(size), 0.15, states[0], NOBODY, np.zeros(size))
+
+
+def test_a_chain_of_independent_draws_is_good_enough():
+    found = diagnose(independent(CHECK_EVERY))
+    assert found.failures() == []
+    np.testing.assert_allclose(found.times, 1, atol=0.3)
+    np.testing.assert_allclose(found.bulk, CHECK_EVERY * WALKERS, rtol=0.15)
+
+
+def test_what_a_chain_lacks_is_said_of_the_coordinate_that_lacks_it():
+    names = ("a", "b", "c")
+    assert f"{ENOUGH} are needed" in diagnose(independent(CHECK_EVERY - 1)).failures(names)[0]
+    slow = independent(400)
+    slow.states[..., 1] = np.cumsum(slow.states[..., 1], 0)  # a random walk
+    said = diagnose(slow).failures(names)
+    assert said[0].startswith("400 steps are ")
+    assert said[0].endswith(f" autocorrelation times, {ENOUGH} are needed")
+    assert any("R-hat of b" in x for x in said)
+    assert not any("of a" in x or "of c" in x for x in said)
+    apart = independent(400)
+    apart.states[:, :6, 2] += 8  # walkers in a mode of their own: each looks well by itself
+    assert any("R-hat of c" in x for x in diagnose(apart).failures(names))
+    stuck = independent(400)
+    stuck.states[:, 5] = 1.0  # one walker
+    with np.errstate(invalid="ignore"):
+        assert diagnose(stuck).failures(names)[0].startswith("400 steps are 1 autocorrelation times")
+
+
+def test_places_cover_a_sequence_however_many_they_are():
+    for count in (7, 50, 400):
+        found = spread_over(1000, count)
+        assert len(found) == count
+        assert found.min() >= 0
+        assert found.max() < 1000
+        assert np.max(np.diff(np.sort(np.concatenate([[0], found, [1000]])))) < 3.5 * 1000 / count
+    np.testing.assert_array_equal(np.concatenate([spread_over(1000, 30), spread_over(1000, 80, 30)]),
+                                  spread_over(1000, 80))  # fmt: skip
+
+
+@cache
+def begun():
+    """A stand-in, its maximum, and a chain and an emulator of it."""
+    few = gentle()
+    best = minimize(lambda z: -few.log_posterior(z[None])[0], np.zeros(LAYOUT.size))
+    return few, best.x, *begin(few, LAYOUT, best.x, best.hess_inv, 3, silent)
+
+
+def test_a_chain_begun_has_its_walkers_where_the_posterior_is(monkeypatch):
+    few, fit, chain, emulator = begun()
+    assert chain.states.shape == (1, WALKERS, LAYOUT.size)
+    np.testing.assert_allclose(chain.log_prob[0], few.log_posterior(chain.states[0]))
+    np.testing.assert_array_equal(chain.taught, emulator.points)
+    np.testing.assert_array_equal(chain.fit, fit)
+    lowest = few.log_posterior(fit[None])[0]
+    assert np.all(chain.log_prob[0] > lowest - 25)
+    monkeypatch.setattr(sampler, "ENOUGH", 10)
+    done = extend(chain, few, emulator, 1001, silent, silent)
+    assert diagnose(done).failures() == []
+    assert 0.2 < done.acceptance < 1
+
+
+def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_path, monkeypatch):
+    monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    few, fit, chain, emulator = begun()
+    kept = []
+    whole = extend(chain, few, emulator, 201, silent, kept.append)
+    assert [len(c.states) for c in kept] == [101, 201]
+    half = extend(chain, few, emulator, 101, silent, silent)
+    write_chain(tmp_path / "x.npz", half.arrays())
+    again = read_chain(tmp_path / "x.npz", fit)
+    assert again.random[1:] == half.random[1:]
+    for name, array in again.arrays().items():
+        np.testing.assert_array_equal(array, half.arrays()[name])
+    other = extend(again, few, Emulator.of(few, LAYOUT, again.taught), 201, silent, silent)
+    np.testing.assert_array_equal(other.states, whole.states)
+    np.testing.assert_array_equal(other.log_prob, whole.log_prob)
+    assert other.accepted == pytest.approx(whole.accepted)
+
+
+def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(monkeypatch):
+    monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    monkeypatch.setattr(sampler, "TOO_LOW", 1.0)
+    few, _, chain, emulator = begun()
+    sharp, kept = dataclasses.replace(emulator, scale=3 * emulator.scale), []  # tails too low, whatever it learns
+    done = extend(chain, few, sharp, 301, silent, kept.append)
+    assert [len(c.states) for c in kept] == [1] * sampler.LESSONS + [101, 201, 301]
+    assert not set(map(tuple, emulator.points)) >= set(map(tuple, done.taught))
+    np.testing.assert_array_equal(done.taught, kept[sampler.LESSONS - 1].taught)
+    longer = extend(done, few, sharp, 401, silent, silent)  # a chain that is long is not given up
+    np.testing.assert_array_equal(longer.states[:301], done.states)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # numpy leaves damaged files open
+def test_the_chain_of_another_fit_and_files_that_are_none_are_refused(tmp_path):
+    path, chain = tmp_path / "x.npz", independent(3)
+    write_chain(path, chain.arrays())
+    read_chain(path, chain.fit)
+    for fit in (chain.fit + 0.1, np.zeros(4)):
+        with pytest.raises(ChainError, match=r"x\.npz: is the chain of another fit"):
+            read_chain(path, fit)
+    whole = path.read_bytes()
+    spoiled = whole[: len(whole) // 4] + bytes(200) + whole[len(whole) // 4 + 200 :]
+    for bad in (whole[: len(whole) // 2], whole[:50], b"not a file of numpy", spoiled):
+        path.write_bytes(bad)
+        with pytest.raises(ChainError, match=r"x\.npz: cannot be gone on with \(.*\); delete it to begin anew"):
+            read_chain(path, chain.fit)
+    for name in chain.arrays():
+        write_chain(path, {k: x for k, x in chain.arrays().items() if k != name})
+        with pytest.raises(ChainError, match="cannot be gone on with"):
+            read_chain(path, chain.fit)
+    with pytest.raises(ChainError, match=r"absent\.npz"):
+        read_chain(tmp_path / "absent.npz", chain.fit)
+
+
+def test_an_empty_file_is_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    path.touch()
+    with pytest.raises(ChainError):
+        read_chain(path, np.zeros(3))

@@ -8,22 +8,23 @@ import pytest
 from merlfit.fitting import problem as problems
 from merlfit.fitting.problem import make_problem
 from merlfit.fitting.residuals import cost, predict
-from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.effects import Effects
+from merlfit.model.parameters import parameters
 
 DRAWS = 24
 EFFECTS = Effects("none", "lobe", acquisition="free"), Effects("subsurface", "lobe", acquisition="free")
 
 
 def predictions(effects, samples, draws):
-    """Free coordinates within two standard deviations of the prior, and the model at every bin."""
+    """Parameters drawn evenly between their bounds, but 3 % at either end, and the model at every bin."""
     rng = np.random.default_rng(11)
     where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
     for _ in range(draws):
-        z = jnp.asarray(rng.logistic(size=layout_of(effects).size).clip(-3.5, 3.5))
-        yield z, predict(effects, layout_of(effects).values(z), where)
+        places = {q: jnp.asarray(rng.uniform(0.03, 0.97, 3 if q.per_channel else ())) for q in parameters(effects)}
+        values = {q.name: q.between(u) for q, u in places.items()}
+        yield values, predict(effects, values, where)
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +38,9 @@ def every_bin():
 def distances(effects, every_bin, nodes):
     """Weighted distance of the model from its interpolant, relative to the model, of each draw."""
     found = []
-    for z, predicted in predictions(effects, every_bin, DRAWS):
+    for values, predicted in predictions(effects, every_bin, DRAWS):
         samples = replace(every_bin, value=predicted)  # what the gathered model errs by is all its cost
-        found.append(np.sqrt(float(cost(effects, z, make_problem(samples, nodes)).sum())))
+        found.append(np.sqrt(float(cost(effects, values, make_problem(samples, nodes)).sum())))
     return np.array(found)
 
 
@@ -53,9 +54,11 @@ def test_gathered_model_is_the_model(effects, every_bin):
 
 def test_float32_evaluates_the_same_cost(every_bin):
     effects = EFFECTS[0]
-    for z, predicted in list(predictions(effects, every_bin, 4)):
+    for values, predicted in predictions(effects, every_bin, 4):
         rng = np.random.default_rng(0)
         samples = replace(every_bin, value=predicted * rng.uniform(0.8, 1.2, predicted.shape))
-        double, single = (float(cost(effects, z, make_problem(samples, 8, p)).sum()) for p in ("float64", "float32"))
+        double, single = (
+            float(cost(effects, values, make_problem(samples, 8, p)).sum()) for p in ("float64", "float32")
+        )
         assert single != double
         assert single == pytest.approx(double, rel=1e-4)

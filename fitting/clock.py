@@ -1,0 +1,30 @@
+"""What is told of a run while it goes on: its stages, and how long each took."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Report = Callable[[str], None]
+
+
+def silent(_: str) -> None:
+    """Reports that nobody asked for."""
+
+
+class Clock:
+    """Seconds by stage, and of everything since the start."""
+
+    def __init__(self) -> None:
+        self.start = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    def times(self) -> dict[str, float]:
+        """By stage, and ``total`` until now."""
+        return {**self.seconds, "total": round(time.perf_counter() - self.start, 3)}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Seconds of what is done in here."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = round(time.perf_counter() - start, 3)

@@ -1,0 +1,79 @@
+"""Fits of files, one after the other, as the commands `merlfit fit` and `merlfit demo` make them."""
+
+from collections import Counter
+from pathlib import Path
+
+import typer
+
+from ..merl_io.binary import MerlError
+from .accuracy import Aim, aim
+from .compilation import use_persistent_cache
+from .config import Config, ConfigError, load
+from .report import Outcome, accuracy_line, summary_table
+from .request import request
+from .run import fit_file
+from .terminal import BAD_INPUT, FAILED_FIT, console, fail, progress_display, reporter, writable_folder
+
+
+def settings_of(
+    config: Path | None, preset: str | None, body: str | None, posterior: bool | None, seed: int | None
+) -> Config:
+    """Those of a file of settings with what the command line replaces in it."""
+    try:
+        return load(config, preset=preset, body=body, posterior=posterior, seed=seed)
+    except ConfigError as error:
+        raise fail(str(error)) from None
+
+
+def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim | None:
+    """What to take for an accuracy or a time, told; None if nothing was asked."""
+    if accuracy is None and within is None:
+        return None
+    try:
+        chosen = aim(request(accuracy, within), settings)
+    except ValueError as error:
+        raise fail(str(error)) from None
+    console.print(chosen.told, markup=False, soft_wrap=True)
+    return chosen
+
+
+def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = None) -> list[Outcome]:
+    """Fit one file after the other; whatever one runs into, the others are fitted."""
+    use_persistent_cache()
+    writable_folder(out)
+    twice = [name for name, count in Counter(path.stem for path in files).items() if count > 1]
+    if twice:
+        raise fail(f"several files are named {twice[0]}, and each result is named after its file: fit them apart")
+    taken, finish = (aim.settings, aim.finish) if aim else (settings, None)
+    outcomes = []
+    with progress_display() as progress:
+        for k, path in enumerate(files, 1):
+            task = progress.add_task(path.name)
+            label = f"[{k}/{len(files)}] {path.stem}"
+            try:
+                result = fit_file(path, out, taken, reporter(progress, task, label), finish)
+                outcomes.append(Outcome(path, result))
+                console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s", markup=False)
+                if result.accuracy is not None:
+                    console.print(f"{label}: {accuracy_line(result.accuracy)}", markup=False, soft_wrap=True)
+            except MerlError as error:
+                outcomes.append(Outcome(path, None, str(error), bad_input=True))
+                fail(str(error))
+            except Exception as error:  # of any kind: said with its name, and the next file has its turn
+                said = f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
+                outcomes.append(Outcome(path, None, said))
+                fail(said)
+            progress.remove_task(task)
+    return outcomes
+
+
+def summarise(outcomes: list[Outcome]) -> None:
+    """Table of all fits; exits with 2 after bad input, with 1 after a fit that failed."""
+    console.print(summary_table(outcomes))
+    for o in outcomes:
+        if o.result is not None and not o.result.fit.succeeded:
+            console.print(f"{o.path.stem}: {o.result.fit.message}", markup=False)
+    if any(o.bad_input for o in outcomes):
+        raise typer.Exit(BAD_INPUT)
+    if any(o.result is None or not o.result.fit.succeeded for o in outcomes):
+        raise typer.Exit(FAILED_FIT)

@@ -1,0 +1,60 @@
+"""What the data determine, and what only the prior does: from the normal equations at a fit.
+
+In free coordinates the prior is a standard normal distribution, so an eigenvalue of the likelihood's curvature says how
+much of a direction's knowledge is the data's: at 1 as much as the prior's, below 1 the direction is not determined.
+"""
+
+import numpy as np
+
+from . import export
+from .laplace import laplace_covariance, likelihood_precision
+from .transforms import Layout
+
+TOLD = 0.3  # of a unit vector: smaller components of a direction are not named
+STRONG = 0.9  # correlations beyond this are told in words
+
+
+def identifiability(layout: Layout, normal: np.ndarray, count: float, covariance: np.ndarray) -> export.Identifiability:
+    """Correlations, contraction of the prior, and directions that the data do not determine.
+
+    Args:
+        normal, count: as for `laplace`. covariance: of the physical values (P, P).
+    """
+    precision = likelihood_precision(normal, count)
+    values, vectors = np.linalg.eigh((precision + precision.T) / 2)
+    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    names, left = layout.coordinates, np.sqrt(np.diag(laplace_covariance(normal, count)))
+    return export.Identifiability(
+        names=list(layout.names),
+        correlation=np.clip(covariance / spread / spread[:, None], -1, 1).round(3).tolist(),
+        coordinates=list(names),
+        contraction=(1 - left).round(3).tolist(),
+        determined=int(np.sum(values >= 1)),
+        undetermined=[
+            export.Direction(
+                curvature=float(max(value, 0.0)),
+                components={names[i]: round(float(vector[i]), 3) for i in np.argsort(-np.abs(vector)) if told[i]},
+            )
+            for value, vector in zip(values, vectors.T, strict=True)
+            if value < 1 and (told := np.abs(vector) >= TOLD).any()
+        ],
+    )
+
+
+def in_words(found: export.Identifiability) -> list[str]:
+    """Sentences of it."""
+    size = len(found.names)
+    said = [f"the data determine {found.determined} of {size} directions of parameter space"]
+    for direction in found.undetermined:
+        together = ", ".join(f"{name} {value:+.1f}" for name, value in direction.components.items())
+        said.append(f"not determined (the data know {direction.curvature:.2g} of what the prior does): {together}")
+    pairs = [
+        (found.correlation[i][j], found.names[i], found.names[j])
+        for i in range(size)
+        for j in range(i)
+        if abs(found.correlation[i][j]) > STRONG
+    ]
+    if pairs:
+        strongest = sorted(pairs, key=lambda pair: -abs(pair[0]))
+        said.append("strongly correlated: " + ", ".join(f"{a} with {b} {r:+.2f}" for r, a, b in strongest))
+    return said

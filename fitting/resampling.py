@@ -1,0 +1,58 @@
+"""The posterior of a fit that is already in a file."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..merl_io.binary import read
+from . import export
+from .clock import Clock, Report, silent
+from .config import parse
+from .levenberg_marquardt import Solution
+from .outcome import posterior_parts
+from .problem import make_problem
+from .residuals import normal_equations
+from .run import chain_of, judge
+from .sampling import sample
+from .weights import weighted_samples
+
+
+def resample(
+    path: Path, result: export.Result, file: Path, max_steps: int | None = None, report: Report = silent
+) -> export.Result:
+    """Sample the posterior of a result, or go on with the chain that lies beside it; the result is written anew.
+
+    Args:
+        path: of the result. file: the MERL file that it is of. max_steps: more, at the most; None for its own.
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: the file is not the one that was fitted.
+        merlfit.fitting.export.ResultError: the result has no fit to sample.
+        merlfit.fitting.posterior.ChainError: the chain is not one of this fit.
+    """
+    if result.model is None or not result.fit.succeeded:
+        raise export.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")
+    clock, config = Clock(), parse(result.config, str(path))
+    report("reading")
+    measurement = read(file, result.source.sha1)
+    samples = weighted_samples(measurement, config.fit.highlight)
+    layout, chain = config.layout_of(result.model.effects.body), chain_of(path)
+    z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
+    normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))
+    offset = float("nan") if result.fit.relative_offset is None else result.fit.relative_offset
+    solution = Solution(z, float(normal[:, -1, -1].sum()), normal, result.fit.steps, offset, converged=True)
+    fitted = judge(layout, solution, measurement, samples)
+    with clock.stage("posterior"):
+        steps = config.posterior.max_steps if max_steps is None else max_steps
+        sampled = sample(fitted, samples, steps, result.seed, chain, chain.is_file(), report)
+    seconds = result.seconds["total"] + clock.seconds["posterior"]
+    spent = result.seconds.get("posterior", 0.0) + clock.seconds["posterior"]
+    result = result.model_copy(
+        update={
+            **posterior_parts(fitted, sampled, measurement.name),
+            "seconds": {**result.seconds, "posterior": round(spent, 3), "total": round(seconds, 3)},
+        }
+    )
+    export.write_result(path, result)
+    return result

@@ -1,0 +1,80 @@
+"""Whether intervals from two disjoint halves of a material's bins agree."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from merlfit.fitting.config import load
+from merlfit.fitting.outcome import parameter_results
+from merlfit.fitting.run import fit
+from merlfit.fitting.sampling import sample
+from merlfit.fitting.weights import weighted_samples
+from merlfit.merl_io.binary import read
+
+from .materials import TWELVE, measured
+from .record import RECONSTRUCTIONS, Record, Target
+
+FOUR = ("nickel", "aluminium", "white-marble", "red-plastic")
+COLUMN, ROW = np.arange(90)[:, None], np.arange(90)
+HALVES = {
+    "even phi_d": ROW % 2 == 0, "odd phi_d": ROW % 2 == 1, "low theta_d": COLUMN < 45, "high theta_d": COLUMN >= 45,
+}  # fmt: skip
+PAIRS = (("even phi_d", "odd phi_d"), ("low theta_d", "high theta_d"))
+
+
+def half_of(samples, kept):
+    """Only the bins that are kept, (D, P); the shape stays."""
+    weight = samples.weight * kept
+    part = np.sum(weight * samples.value**2) / np.sum(samples.weight * samples.value**2)
+    return replace(samples, weight=weight, scatter=samples.scatter * float(part))
+
+
+def measure(path, body):
+    """Of every half: intervals of its parameters, or why there are none."""
+    config, measurement = load(body=body), read(path)
+    whole, found = weighted_samples(measurement, config.fit.highlight), {}
+    for name, kept in HALVES.items():
+        samples = half_of(whole, kept)
+        fitted = fit(measurement, samples, config)
+        with tempfile.TemporaryDirectory() as folder:
+            chain = Path(folder) / "chain.npz"
+            sampled = sample(fitted, samples, config.posterior.max_steps, config.seed, chain)
+        found[name] = {
+            "count": fitted.count, "message": sampled.posterior.message, "steps": sampled.posterior.diagnosis.steps,
+            "k": sampled.posterior.pareto_k,
+            "parameters": {
+                q.name: [q.value, *((q.quantiles.q05, q.quantiles.q50, q.quantiles.q95) if q.quantiles else ())]
+                for q in parameter_results(fitted, sampled)
+            },
+        }  # fmt: skip
+    return found
+
+
+def overlap(one, other):
+    """Share of the parameters whose intervals have a point in common; nan without intervals of both."""
+    pairs = [(a[1:], other["parameters"][name][1:]) for name, a in one["parameters"].items()]
+    if not all(a and b for a, b in pairs):
+        return float("nan")
+    return float(np.mean([max(a[0], b[0]) <= min(a[2], b[2]) for a, b in pairs]))
+
+
+def run(folder, out, every):
+    """Twelve materials, or four."""
+    record = Record(
+        "halves", "Intervals from disjoint halves of the bins", RECONSTRUCTIONS,
+        ["Every material is fitted and sampled four times, as `merlfit fit --body BODY` does it, on half of its bins: "
+         "even and odd rows of phi_d, theta_d below and above 45 degrees. Overlap: share of the parameters whose 90 % "
+         "intervals from both halves have a point in common. N: effective bins of the residuals of each half.",
+         "A material one half of which failed a diagnostic has no intervals to compare, and counts for nothing."],
+        {"phi": Target("intervals that overlap, even and odd phi_d", 80, "%", at_least=True),
+         "theta": Target("intervals that overlap, low and high theta_d", 80, "%", at_least=True)},
+        folder=out,
+    )  # fmt: skip
+    for material, found in measured(record, TWELVE if every else FOUR, folder):
+        shares = {f"overlap {a}": overlap(found[a], found[b]) for a, b in PAIRS}
+        counts = {f"N {name}": found[name]["count"] for name in HALVES}
+        record.add({"material": material, "body": TWELVE[material], **shares, **counts}, found)
+    for target, (a, _) in zip(("phi", "theta"), PAIRS, strict=True):
+        record.set(target, 100 * np.nanmean(record.column(f"overlap {a}")))
+    record.finish()

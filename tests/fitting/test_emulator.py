@@ -1,0 +1,77 @@
+"""The emulator against stand-ins in closed form."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.fitting import emulator as emulators
+from merlfit.fitting.emulator import Emulator, coordinates_of, cost_at
+from stand_ins import LAYOUT, OWN, banana, gentle, taught
+
+
+def emulated(found, points):
+    """Minus log L."""
+    return found.scale * np.asarray(cost_at(jnp.asarray(points), found.channels))
+
+
+def test_channels_depend_on_their_own_coordinates_and_on_the_shared_ones():
+    names = LAYOUT.names
+    found = [{names[i] for i in own} for own in coordinates_of(LAYOUT, np.full(LAYOUT.size, 0.3))]
+    assert found[0] == {"beta", "p", "eta_R", "eta_G", "albedo_R"}  # eta is given that of the middle channel
+    assert found[1] == {"beta", "p", "eta_G", "albedo_G"}
+
+
+def test_it_is_exact_at_its_points_and_near_in_between():
+    few, rng = gentle(), np.random.default_rng(1)
+    points = rng.normal(size=(1000, LAYOUT.size))
+    found = Emulator.of(few, LAYOUT, points)
+    np.testing.assert_allclose(emulated(found, points), -few.log_likelihood(points), atol=0.05, rtol=1e-3)
+    between = 0.7 * rng.normal(size=(1000, LAYOUT.size))
+    error = emulated(found, between) + few.log_likelihood(between)
+    assert np.std(error) < 0.05 * np.std(few.log_likelihood(between))
+    assert np.median(np.abs(error)) < 0.2
+
+
+def test_a_quadratic_polynomial_is_met_everywhere():
+    few, rng = banana(), np.random.default_rng(2)
+    found = taught(few, [np.arange(2)], rng.normal(size=(40, 2)))
+    far = 5 * rng.normal(size=(100, 2))
+    np.testing.assert_allclose(emulated(found, far), -few.log_likelihood(far), rtol=1e-4)
+
+
+def test_its_gradient_is_finite_at_its_own_points():
+    """Where the distance of the kernel is zero."""
+    points = np.random.default_rng(3).normal(size=(60, 2))
+    found = taught(banana(), [np.arange(2)], points)
+    slope = jax.grad(lambda z: jnp.sum(cost_at(z, found.channels)))(jnp.asarray(points))
+    assert np.isfinite(slope).all()
+
+
+def test_more_points_are_learnt_once_and_the_oldest_are_forgotten():
+    few, rng = gentle(), np.random.default_rng(4)
+    points = rng.normal(size=(100, LAYOUT.size))
+    found = taught(few, OWN, points)
+    assert len(found.with_points(few, points).points) == 100
+    more = found.with_points(few, points[:40] + 1, 120)
+    np.testing.assert_array_equal(more.points, np.concatenate([points[20:], points[:40] + 1]))
+    np.testing.assert_array_equal(more.residuals.reshape(120, -1), few.weighed(more.points) - few.target)
+
+
+def test_points_where_the_model_is_not_finite_are_left_out():
+    few = gentle()
+    hole = dataclasses.replace(few, weighed=lambda z: np.where(z[:, :1] > 1, np.nan, few.weighed(z)))
+    points = np.random.default_rng(5).normal(size=(400, LAYOUT.size))
+    found = Emulator.of(hole, LAYOUT, points)
+    np.testing.assert_array_equal(found.points, points[points[:, 0] <= 1])
+    assert np.isfinite(emulated(found, points)).all()
+
+
+@pytest.mark.parametrize("count", [200, 600])
+def test_idle_centres_and_components_are_idle(count, monkeypatch):
+    few, rng = gentle(), np.random.default_rng(6)
+    points, at = rng.normal(size=(count, LAYOUT.size)), rng.normal(size=(50, LAYOUT.size))
+    padded = emulated(taught(few, OWN, points), at)
+    monkeypatch.setattr(emulators, "ROUNDED", (1, 1))
+    np.testing.assert_allclose(padded, emulated(taught(few, OWN, points), at), rtol=1e-9)

@@ -1,0 +1,109 @@
+"""The likelihood on a few bins against that on all of them."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.fitting import run
+from merlfit.fitting.coreset import BATCH, STEP
+from merlfit.fitting.laplace import laplace_covariance
+from merlfit.fitting.levenberg_marquardt import solve
+from merlfit.fitting.likelihood import FLATTER, log_likelihood, stand_in
+from merlfit.fitting.problem import make_problem
+from merlfit.fitting.residuals import cost
+from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.samples import fold
+from merlfit.model.effects import Effects
+
+LAYOUT = layout_of(Effects("lambert", "off"))
+TRUTH = {
+    "beta": 0.2, "p": 0.8, "eta": np.array([1.5, 1.6, 1.7]), "albedo": np.array([0.5, 0.3, 0.1]),
+}  # fmt: skip
+COUNT = 100.0
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """A fit of a material that the model does not quite meet, with noise besides; its samples and problem."""
+    grid, rng = merl_grid(), np.random.default_rng(6)
+    blank = fold(grid, np.ones((3, 90, 90, 180)), np.where(grid.above, 1.0, 0.0) * np.ones((3, 1, 1, 1)))
+    clean = run.predict_samples(LAYOUT, LAYOUT.free(TRUTH), blank)
+    wrong = 1 + 0.2 * np.cos(4 * blank.theta_h)[:, None, None] * np.cos(5 * blank.theta_d)[:, None]
+    weight = blank.weight * blank.cos_i * blank.cos_o * np.sin(blank.theta_d)[:, None] / np.maximum(clean, 1e-3)
+    samples = replace(blank, value=clean * wrong * np.exp(0.03 * rng.normal(size=clean.shape)), weight=weight)
+    problem = make_problem(samples)
+    best = solve(LAYOUT, LAYOUT.free(TRUTH), problem)
+    assert best.converged
+    return samples, problem, best
+
+
+def near(best, count, size):
+    """Draws from the Laplace approximation."""
+    covariance = laplace_covariance(best.normal, count)
+    return np.random.default_rng(7).multivariate_normal(best.z, covariance, size=size, method="eigh")
+
+
+def test_the_likelihood_is_that_of_so_many_residuals_of_the_size_at_the_fit(fitted):
+    _, problem, best = fitted
+    assert log_likelihood(LAYOUT, best.z, problem, COUNT, best.cost) == pytest.approx(-COUNT / 2)
+    z = best.z + 0.1
+    expected = -COUNT / 2 * float(jnp.sum(cost(LAYOUT.effects, LAYOUT.values(jnp.asarray(z)), problem))) / best.cost
+    assert log_likelihood(LAYOUT, z, problem, COUNT, best.cost) == pytest.approx(expected)
+    assert log_likelihood(LAYOUT, np.full(len(z), np.nan), problem, COUNT, best.cost) == -np.inf
+
+
+def test_thinned_grids_see_the_mirror_direction():
+    """A lobe narrower than the first kept row would be invisible, and any height of it a perfect fit."""
+    for grid in (run.COARSE, run.CANDIDATES):
+        assert grid[0][:2] == (1, 1)
+        assert sum(grid[0]) == 90
+
+
+@pytest.mark.parametrize("diffraction", ["off", "quadrature"])
+def test_points_of_a_batch_are_what_they_are_one_by_one(fitted, diffraction):
+    """Where predictions are made float64 in the same program, jaxlib 0.10 has wrong sums, depending on the batch."""
+    samples, _, best = fitted
+    layout, rng = layout_of(Effects("lambert", diffraction)), np.random.default_rng(8)
+    z = np.concatenate([best.z, np.zeros(layout.size - len(best.z))]) if diffraction != "off" else best.z
+    normal = np.stack([np.eye(len(z) + 1)] * 3)
+    few = stand_in(layout, samples, replace(best, z=z, normal=normal), COUNT)
+    points = z + 0.3 * rng.normal(size=(2 * BATCH + 5, len(z)))
+    together = few.weighed(points)
+    alone = np.concatenate([few.weighed(point[None]) for point in points])
+    assert together.shape == (len(points), len(few.target))
+    np.testing.assert_allclose(together, alone, atol=2e-6 * np.abs(alone).max())
+    assert np.all(np.ptp(together, axis=0).max() > 1e-3)
+    np.testing.assert_array_equal(few.weighed(points[::-1])[::-1], together)
+
+
+def test_its_slope_at_the_fit_is_that_of_all_bins(fitted):
+    """So that the maximum is elsewhere by little of the posterior's width."""
+    samples, _, best = fitted
+    few = stand_in(LAYOUT, samples, best, COUNT)
+    steps = STEP * np.eye(len(best.z))
+    jacobian = (few.weighed(best.z + steps) - few.weighed(best.z - steps)).T / (2 * STEP)
+    slope = 2 * few.scale * jacobian.T @ (few.target - few.weighed(best.z[None])[0])
+    expected = FLATTER * COUNT / best.cost * best.normal.sum(0)[:-1, -1]
+    covariance = laplace_covariance(best.normal, COUNT)
+    assert np.all(np.abs(covariance @ (slope - expected)) < 0.05 * np.sqrt(np.diag(covariance)))
+
+
+@pytest.mark.parametrize("count", [10.0, COUNT, 1000.0])
+def test_near_the_fit_it_is_that_of_all_bins_a_little_flatter(fitted, count):
+    samples, problem, best = fitted
+    few, draws = stand_in(LAYOUT, samples, best, count), near(best, count, 100)
+    whole = np.array([log_likelihood(LAYOUT, z, problem, count, best.cost) for z in draws])
+    assert np.std(few.log_likelihood(draws) - FLATTER * whole) < 0.5
+    assert np.std(whole) > 1
+    prior = few.log_posterior(draws) - few.log_likelihood(draws)
+    np.testing.assert_allclose(prior, -np.sum(draws**2, 1) / 2)
+
+
+def test_where_the_model_is_not_finite_nothing_is_likely(fitted):
+    samples, _, best = fitted
+    few = stand_in(LAYOUT, samples, best, COUNT)
+    found = few.log_likelihood(np.stack([best.z, np.full(len(best.z), np.nan)]))
+    assert np.isfinite(found[0])
+    assert found[1] == -np.inf

@@ -1,0 +1,169 @@
+"""Starting points: of every kind, moved all together by the first of them, and the same every time."""
+
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.fitting.problem import make_problem
+from merlfit.fitting.projection import ALBEDOS, ETAS, project
+from merlfit.fitting.run import predict_samples
+from merlfit.fitting.starts import CLASSES, NEAR, RIM, SCATTER, TYPICAL, ReadOff, read_off, starting_points
+from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.samples import fold, thin
+from merlfit.model.effects import Effects
+from merlfit.model.parameters import PRIORS, LogNormal
+from scipy.special import ndtr, ndtri
+
+LAYOUT = layout_of(Effects("lambert", "lobe", acquisition="free"))
+SHARED = [q.name for q in LAYOUT.parameters if not q.per_channel]
+TRUTH = {
+    "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4, "eta": np.full(3, 1.5),
+    "albedo": np.array([0.5, 0.3, 0.1]),
+}  # fmt: skip
+FIRST = {"beta": 0.05, **TYPICAL}
+SEEN = ReadOff(FIRST, 60.0)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    grid = merl_grid()
+    weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
+    blank = thin(fold(grid, 1 + 0 * weight, weight), (3, 10, 10))
+    return replace(blank, value=predict_samples(LAYOUT, LAYOUT.free(TRUTH), blank))
+
+
+@pytest.fixture(scope="module")
+def problem(samples):
+    return make_problem(thin(samples, (2, 3, 1)), 4)
+
+
+@pytest.fixture(scope="module")
+def points(problem):
+    """As many as there are kinds, half as many again, and the first."""
+    return starting_points(LAYOUT, SEEN, problem, 36)
+
+
+def kinds(points):
+    """Class of every point in every parameter that has some, which both kinds of correlation length share."""
+    classes = np.array([CLASSES.get(name, 1) for name in SHARED])
+    return [tuple(each) for each in (ndtr(points[:, : len(SHARED)] / SCATTER) * classes).astype(int).tolist()]
+
+
+def values_of(points):
+    return {name: np.asarray(x) for name, x in jax.vmap(LAYOUT.values)(jnp.asarray(points)).items()}
+
+
+def test_they_begin_with_the_first(points):
+    assert points.shape == (37, LAYOUT.size)
+    values = values_of(points)
+    for name in SHARED:
+        assert values[name][0] == pytest.approx(FIRST[name], rel=1e-9)
+
+
+def test_they_are_of_every_kind_the_best_of_each_first(points, problem):
+    number = int(np.prod(list(CLASSES.values())))
+    assert number == 12
+    of = kinds(points[1:])
+    best, second = of[: 2 * number], of[2 * number :]
+    assert set(Counter(best).values()) == {2}  # with any correlation length, and with that of the highlight
+    assert len(set(best)) == number
+    assert max(Counter(second).values()) <= 2
+    values = values_of(points)
+    costs, _ = project(LAYOUT.effects, {name: values[name] for name in SHARED}, problem)
+    first, then = costs[1 : 2 * number + 1], costs[2 * number + 1 :]
+    for some in (first, then):
+        assert np.all(np.diff(some) >= -1e-9 * some[1:])
+    for kind, cost in zip(second, then, strict=True):
+        assert first[best.index(kind)] <= cost * (1 + 1e-9)
+
+
+def test_in_half_of_them_the_highlight_is_diffracted_light(points):
+    """Whatever the width of the facets' lobe: of every kind one has about the correlation length that was seen."""
+    b = SHARED.index("b")
+    place = points[1:, b] - LAYOUT.free({**TRUTH, "b": SEEN.b})[b]
+    near = np.abs(place) <= NEAR * ndtri(1 - RIM) * (1 + 1e-9)
+    kind = kinds(points[1:])
+    assert {kind[k] for k in np.flatnonzero(near)} == set(kind)
+    assert 0.5 <= near.mean() < 0.9
+    assert np.std(place[near]) > NEAR / 3
+    assert points[1:, b].min() < -1
+
+
+def test_few_are_of_as_many_kinds(problem):
+    assert max(Counter(kinds(starting_points(LAYOUT, SEEN, problem, 5)[1:])).values()) <= 2
+
+
+def test_they_are_scattered_over_the_prior_with_the_optics_that_suit_them(points):
+    shared = points[1:, : len(SHARED)]
+    assert np.all(np.abs(shared) <= SCATTER * ndtri(1 - RIM) * (1 + 1e-9))
+    assert np.all(np.ptp(shared, axis=0) > 2)
+    values = values_of(points)
+    for name, tried in (("eta", ETAS), ("albedo", ALBEDOS)):
+        away = np.abs(values[name][..., None] / tried - 1).min(-1)
+        assert np.all(away < 1e-6)
+    np.testing.assert_allclose(values["eta"][:, [0, 2]], values["eta"][:, [1, 1]], rtol=1e-9)
+    assert len({tuple(each) for each in np.round(values["albedo"], 6).tolist()}) > 3
+
+
+def test_they_are_the_same_every_time_and_another_first_moves_all(problem):
+    with ThreadPoolExecutor(2) as pool:
+        once, again = (starting_points(LAYOUT, SEEN, problem, 4, over) for over in (map, pool.map))
+    np.testing.assert_array_equal(once, again)
+    moved = starting_points(LAYOUT, SEEN._replace(first={**FIRST, "beta": 0.06, "p": 0.9}), problem, 4)
+    assert np.all(np.any(np.abs(once[:, None] - moved) > 1e-3, axis=-1))
+
+
+def test_another_prior_scatters_them_otherwise(problem):
+    narrow = layout_of(LAYOUT.effects, replace(PRIORS, half_width=LogNormal(0.05, 1.2), p=LogNormal(1.0, 1.2)))
+    found = starting_points(narrow, SEEN, problem, 24)
+    values = [narrow.values(jnp.asarray(z)) for z in found]
+    widths = [float(v["beta"] * np.log(2) ** (1 / (2 * v["p"]))) for v in values]
+    assert max(abs(np.log(np.array(widths) / 0.05))) < SCATTER * ndtri(1 - RIM) * np.log(1.2)
+    assert len(set(kinds(found[1:]))) == 12
+
+
+@pytest.mark.parametrize("name", ["beta", "p", "b", "c", "sigma_s", "grazing_exponent"])
+def test_a_first_one_at_a_bound_leaves_all_within_bounds(name, problem):
+    q = next(q for q in LAYOUT.parameters if q.name == name)
+    for bound in (q.lower, q.upper):
+        found = starting_points(LAYOUT, ReadOff({**FIRST, name: bound}, bound if name == "b" else 60.0), problem, 1)
+        assert np.all(np.isfinite(found))
+        for each, x in values_of(found).items():
+            q = next(q for q in LAYOUT.parameters if q.name == each)
+            assert np.all((q.lower * (1 - 1e-12) <= x) & (x <= q.upper * (1 + 1e-12)))
+
+
+def test_effects_without_diffraction_are_scattered_too(problem):
+    layout = layout_of(replace(LAYOUT.effects, diffraction="off"))
+    points = starting_points(layout, SEEN, problem, 6)
+    assert points.shape == (7, layout.size)
+    assert np.all(np.isfinite(points))
+    width = [q.name for q in layout.parameters].index("beta")
+    of = {tuple((ndtr(z[[width, width + 1]] / SCATTER) * [CLASSES["beta"], CLASSES["p"]]).astype(int)) for z in points}
+    assert len(of) == CLASSES["beta"] * CLASSES["p"]
+
+
+def test_the_first_has_the_width_of_a_known_lobe(samples):
+    half = TRUTH["beta"] * np.log(2) ** (1 / (2 * TRUTH["p"]))
+    first = read_off(samples).first
+    assert half / 2 < first["beta"] * np.log(2) ** (1 / (2 * first["p"])) < 2 * half
+    assert {name: first[name] for name in TYPICAL} == TYPICAL
+    assert set(first) == set(SHARED)
+
+
+def test_the_correlation_length_is_that_of_a_highlight_of_diffracted_light(samples):
+    sharp = {**TRUTH, "beta": 0.002, "b": 20.0, "sigma_s": 0.2}
+    found = read_off(replace(samples, value=predict_samples(LAYOUT, LAYOUT.free(sharp), samples)))
+    assert sharp["b"] / 2 < found.b < 2 * sharp["b"]
+
+
+def test_a_black_file_has_a_first_one_nevertheless(samples):
+    for black in (replace(samples, value=0 * samples.value), replace(samples, weight=0 * samples.weight)):
+        first, b = read_off(black)
+        for values in (first, {**first, "b": b}):
+            assert np.all(np.isfinite(LAYOUT.free({**TRUTH, **values})))

@@ -1,0 +1,69 @@
+"""Derived quantities against closed forms and against a finer rule of another author's making."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from energy import half_vectors
+from merlfit.model.derived import derived, directional_albedo, quantities
+from merlfit.model.effects import Effects
+from merlfit.model.parameters import WAVELENGTHS_UM, parameters
+from merlfit.model.two_scale import two_scale
+from oracles import diffraction as o_diffraction
+from oracles import fresnel as o_fresnel
+
+ANGLES = np.radians([0.0, 60.0])
+EFFECTS = [
+    Effects("none", acquisition="free"),
+    Effects("lambert"),
+    Effects("plastic", split="conserving"),
+    Effects("subsurface", "off"),
+]
+
+
+def coloured(rng, effects):
+    """One parameter set between the bounds, three channels."""
+    return {q.name: q.between(jnp.asarray(rng.uniform(size=3 if q.per_channel else None))) for q in parameters(effects)}
+
+
+@pytest.mark.parametrize("effects", EFFECTS, ids=lambda e: f"{e.body} {e.diffraction} {e.split}")
+def test_directional_albedo_is_the_integral_by_a_finer_rule(effects):
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        values = coloured(rng, effects)
+        B = 2 * values.get("b", 1.0) / min(WAVELENGTHS_UM)
+        rule = half_vectors(np.maximum(ANGLES, 1e-4), float(values["beta"]), float(values["p"]), float(B))
+        expected = jnp.sum(two_scale(values, rule[0], effects.material) * rule[1], (-2, -1))
+        found = directional_albedo(values, effects, jnp.asarray(ANGLES))
+        np.testing.assert_allclose(found, expected, rtol=5e-3)
+
+
+def test_a_lambertian_body_under_nothing_gives_back_its_albedo():
+    values = {"beta": 0.3, "p": 1.0, "eta": np.full(3, 1.0), "albedo": np.array([0.8, 0.5, 0.1])}
+    found = derived(values, Effects("lambert", "off"))
+    for name in ("albedo_0_deg", "albedo_60_deg"):
+        np.testing.assert_allclose(found[name], values["albedo"], rtol=1e-3)
+    np.testing.assert_allclose(found["f0"], 0, atol=1e-12)
+
+
+def test_the_others_are_those_of_the_oracles():
+    values = {
+        "beta": 0.1196, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.0273,
+        "n": np.array([1.2, 0.4, 3.0]), "k": np.array([2.0, 3.5, 0.1]),
+    }  # fmt: skip
+    found = derived(values, Effects("none"))
+    expected = [o_fresnel.fresnel(1.0, n, k) for n, k in zip(values["n"], values["k"], strict=True)]
+    np.testing.assert_allclose(found["f0"], expected)
+    share = [float(o_diffraction.renormalisation(0.0, 4.8 / wavelength, 2.2)) for wavelength in WAVELENGTHS_UM]
+    expected = 1 - np.exp(-np.array(share) * (4 * np.pi * 0.0273 / np.array(WAVELENGTHS_UM)) ** 2)
+    np.testing.assert_allclose(found["diffracted_fraction"], expected, rtol=1e-7)
+    slope = np.tan(np.radians(found["lobe_half_width"]))
+    assert np.exp(-((slope / 0.1196) ** 1.2)) == pytest.approx(0.5)
+
+
+def test_what_is_listed_is_what_is_computed():
+    for effects in EFFECTS:
+        values = coloured(np.random.default_rng(1), effects)
+        found = derived(values, effects)
+        assert set(found) == {q.name for q in quantities(effects)}
+        for q in quantities(effects):
+            assert found[q.name].shape == ((3,) if q.per_channel else ())
