@@ -67,7 +67,7 @@ def estimate(model: Model, problem: Problem, config: Config) -> float:
         problem: all bins as the reference has them (`reference_problem`). config: what was asked for.
     """
     layout, z = model
-    reference = REFERENCE.settings(config).layout_of(layout.effects.body), z
+    reference = REFERENCE.settings(config).layout_of(layout.effects.kind), z
     tier = 0.0 if reference[0] == layout else distance(model, reference, problem)
     return tier + remaining(reference, problem)
 
@@ -79,7 +79,7 @@ def reference_problem(samples: Samples) -> Problem:
 
 def carry_on(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
-    layout = settings.layout_of(model[0].effects.body)
+    layout = settings.layout_of(model[0].effects.kind)
     problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
     return layout, solve(layout, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)
 
@@ -115,7 +115,7 @@ class Aim:
     def calibrated(self) -> bool:
         """Whether the fits of the calibration were fits of this kind, but for the choice and the body."""
         free = {"seed": Config().seed, "posterior": Config().posterior}
-        effects = self.config.effects.model_copy(update={"body": Config().effects.body})
+        effects = self.config.effects.model_copy(update={k: getattr(Config().effects, k) for k in ("index", "body")})
         return self.config.model_copy(update={**free, "effects": effects}) == Config()
 
     @property
@@ -152,7 +152,10 @@ class Aim:
             tried.append(self._judged(choice, found, problem))
             best = min(tried, key=lambda t: t.error)
         if best.solution is not fitted.solution:
-            fitted = replace(judge(best.layout, best.solution, measurement, samples), candidates=fitted.candidates)
+            fitted = replace(
+                judge(best.layout, best.solution, measurement, samples, self.config.fit.theta_max),
+                candidates=fitted.candidates,
+            )
         return fitted, self._told(tried, best)
 
     def _judged(self, choice: Choice, found: tuple[Layout, Solution], problem: Problem) -> _Try:

@@ -57,13 +57,13 @@ def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> 
     As `run.fit` does it one by one, without its choice of a body and its judgement on all bins.
     """
     cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
-    problems = [m.coarse for m in materials]
     count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
     runners = [starting_points(rough, m.seen, m.roughly, count) for m in materials]
 
-    def follow(runners: list[np.ndarray], steps: int) -> list[list[Solution]]:
+    def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+        model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])
         rows = [[each[min(k, len(each) - 1)] for each in runners] for k in range(max(map(len, runners)))]
-        found = [solve_batch(cheap, np.array(row), problems, steps) for row in rows]
+        found = [solve_batch(model, np.array(row), problems, steps) for row in rows]
         return [list(each)[: len(own)] for each, own in zip(zip(*found, strict=True), runners, strict=True)]
 
     best = race(runners, follow, config)

@@ -20,7 +20,7 @@ import numpy as np
 from ..merl_io.binary import Measurement, write
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples
-from ..model.effects import BODIES, Effects
+from ..model.effects import KINDS, Effects
 from ..model.parameters import parameters
 from .accuracy import carry_on, distance, estimate, reference_problem
 from .choice import REFERENCE, Choice
@@ -33,7 +33,8 @@ from .synthesis import from_published
 
 PLAUSIBLE = {
     "beta": (0.01, 0.5), "p": (0.3, 2.0), "b": (0.3, 30.0), "c": (1.3, 4.0), "sigma_s": (0.005, 0.1),
-    "grazing_exponent": (0.1, 0.9), "n": (0.2, 3.0), "k": (1.0, 6.0), "eta": (1.2, 2.0), "albedo": (0.02, 0.9),
+    "grazing_exponent": (0.1, 0.9), "grazing_exponent_diffracted": (0.05, 0.5),
+    "n": (0.2, 3.0), "k": (1.0, 6.0), "eta": (1.2, 2.0), "albedo": (0.02, 0.9),
 }  # fmt: skip
 """Ranges of which parameters are drawn, log-uniformly."""
 NOISE = 0.03  # standard deviation of the logarithm
@@ -54,7 +55,8 @@ ATTEMPTS = 3  # fits that may compile something
 def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[Effects, dict[str, jax.Array]]:
     """Effects and parameters of a random material."""
     rng = rng or _generator(seed)
-    effects = Effects(BODIES[seed % len(BODIES)], acquisition="free")
+    index, body = KINDS[seed % len(KINDS)]
+    effects = Effects(body, index=index, acquisition="free")
     values = {}
     for q in parameters(effects):
         low, high = PLAUSIBLE[q.name]
@@ -133,16 +135,16 @@ def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[
         best, free = seen.further, [bound == "no" for bound in seen.further.at_bound]
         np.savez(
             kept, z=best.solution.z, values=best.values, errors=best.standard_errors, free=free,
-            body=BODIES.index(best.effects.body),
+            kind=KINDS.index(best.effects.kind),
         )  # fmt: skip
     with np.load(kept, allow_pickle=False) as reference:
         best = {key: reference[key] for key in reference}
-    body = BODIES[int(best["body"])]
-    target = REFERENCE.settings(config).layout_of(body), best["z"]
-    same = body == fitted.effects.body
+    kind = KINDS[int(best["kind"])]
+    target = REFERENCE.settings(config).layout_of(kind), best["z"]
+    same = kind == fitted.effects.kind
     away = np.abs(fitted.values - best["values"]) / best["errors"] if same else np.array([])
     return {
-        "body": fitted.effects.body, "status": fitted.status.name, "cost": fitted.solution.cost,
+        "body": " ".join(fitted.effects.kind), "status": fitted.status.name, "cost": fitted.solution.cost,
         "rmse": fitted.errors.rmse, "error": distance((fitted.layout, fitted.solution.z), target, seen.problem),
         "estimate": seen.estimate, "seconds": seconds, "estimate_seconds": seen.seconds, "other_body": not same,
         "parameters": float(np.max(away[best["free"]], initial=0.0)) if same else None,

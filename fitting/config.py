@@ -11,12 +11,23 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from ..model.acquisition import Apparatus
-from ..model.effects import PRESETS, Acquisition, Body, Colour, Diffraction, Effects, Fresnel, Masking, Split
+from ..model.effects import (
+    KINDS,
+    PRESETS,
+    Acquisition,
+    Colour,
+    Diffraction,
+    Effects,
+    Fresnel,
+    Kind,
+    Masking,
+    Split,
+)
 from ..model.parameters import PRIORS, LogNormal, Priors
 from .levenberg_marquardt import Backend
 from .problem import AZIMUTHS, Precision
 from .transforms import Layout, layout_of
-from .weights import HIGHLIGHT
+from .weights import BENDS, THETA_MAX, Bend
 
 
 class ConfigError(ValueError):
@@ -32,11 +43,12 @@ class EffectsSection(_Section):
 
     Attributes:
         preset: effects by name (``merlfit.model.effects.PRESETS``); keys given beside it replace its own.
-        body: ``auto`` fits every body on the coarse grid and keeps the best by BIC.
+        index, body: ``auto`` compares those of ``model.effects.KINDS`` that agree with what is given here.
         acquisition: MERL's loss at grazing angles; unlike a material, a fit has it by default.
     """
 
     preset: Literal["hp17", "conserving", "microfacet", "preview", "fast"] = "hp17"
+    index: Literal["auto", "complex", "real"] = "auto"
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
     diffraction: Diffraction = Effects.diffraction
     order: Annotated[int, Field(ge=6, le=256)] = Effects.order
@@ -57,7 +69,7 @@ class EffectsSection(_Section):
         preset = asdict(PRESETS[name])
         if "exact" in (preset["diffraction"], data.get("diffraction")):
             raise ValueError("exact is a reference that takes hours on MERL's grid: fit with quadrature")
-        return {**{k: v for k, v in preset.items() if k not in ("body", "acquisition", "apparatus")}, **data}
+        return {**{k: v for k, v in preset.items() if k not in ("index", "body", "acquisition", "apparatus")}, **data}
 
 
 class ApparatusSection(_Section):
@@ -93,6 +105,7 @@ class PriorsSection(_Section):
     k: LogNormalSection = _prior("k")
     eta: LogNormalSection = _prior("eta")
     dispersion: LogNormalSection = _prior("dispersion")
+    odds: LogNormalSection = _prior("odds")
 
 
 class FitSection(_Section):
@@ -101,8 +114,8 @@ class FitSection(_Section):
     Attributes:
         starts: of the coarse grid's race: three times as many starting points run its first lap, so many the second.
         coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on the last one.
-        highlight: least share of the weighted energy for the bins within the half width of the lobe
-            (``weights.weighted_samples``); 0 is HP17 Eq. 56 as printed.
+        weights: of the bins: ``compressive`` (HP17 Eq. 57-58), ``log``, ``none`` (``weights``).
+        theta_max: light or viewer past this angle (rad) are left out, of the objective and of all errors.
         grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 22nd.
         azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).
         precision: of the model; sums are always taken in float64.
@@ -112,7 +125,8 @@ class FitSection(_Section):
     starts: Annotated[int, Field(ge=1, le=32)] = 8
     coarse_steps: Annotated[int, Field(ge=1)] = 80
     max_steps: Annotated[int, Field(ge=1)] = 40
-    highlight: Annotated[float, Field(ge=0, le=0.9)] = HIGHLIGHT
+    weights: Literal["compressive", "log", "none"] = "compressive"
+    theta_max: Annotated[float, Field(ge=0.5, le=1.571)] = THETA_MAX
     grid: Literal["fine", "medium", "coarse"] = "fine"
     azimuths: Annotated[int, Field(ge=2, le=90)] = AZIMUTHS
     precision: Precision = "float64"
@@ -161,26 +175,42 @@ class Config(_Section):
         for key, (used, when) in useful.items():
             if not used and getattr(effects, key) != getattr(PRESETS[effects.preset], key):
                 raise ValueError(f"effects.{key} has an effect only where {when}: leave it out")
+        if effects.index == "complex" and effects.body in ("plastic", "subsurface"):
+            raise ValueError(f"effects.body {effects.body!r} has a real index: leave effects.index out")
         if self.apparatus != ApparatusSection() and effects.acquisition != "derived":
             raise ValueError("[apparatus] has an effect only where effects.acquisition is derived: leave it out")
         return self
 
-    def effects_of(self, body: Body) -> Effects:
-        """The effects to fit with one body."""
-        chosen = self.effects.model_copy(update={"body": body}).model_dump(exclude={"preset"})
-        return Effects(**chosen, apparatus=Apparatus(**self.apparatus.model_dump()))
+    @property
+    def kinds(self) -> list[Kind]:
+        """Interfaces and bodies to compare, the simplest first."""
+        given = self.effects.index, self.effects.body
+        found = [kind for kind in KINDS if all(g in ("auto", k) for g, k in zip(given, kind, strict=True))]
+        return found or [("real", "none")]  # the only other one that `Effects` allows
 
-    def layout_of(self, body: Body) -> Layout:
-        """The parameters to fit with one body, in the coordinates that the priors make."""
+    @property
+    def bend(self) -> Bend:
+        """Of the weights."""
+        return BENDS[self.fit.weights]
+
+    def effects_of(self, kind: Kind) -> Effects:
+        """The effects to fit with one interface and body."""
+        chosen = self.effects.model_copy(update=dict(zip(("index", "body"), kind, strict=True)))
+        return Effects(**chosen.model_dump(exclude={"preset"}), apparatus=Apparatus(**self.apparatus.model_dump()))
+
+    def layout_of(self, kind: Kind) -> Layout:
+        """The parameters to fit with one interface and body, in the coordinates that the priors make."""
         priors = Priors(**{name: LogNormal(**given) for name, given in self.priors.model_dump().items()})
-        return layout_of(self.effects_of(body), priors)
+        return layout_of(self.effects_of(kind), priors)
 
 
 def load(
     path: str | os.PathLike[str] | None = None,
     *,
     preset: str | None = None,
+    index: str | None = None,
     body: str | None = None,
+    weights: str | None = None,
     posterior: bool | None = None,
     seed: int | None = None,
 ) -> Config:
@@ -193,7 +223,10 @@ def load(
         ConfigError: missing file, bad TOML, unknown key (the nearest known one is named), value out of range.
     """
     data = {} if path is None else _read(Path(path))
-    given = {("effects", "preset"): preset, ("effects", "body"): body, ("posterior", "enabled"): posterior}
+    given = {
+        ("effects", "preset"): preset, ("effects", "index"): index, ("effects", "body"): body,
+        ("fit", "weights"): weights, ("posterior", "enabled"): posterior,
+    }  # fmt: skip
     for (section, key), value in given.items():
         if value is not None and isinstance(data.setdefault(section, {}), dict):
             data[section][key] = value

@@ -107,8 +107,9 @@ class Identifiability(_Part):
 
 
 class Candidate(_Part):
-    """One body on the coarse grid; ``converged`` is false of one so far behind that it was not followed further."""
+    """Interface and body on the coarse grid; ``converged`` is false of one too far behind to be followed."""
 
+    index: str
     body: str
     cost: float | None
     bic: float | None

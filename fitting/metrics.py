@@ -1,27 +1,45 @@
 """How far a prediction is from a measurement, and how many independent bins the difference is worth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from ..merl_io.grid import MerlGrid
+from . import picture
 from .threads import side_by_side
+from .weights import THETA_MAX, within
 
-THETA_MAX_RAD = 1.4  # HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
 LEAST_PAIRS = 10  # of bins, to speak of a correlation between them
 SIN_FLOOR = 0.02  # of theta_i in the RMSE weight, as the reference evaluation of the published parameters has it
 
 
+HIGHLIGHT_THETA_D = np.radians(60)  # up to which the brightest bin at theta_h = 0 is the highlight
+
+
 @dataclass(frozen=True)
 class Errors:
-    """RMSE (1/sr, cos^2-weighted, HP17 Table 2) and sMAPE (dimensionless, 0 to 1) of a prediction."""
+    """How far a prediction is from a measurement, over bins with both directions at theta < theta_max.
+
+    Attributes:
+        rmse: 1/sr, cos^2-weighted (HP17 Table 2). smape: 0 to 1.
+        cube_root: RMS difference of cube roots of BRDF times cos_i (1/sr^(1/3)), over pairs of directions.
+        log: RMS difference of log(1 + BRDF cos_i), over pairs of directions (Loew et al. 2012).
+        highlight: predicted over measured brightest value at theta_h = 0, theta_d < 60 degrees, channels summed.
+        picture: mean CIELAB distance of spheres (`picture.difference`).
+    """
 
     rmse: float
     smape: float
+    cube_root: float
+    log: float
+    highlight: float
+    picture: float
 
 
-def errors(measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, grid: MerlGrid) -> Errors:
-    """RMSE and sMAPE over all valid bins with both directions at theta < 1.4.
+def errors(
+    measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, grid: MerlGrid, theta_max: float = THETA_MAX
+) -> Errors:
+    """All errors of a prediction.
 
     RMSE = sqrt(sum w d^2 / C), w proportional to cos_d sin_d sin_h dtheta_h cos_i^2 / sin_i and summing to one: HP17
     Table 2 integrated over incidence. sMAPE = mean of |m - p| / (m + p) over bins and channels, unweighted.
@@ -30,18 +48,48 @@ def errors(measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, grid:
         measured, predicted: (C, H, D, P), 1/sr; measured is anything where not valid. valid: (H, D, P).
         grid: angles of these bins, phi_d over the whole of [0, pi): light and viewer do not weigh alike.
     """
-    inside = valid & (np.minimum(grid.cos_i, grid.cos_o) > np.cos(THETA_MAX_RAD))
+    inside = valid & within(grid, theta_max)
     if not inside.any():
-        return Errors(float("nan"), float("nan"))
+        return Errors(*(float("nan"),) * len(fields(Errors)))
     measure = (np.sin(grid.theta_h) * np.gradient(grid.theta_h))[:, None, None] * np.sin(2 * grid.theta_d)[:, None]
-    sin_i = np.sqrt(np.clip(1 - grid.cos_i**2, 0, 1))
-    weight = np.where(inside, measure * grid.cos_i**2 / np.maximum(sin_i, SIN_FLOOR), 0.0)[inside]
-    squares = share = 0.0
-    for m, p in zip(measured, predicted, strict=True):
-        difference, total = np.abs(m[inside] - p[inside]), np.abs(m[inside]) + np.abs(p[inside])
-        squares += np.sum(weight * difference**2) / weight.sum()
-        share += np.mean(difference / np.where(total > 0, total, 1.0))
-    return Errors(float(np.sqrt(squares / len(measured))), float(share / len(measured)))
+    pairs = np.broadcast_to(measure, inside.shape)[inside]
+    cos_i = grid.cos_i[inside]
+    weight = pairs * cos_i**2 / np.maximum(np.sqrt(np.clip(1 - cos_i**2, 0, 1)), SIN_FLOOR)
+    weight, pairs = weight / weight.sum(), pairs / pairs.sum()
+
+    def channel(planes: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        m, p = (plane[inside] for plane in planes)
+        difference, total = np.abs(m - p), np.abs(m) + np.abs(p)
+        seen, drawn = (np.maximum(x, 0.0) * cos_i for x in (m, p))
+        return np.array([
+            np.sum(weight * difference**2), np.mean(difference / np.where(total > 0, total, 1.0)),
+            np.sum(pairs * (np.cbrt(seen) - np.cbrt(drawn)) ** 2),
+            np.sum(pairs * (np.log1p(seen) - np.log1p(drawn)) ** 2),
+        ])  # fmt: skip
+
+    planes = list(zip(measured, predicted, strict=True))
+    rmse, smape, cube_root, log = np.mean(side_by_side(channel, planes), 0)
+    return Errors(
+        float(np.sqrt(rmse)), float(smape), float(np.sqrt(cube_root)), float(np.sqrt(log)),
+        highlight(measured, predicted, inside, grid), picture.difference(*_folded(measured, predicted, inside)),
+    )  # fmt: skip
+
+
+def highlight(measured: np.ndarray, predicted: np.ndarray, inside: np.ndarray, grid: MerlGrid) -> float:
+    """Predicted over measured brightest value at theta_h = 0, theta_d < 60 degrees; NaN where nothing is measured."""
+    rows = np.flatnonzero(inside.any((1, 2)))[:1]
+    narrow = inside[rows] & (grid.theta_d < HIGHLIGHT_THETA_D)[:, None]
+    brightest = [np.max(np.where(narrow, np.sum(x[:, rows], 0), 0.0)) for x in (measured, predicted)]
+    return float(brightest[1] / brightest[0]) if brightest[0] > 0 else float("nan")
+
+
+def _folded(
+    measured: np.ndarray, predicted: np.ndarray, inside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both with reciprocal bins averaged, and where both of these are inside."""
+    half = inside.shape[-1] // 2
+    ours, theirs = ((x[..., :half] + x[..., : half - 1 : -1]) / 2 for x in (measured, predicted))
+    return ours, theirs, inside[..., :half] & inside[..., : half - 1 : -1]
 
 
 def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:

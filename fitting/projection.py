@@ -30,7 +30,7 @@ from .residuals import _evaluate, _weigh, with_tables
 
 METALS = np.array(list(product(np.geomspace(0.05, 6, 14), np.geomspace(0.05, 12, 14))))  # (n, k) that are tried
 ETAS = 1 + np.geomspace(0.15, 2.5, 10)
-ALBEDOS = np.array([0.01, 0.03, 0.08, 0.18, 0.35, 0.55, 0.75, 0.92])
+ALBEDOS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.35, 0.55, 0.75, 0.92])
 BATCH = 64  # candidates of one call
 MIRROR = {"n": jnp.zeros(3), "k": jnp.ones(3)}  # reflects everything
 
@@ -62,20 +62,22 @@ def _project(
     found = [jax.tree.map(np.asarray, _sums(effects, shared, part)) for part in problem.parts]
     squares, products, energy, *under = (reduce(add, each) for each in zip(*found, strict=True))
     cos_d = tuple(np.cos(np.asarray(problem.parts[0].directions.geometry.theta_d[0, 0, :, 0])).tolist())
-    tried = METALS if effects.body == "none" else np.stack([ETAS, np.zeros_like(ETAS)], 1)
+    tried = METALS if effects.index == "complex" else np.stack([ETAS, np.zeros_like(ETAS)], 1)
     reflectance = _reflectances(effects, tuple(map(tuple, tried.tolist())), cos_d)  # (tried, D)
     lobes = energy[..., None] - 2 * products @ reflectance.T + squares @ (reflectance**2).T  # (N, C, tried)
     rest = float(np.sum(np.asarray(problem.rest)))
-    if effects.body == "none":
-        best = np.argmin(lobes, -1)
-        return lobes.min(-1).sum(-1) + rest, {"n": METALS[best, 0], "k": METALS[best, 1]}
-    crossed, alone = under
-    costs = lobes[..., None] + 2 * np.einsum("ed,ncead->ncea", reflectance, crossed, optimize=True) + alone
-    each = costs.min(-1)  # (N, C, eta)
-    eta = np.argmin(each.sum(1), -1)
-    chosen = np.take_along_axis(costs, eta[:, None, None, None], 2)[:, :, 0]  # (N, C, albedo)
-    alike = np.broadcast_to(ETAS[eta][:, None], chosen.shape[:2])
-    return chosen.min(-1).sum(-1) + rest, {"eta": alike, "albedo": ALBEDOS[np.argmin(chosen, -1)]}
+    costs = lobes[..., None]  # (N, C, tried, albedo)
+    if under:
+        crossed, alone = under
+        if len(tried) != crossed.shape[2]:  # a body that does not know of the index
+            crossed, alone = (np.repeat(x, len(tried), 2) for x in (crossed, alone))
+        costs = costs + 2 * np.einsum("ed,ncead->ncea", reflectance, crossed, optimize=True) + alone
+    each = costs.min(-1)  # (N, C, tried)
+    best = np.argmin(each, -1) if effects.index == "complex" else np.argmin(each.sum(1), -1)[:, None].repeat(3, 1)
+    chosen = np.take_along_axis(costs, best[..., None, None], 2)[:, :, 0]  # (N, C, albedo)
+    albedo = {"albedo": ALBEDOS[np.argmin(chosen, -1)]} if under else {}
+    index = {"n": METALS[best, 0], "k": METALS[best, 1]} if effects.index == "complex" else {"eta": ETAS[best]}
+    return chosen.min(-1).sum(-1) + rest, index | albedo
 
 
 @cache
@@ -88,12 +90,12 @@ def _reflectances(effects: Effects, tried: tuple[tuple[float, float], ...], cos_
 @partial(jax.jit, static_argnums=0)
 def _sums(effects: Effects, shared: Mapping[str, Array], part: Part) -> tuple[Array, ...]:
     """|RT|^2 and q.RT per channel and theta_d, |q|^2 per channel; and for a body RT.RB, (C, eta, albedo, D), and
-    |RB|^2 - 2 q.RB, (C, eta, albedo); all of every candidate, leading axis N."""
+    |RB|^2 - 2 q.RB, (C, eta, albedo), with one eta for all where it does not matter; leading axis N, candidates."""
     return jax.lax.map(lambda values: _sums_of_one(effects, values, part), shared)
 
 
 def _sums_of_one(effects: Effects, shared: Mapping[str, Array], part: Part) -> tuple[Array, ...]:
-    mirror = replace(effects, body="none", colour="fresnel", split="printed")
+    mirror = replace(effects, body="none", index="complex", colour="fresnel", split="printed")
     values = with_tables(mirror, {**shared, **MIRROR}, part.directions)
     body = {"plastic": bodies.plastic, "subsurface": bodies.subsurface}.get(effects.body)
 
@@ -103,7 +105,7 @@ def _sums_of_one(effects: Effects, shared: Mapping[str, Array], part: Part) -> t
         sums = jnp.sum(lobes**2, (1, 3)), jnp.sum(lobes * b.target, (1, 3)), jnp.sum(b.target**2, (1, 2, 3))
         if effects.body == "none":
             return sums
-        seen = jnp.where(s.above, at.get("loss", jnp.ones(())), 0.0)
+        seen = jnp.where(s.above, 1.0, 0.0)
 
         def under(eta: Array, albedo: Array) -> tuple[Array, Array]:
             g = s.geometry
@@ -113,6 +115,7 @@ def _sums_of_one(effects: Effects, shared: Mapping[str, Array], part: Part) -> t
             return jnp.sum(lobes * weighed, (1, 3)), alone
 
         over_albedos = jax.vmap(under, in_axes=(None, 0), out_axes=1)
-        return *sums, *jax.vmap(over_albedos, in_axes=(0, None), out_axes=1)(jnp.asarray(ETAS), jnp.asarray(ALBEDOS))
+        etas = jnp.asarray(ETAS if body else ETAS[:1])
+        return *sums, *jax.vmap(over_albedos, in_axes=(0, None), out_axes=1)(etas, jnp.asarray(ALBEDOS))
 
     return jax.tree.map(lambda x: jnp.sum(x, 0), jax.lax.map(block, part))

@@ -36,13 +36,13 @@ def resample(
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = read(file, result.source.sha1)
-    samples = weighted_samples(measurement, config.fit.highlight)
-    layout, chain = config.layout_of(result.model.effects.body), chain_of(path)
+    samples = weighted_samples(measurement, config.bend, config.fit.theta_max)
+    layout, chain = config.layout_of(result.model.effects.kind), chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
     normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))
     offset = float("nan") if result.fit.relative_offset is None else result.fit.relative_offset
     solution = Solution(z, float(normal[:, -1, -1].sum()), normal, result.fit.steps, offset, converged=True)
-    fitted = judge(layout, solution, measurement, samples)
+    fitted = judge(layout, solution, measurement, samples, config.fit.theta_max)
     with clock.stage("posterior"):
         steps = config.posterior.max_steps if max_steps is None else max_steps
         sampled = sample(fitted, samples, steps, result.seed, chain, chain.is_file(), report)

@@ -13,7 +13,6 @@ import numpy as np
 from ..merl_io.binary import Measurement, read
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples, thin
-from ..model.effects import BODIES, Body
 from . import export, metrics
 from .clock import Clock, Report, silent
 from .config import Config
@@ -25,7 +24,7 @@ from .selection import bic
 from .starts import ReadOff, read_off, starting_points
 from .threads import CORES
 from .transforms import Layout
-from .weights import weighted_samples
+from .weights import THETA_MAX, weighted_samples
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
 # every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
@@ -63,7 +62,7 @@ def fit_file(
     with clock.stage("read"):
         report("reading")
         measurement = read(path)
-        samples = weighted_samples(measurement, config.fit.highlight)
+        samples = weighted_samples(measurement, config.bend, config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
     if fitted is not None and finish is not None:
         with clock.stage("accuracy"):
@@ -96,7 +95,7 @@ def fit(
     clock: Clock | None = None,
     first: Mapping[str, float] | None = None,
 ) -> Fitted | None:
-    """Coarse grid first for every body asked for, then all valid bins for the best; None without enough light.
+    """Coarse grid first for every kind asked for, then all valid bins for the best; None without enough light.
 
     Args:
         first: shared parameters to start from instead of those read off the data.
@@ -106,22 +105,22 @@ def fit(
     if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
-        bodies: tuple[Body, ...] = BODIES if config.effects.body == "auto" else (config.effects.body,)
-        report(f"coarse grid: {', '.join(bodies)}")
+        kinds = config.kinds
+        report(f"coarse grid: {', '.join(' '.join(kind) for kind in kinds)}")
         coarse, seen = thin(samples, COARSE), read_off(samples)
         seen = seen._replace(first=first or seen.first)
-        cheap = [cheaper(config.layout_of(body), COARSE_ORDER) for body in bodies]
+        cheap = [cheaper(config.layout_of(kind), COARSE_ORDER) for kind in kinds]
         found = fit_coarse(cheap, seen, *make_coarse(samples), config)
         candidates = compare(cheap, found, coarse)
-        chosen = min(range(len(bodies)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
+        chosen = min(range(len(kinds)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
     with clock.stage("full"):
         settings = config.fit
-        report(f"{settings.grid} grid: {bodies[chosen]}")
-        layout = config.layout_of(bodies[chosen])
+        report(f"{settings.grid} grid: {' '.join(kinds[chosen])}")
+        layout = config.layout_of(kinds[chosen])
         whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
         solution = solve(layout, found[chosen].z, whole, settings.max_steps, backend=settings.backend)
     with clock.stage("metrics"):
-        return replace(judge(layout, solution, measurement, samples), candidates=candidates)
+        return replace(judge(layout, solution, measurement, samples, settings.theta_max), candidates=candidates)
 
 
 def chain_of(result: Path) -> Path:
@@ -139,10 +138,12 @@ def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> l
     """Costs of fits of the same samples, and their BICs by the effective count of the best one's residuals."""
     lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
     if len(found) == 1:
-        return [export.Candidate(body=layouts[0].effects.body, cost=export.finite(found[0].cost), bic=None)]
+        index, body = layouts[0].effects.kind
+        return [export.Candidate(index=index, body=body, cost=export.finite(found[0].cost), bic=None)]
     count = count_of(samples, predict_samples(layouts[lowest], found[lowest].z, samples))
     return [
         export.Candidate(
+            index=e.effects.index,
             body=e.effects.body,
             cost=export.finite(s.cost),
             bic=export.finite(bic(s.cost, count, len(s.z))),
@@ -152,11 +153,13 @@ def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> l
     ]
 
 
-def judge(layout: Layout, solution: Solution, measurement: Measurement, samples: Samples) -> Fitted:
+def judge(
+    layout: Layout, solution: Solution, measurement: Measurement, samples: Samples, theta_max: float = THETA_MAX
+) -> Fitted:
     """A solution with its cost on all bins, its errors and the effective count of its residuals."""
     predicted = predict_samples(layout, solution.z, samples)
     unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
-    errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid())
+    errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid(), theta_max)
     costs = np.sum(samples.weight * (samples.value - predicted) ** 2, (1, 2, 3)) / energy(samples)
     normal = solution.normal.copy()
     normal[:, -1, -1] = costs
@@ -171,22 +174,23 @@ def fit_coarse(
 
     Args:
         seen: where to start (`starts.starting_points`).
-        roughly: on which candidates for starting points are compared (`CANDIDATES`).
+        roughly: on which candidates for starting points are compared, and the first lap is run (`CANDIDATES`).
     """
     count = RUNNERS_EACH * config.fit.starts
     with ThreadPoolExecutor(max_workers=CORES) as pool:
         rough = [cheaper(layout, CANDIDATE_ORDER) for layout in layouts]
         runners = [starting_points(layout, seen, roughly, count, pool.map) for layout in rough]
 
-        def follow(runners: list[np.ndarray], steps: int) -> list[list[Solution]]:
-            pairs = [(layout, z) for layout, each in zip(layouts, runners, strict=True) for z in each]
-            solved = pool.map(lambda pair: solve(pair[0], pair[1], problem, steps, backend=config.fit.backend), pairs)
+        def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+            models, where = (rough, roughly) if first else (layouts, problem)
+            pairs = [(layout, z) for layout, each in zip(models, runners, strict=True) for z in each]
+            solved = pool.map(lambda pair: solve(pair[0], pair[1], where, steps, backend=config.fit.backend), pairs)
             return [list(islice(solved, len(each))) for each in runners]
 
         return race(runners, follow, config, rivals=True)
 
 
-Follow = Callable[[list[np.ndarray], int], list[list[Solution]]]
+Follow = Callable[[list[np.ndarray], int, bool], list[list[Solution]]]
 
 
 def race(runners: list[np.ndarray], follow: Follow, config: Config, rivals: bool = False) -> list[Solution]:
@@ -194,7 +198,7 @@ def race(runners: list[np.ndarray], follow: Follow, config: Config, rivals: bool
 
     Args:
         runners: free coordinates of every team's starting points, (R, P) each: a team is a body, or a material.
-        follow: solutions, by team and runner, after so many steps at the most.
+        follow: solutions, by team and runner, after so many steps at the most; whether it is the first lap.
         rivals: whether the teams compete: then who is far behind the leader of all gives up, and a team that has but
             such runners sends its best one into the second lap, and none into the last.
     """
@@ -202,7 +206,7 @@ def race(runners: list[np.ndarray], follow: Follow, config: Config, rivals: bool
     laps = ((FIRST_LAP, settings.starts), (SECOND_LAP, -(-settings.starts // 2)), (settings.coarse_steps, 1))
     leaders: list[list[Solution]] = [[] for _ in runners]
     for lap, (steps, kept) in enumerate(laps):
-        found = follow(runners, min(steps, settings.coarse_steps))
+        found = follow(runners, min(steps, settings.coarse_steps), lap == 0)
         leaders = [_leaders(each, kept) if each else before for each, before in zip(found, leaders, strict=True)]
         going = leaders
         if rivals and lap < len(FAR):

@@ -20,14 +20,16 @@ from ..merl_io.samples import Samples
 from .problem import Problem
 from .projection import project
 from .transforms import MIDDLE_UM, Layout
-from .weights import half_width
 
-CANDIDATES_EACH = 14  # candidates for every starting point that is asked for; a power of 2 in all
+CANDIDATES_EACH = 7  # candidates for every starting point that is asked for; a power of 2 in all
 CLASSES = {"beta": 3, "p": 2, "sigma_s": 2}  # kinds: so many classes of each, equally likely
 NEAR = 0.3  # standard deviation of b's coordinate where the highlight is taken for diffracted light
 SCATTER = 1.5  # standard deviation of candidates in units of the prior's
+DARK_QUANTILE = 0.1  # of the bins away from the lobe: taken for the body
 RIM = 1e-3  # of the places of candidates between 0 and 1
-TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03, "grazing_exponent": 0.5}
+TYPICAL = {
+    "p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3,
+}  # fmt: skip
 OPTICS = {"n": 1.0, "k": 3.0, "eta": 1.5, "albedo": 0.3}  # before they are projected
 
 
@@ -47,6 +49,24 @@ def read_off(samples: Samples) -> ReadOff:
     width = half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0)
     beta = width / np.log(2.0) ** (1 / (2 * TYPICAL["p"]))
     return ReadOff({"beta": beta, **TYPICAL}, MIDDLE_UM / (2 * width))
+
+
+def half_width(theta_h: np.ndarray, theta_d: np.ndarray, value: np.ndarray, used: np.ndarray) -> float:
+    """tan(theta_h) where the lobe at small theta_d, averaged over azimuth and channels, has fallen to half.
+
+    Args:
+        value: (C, H, D, P), 1/sr. used: which of them count, the same shape.
+    """
+    columns = slice(0, max(1, len(theta_d) // 6))
+    counted = used[:, :, columns]
+    lobe = np.where(counted, value[:, :, columns], 0.0).sum((2, 3)) / np.maximum(counted.sum((2, 3)), 1)
+    away = used[0] & (theta_h > 0.6)[:, None, None] & (theta_d < 0.9)[None, :, None]
+    away = away if away.any() else used[0]
+    dark = np.array([np.quantile(plane[away], DARK_QUANTILE) if away.any() else 0.0 for plane in value])
+    brightness = np.maximum(lobe - dark[:, None], 0.0).mean(0)
+    below = np.flatnonzero(brightness < brightness[:2].max() / 2)
+    tangent = np.tan(np.minimum(theta_h, 1.5))
+    return float(np.clip(tangent[below[0]] if len(below) and below[0] > 0 else tangent[0], 2e-3, 2.0))
 
 
 def starting_points(

@@ -5,9 +5,10 @@ prior of median m and factor f, cut at the bounds, is
 
     log(value - offset) = log m + shift + log f Phi^-1(A + Phi(z) (B - A)),    A, B = Phi(bound's distance / log f),
 
-a uniform one lower + Phi(z) (upper - lower). The shifts make coordinates of what the data show: the half width of the
-lobe instead of beta, given p; the height that diffracts into directions that exist instead of sigma_s, given b and c;
-and the ratio of eta - 1 to that of the middle channel in the others.
+a uniform one lower + Phi(z) (upper - lower); an albedo's odds, albedo / (1 - albedo), are log-normal. The shifts make
+coordinates of what the data show: the half width of the lobe instead of beta, given p; the height that diffracts into
+directions that exist instead of sigma_s, given b and c; and the ratio of eta - 1 to that of the middle channel in the
+others.
 """
 
 from collections.abc import Mapping
@@ -18,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.scipy.special import ndtr, ndtri
+from jax.scipy.special import expit, ndtr, ndtri
 from jax.typing import ArrayLike
 
 from ..model.diffraction import renormalisation
@@ -31,6 +32,8 @@ MIDDLE_UM = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
 LAST = ("beta", "sigma_s")  # given others
 MIDDLE = "eta of the middle channel"  # given which the others are
 LEAST = 1e-300
+ODDS = "odds"  # quantity of what lies between 0 and 1 and may be a few thousandths
+TINY_ODDS = 1e-6  # least albedo that a start may have
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,9 @@ class Layout:
     def prior(self, parameter: Parameter) -> str:
         """The prior in words."""
         bounds = f"in [{parameter.lower:g}, {parameter.upper:g}]"
+        if parameter.quantity == ODDS:
+            odds = self.priors.odds
+            return f"{parameter.name}/(1 - {parameter.name}) log-normal, {odds.median:g} times or over {odds.factor:g}"
         if parameter.scale == "linear":
             return f"uniform {bounds}"
         given: LogNormal = getattr(self.priors, parameter.quantity or parameter.name)
@@ -160,6 +166,8 @@ class Layout:
 
     def _value(self, q: Parameter, z: Array, values: Mapping[str, Array]) -> Array:
         """Physical value at free coordinate z."""
+        if q.quantity == ODDS:
+            return expit(np.log(self.priors.odds.median) + np.log(self.priors.odds.factor) * z)
         if q.scale == "linear":
             return q.lower + (q.upper - q.lower) * ndtr(z)
         median, deviation, low, high = self._ends(q, values)
@@ -171,6 +179,9 @@ class Layout:
 
     def _free(self, q: Parameter, value: Array, values: Mapping[str, Array]) -> Array:
         """Free coordinate of a physical value."""
+        if q.quantity == ODDS:
+            odds = jnp.log(jnp.clip(value, TINY_ODDS, 1 - INSIDE)) - jnp.log1p(-jnp.clip(value, TINY_ODDS, 1 - INSIDE))
+            return (odds - np.log(self.priors.odds.median)) / np.log(self.priors.odds.factor)
         if q.scale == "linear":
             return ndtri(jnp.clip((value - q.lower) / (q.upper - q.lower), INSIDE, 1 - INSIDE))
         median, deviation, low, high = self._ends(q, values)

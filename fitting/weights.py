@@ -1,34 +1,40 @@
-"""The weights of HP17 Eq. 56, with a floor under what the highlight counts for.
+"""The weights of HP17 Eq. 56, and what may be put in the place of its compressive weight.
 
-A bin weighs its share of the fitting measure times the compressive weight w_C of its measured value. Under w_C a narrow
-highlight is all but invisible: the bins that are at least half as bright as its peak carry 0.1 to 0.5 % of a glossy
-plastic's weighted energy, and the global minimum of Eq. 56 as printed gives the highlight up for a better fit of the
-rest (white-marble: an RMSE of 0.22 where 0.05 can be had). So their weights are raised until they carry a fifth at the
-least (docs/fitting.md has the comparison); 0 is Eq. 56 as printed.
+A bin weighs its share of the fitting measure times a weight of its measured value m. With x = m / median and
+f(x) = (1 - 2^-x) / ln 2, HP17 Eq. 57-58 take w = (f(x)/x)^1.4. The exponent decides who is served: with 0 (``none``) a
+glossy highlight is nearly all that counts, with 1.4 (``compressive``) the dark bins nearly are. ``log`` has the weight
+of the error of log(1 + m cos_i), (cos_i / (1 + m cos_i))^2, to first order in the residual (Loew et al. 2012).
+
+Directions beyond ``theta_max`` have no weight: past 80 degrees the apparatus fails, every published metric leaves those
+bins out, and they would carry most of the cost.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from ..merl_io.binary import Measurement
-from ..merl_io.grid import merl_grid
+from ..merl_io.grid import MerlGrid, merl_grid
 from ..merl_io.samples import Samples, fold
 from .threads import side_by_side
 
+THETA_MAX = 1.4  # rad: HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
 BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
-HIGHLIGHT = 0.2  # of a channel's weighted energy, at the least, in bins within the half width of the lobe
-DARK_QUANTILE = 0.1  # of the bins away from the lobe: taken for the body
+Bend = float | Literal["log"]
+BENDS: dict[str, Bend] = {"compressive": BEND, "log": "log", "none": 0.0}
+LADDER = (1.4, 1.0, 0.7, 0.0)  # exponents that ``adaptive`` tries, one after the other
 
 
-def compressive_weight(value: np.ndarray, median: np.ndarray) -> np.ndarray:
-    """w_C of HP17 Eq. 57-58, dimensionless in (0, 1]: 1 for dark bins, falling as the power 1.4 of bright ones.
+def compressive_weight(value: np.ndarray, median: np.ndarray, bend: float = BEND) -> np.ndarray:
+    """w_C of HP17 Eq. 57-58, dimensionless in (0, 1]: 1 for dark bins, falling as the power ``bend`` of bright ones.
 
     Args:
         value: measured BRDF >= 0. median: the cos-weighted median to compare with (broadcasts).
     """
     x = np.maximum(value / median, 1e-12)
-    return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** BEND
+    return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** bend
 
 
 def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
@@ -38,57 +44,47 @@ def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
     return float(value[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
 
 
-def half_width(theta_h: np.ndarray, theta_d: np.ndarray, value: np.ndarray, used: np.ndarray) -> float:
-    """tan(theta_h) where the lobe at small theta_d, averaged over azimuth and channels, has fallen to half.
-
-    Args:
-        value: (C, H, D, P), 1/sr. used: which of them count, the same shape.
-    """
-    columns = slice(0, max(1, len(theta_d) // 6))
-    counted = used[:, :, columns]
-    lobe = np.where(counted, value[:, :, columns], 0.0).sum((2, 3)) / np.maximum(counted.sum((2, 3)), 1)
-    away = used[0] & (theta_h > 0.6)[:, None, None] & (theta_d < 0.9)[None, :, None]
-    away = away if away.any() else used[0]
-    dark = np.array([np.quantile(plane[away], DARK_QUANTILE) if away.any() else 0.0 for plane in value])
-    brightness = np.maximum(lobe - dark[:, None], 0.0).mean(0)
-    below = np.flatnonzero(brightness < brightness[:2].max() / 2)
-    tangent = np.tan(np.minimum(theta_h, 1.5))
-    return float(np.clip(tangent[below[0]] if len(below) and below[0] > 0 else tangent[0], 2e-3, 2.0))
+def within(grid: MerlGrid, theta_max: float) -> np.ndarray:
+    """Bins with both directions above the horizon and not beyond ``theta_max``, (90, 90, 180)."""
+    return grid.above & (np.minimum(grid.cos_i, grid.cos_o) > np.cos(theta_max))
 
 
-def weighted_samples(measurement: Measurement, highlight: float = HIGHLIGHT) -> Samples:
+def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: float = THETA_MAX) -> Samples:
     """Folded samples of a file with their weights.
 
-    Bins that the horizon cuts with their centre below it are left out: the model is 0 there. Each channel is compared
-    with its own median, so that no channel is fitted at the expense of another.
+    Each channel is compared with its own median, so that no channel is fitted at the expense of another.
 
     Args:
-        highlight: share of a channel's weighted energy that bins within the half width of the lobe carry at the least.
+        bend: exponent of the compressive weight, or ``log``. theta_max: of light and viewer (rad).
     """
     grid = merl_grid()
-    used = measurement.valid & grid.above & (grid.weight > 0)
+    used = measurement.valid & within(grid, theta_max) & (grid.weight > 0)
     bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
-    values = measurement.values
-    width = half_width(grid.theta_h, grid.theta_d, values, np.broadcast_to(used, values.shape))
-    bright = np.tan(grid.theta_h) <= width
-    bright[0] = True
+    weigh = _logarithmic if bend == "log" else _compressive(float(bend))
 
     def channel(plane: np.ndarray) -> Samples:
         weight = np.zeros((1, *plane.shape))
         if used.any():
-            median = max(cos_weighted_median(plane[used], cos_i), 1e-9)
-            weight[0, used] = bin_weight * compressive_weight(plane[used], np.asarray(median))
-            rows = np.sum(weight[0] * np.where(used, plane, 0.0) ** 2, (1, 2))
-            weight[0, bright] *= _raised(float(rows[bright].sum()), float(rows[~bright].sum()), highlight)
+            weight[0, used] = bin_weight * weigh(plane[used], cos_i)
         return fold(grid, plane[None], weight)
 
-    red, green, blue = side_by_side(channel, values)
+    red, green, blue = side_by_side(channel, measurement.values)
     value, weight = (
         np.concatenate([getattr(each, name) for each in (red, green, blue)]) for name in ("value", "weight")
     )
     return replace(red, value=value, weight=weight, scatter=red.scatter + green.scatter + blue.scatter)
 
 
-def _raised(bright: float, rest: float, least: float) -> float:
-    """What the energy of bright bins is multiplied by, one at the least, to be this share of all."""
-    return max(1.0, least / (1 - least) * rest / bright) if bright > 0 else 1.0
+Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def _compressive(bend: float) -> Weigh:
+    def weigh(value: np.ndarray, cos_i: np.ndarray) -> np.ndarray:
+        median = max(cos_weighted_median(value, cos_i), 1e-9)
+        return compressive_weight(value, np.asarray(median), bend)
+
+    return weigh
+
+
+def _logarithmic(value: np.ndarray, cos_i: np.ndarray) -> np.ndarray:
+    return (cos_i / (1 + np.maximum(value, 0.0) * cos_i)) ** 2

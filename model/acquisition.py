@@ -130,10 +130,23 @@ def mirror_loss(theta: tuple[float, ...], beta: Scalar, p: Scalar, apparatus: Ap
     Accuracy: 1e-4 of a simulation in the image plane, 2e-3 with distances of 8 radii or more or a lamp of 0.01 rad
     (``tests/model/test_acquisition.py``). Gradient in beta and p finite everywhere.
     """
-    weights = jnp.asarray(ring_weights(apparatus, (0.0, *theta)) / np.cos(RINGS_RAD) ** 4)
+    return loss_of_lobe(theta, _epd_of_rings(beta, p), apparatus)
+
+
+def _epd_of_rings(beta: Scalar, p: Scalar) -> Real:
+    """D over its peak at RINGS_RAD."""
     # exp(-e^8) is 0, and its derivative too, where the power itself would overflow
     exponent = jnp.exp(jnp.minimum(2 * p * (np.log(np.tan(RINGS_RAD)) - jnp.log(beta)), 8.0))
-    signal = weights @ jnp.exp(-exponent)
+    return jnp.exp(-exponent) / np.cos(RINGS_RAD) ** 4
+
+
+def loss_of_lobe(theta: tuple[float, ...], lobe: Real, apparatus: Apparatus) -> Real:
+    """Height of a lobe's peak in the picture of the sphere, over its height at normal incidence, shape (N,).
+
+    Args:
+        theta: angles of incidence (rad), static. lobe: a function of theta_h at RINGS_RAD, of any unit.
+    """
+    signal = jnp.asarray(ring_weights(apparatus, (0.0, *theta))) @ lobe
     return signal[1:] / signal[0]
 
 
@@ -152,7 +165,12 @@ def derived_exponent(beta: Scalar, p: Scalar, apparatus: Apparatus = APPARATUS) 
     The law itself misses the loss by up to 0.13 where the lobe is a few footprints wide, whose loss sets in abruptly;
     least squares on the loss instead of its logarithm would give k lower by up to 0.03 there.
     """
+    return exponent_of_lobe(_epd_of_rings(beta, p), apparatus).astype(jnp.result_type(beta))
+
+
+def exponent_of_lobe(lobe: Real, apparatus: Apparatus) -> Real:
+    """The exponent of any lobe, given at RINGS_RAD: of (S * D) for diffracted light, whose lobe is the wider one."""
     log_base = 2 * np.log(1 - (2 * FIT_ANGLES_RAD / np.pi) ** 2)
-    loss = jnp.log(mirror_loss(tuple(FIT_ANGLES_RAD.tolist()), beta, p, apparatus))
+    loss = jnp.log(loss_of_lobe(tuple(FIT_ANGLES_RAD.tolist()), lobe, apparatus))
     # a wide, flat lobe with D growing as 1/cos^4 would give -0.0003
-    return jnp.clip(jnp.sum(loss * log_base) / np.sum(log_base**2), 0.0, 1.0).astype(jnp.result_type(beta))
+    return jnp.clip(jnp.sum(loss * log_base) / np.sum(log_base**2), 0.0, 1.0)

@@ -10,9 +10,14 @@ Masking = Literal["smith", "height_correlated", "none"]
 Diffraction = Literal["off", "lobe", "scaled", "zonal", "quadrature", "exact"]
 Split = Literal["printed", "conserving"]
 Colour = Literal["rayleigh_rice", "fresnel"]
+Index = Literal["usual", "complex", "real"]
 Body = Literal["none", "lambert", "plastic", "subsurface"]
 Acquisition = Literal["off", "free", "derived"]
-BODIES: tuple[Body, ...] = get_args(Body)
+Kind = tuple[Index, Body]
+KINDS: tuple[Kind, ...] = (
+    ("complex", "none"), ("real", "lambert"), ("real", "plastic"), ("real", "subsurface"), ("complex", "lambert"),
+)  # fmt: skip
+"""Interfaces and bodies that a fit compares, the simplest first: by the number of parameters, then of effects."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +27,7 @@ class Effects:
     Options of what is not chosen take their defaults, so that equal programs are equal values and compile once.
 
     Attributes:
-        body: ``none`` is a conductor (complex index per channel); the others are dielectrics (real index per channel)
-            over a body with an albedo per channel.
+        body: what lies under the interface, with an albedo per channel, or ``none``.
         diffraction: how the facets' diffraction lobe is blurred by the distribution of their normals, cheapest first:
             ``off``; ``lobe`` (normals taken as all alike); ``scaled`` (a lobe of another width and height, HP17
             Eq. 39-41: good for most lobes while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics,
@@ -40,9 +44,14 @@ class Effects:
             ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives.
         colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
             formula chosen for the mirror term).
-        acquisition: MERL's loss at grazing angles (HP17 Eq. 59-60), no part of the material: ``off``, its exponent
-            ``free`` (a parameter), ``derived`` from beta and p, or a number in [0, 1].
+        acquisition: MERL's loss at grazing angles (HP17 Eq. 59-60), no part of the material. It acts on the lobes,
+            not on the body, and on each with an exponent of its own (docs/physics.md): ``off``; both exponents ``free``
+            (parameters); both ``derived`` from the widths of D and of (S * D); or a number in [0, 1] for both.
         apparatus: the sphere, pixel and lamp that ``derived`` assumes.
+        index: of refraction of the interface, per channel: ``complex`` (n + i k, a conductor), ``real`` (a
+            dielectric), or ``usual``: complex over no body, real over one. A Lambert floor under a complex index is
+            stray light and dust on a metal; plastic and subsurface ask how light gets through the interface, and so
+            for a real one.
     """
 
     body: Body = "none"
@@ -56,6 +65,7 @@ class Effects:
     colour: Colour = "rayleigh_rice"
     acquisition: Acquisition | float = "off"
     apparatus: Apparatus = APPARATUS
+    index: Index = "usual"
 
     def __post_init__(self) -> None:
         """Refuse names that are not effects, and numbers out of range; forget options that nothing asks for."""
@@ -81,6 +91,15 @@ class Effects:
         }
         for name in (name for name, asked in used.items() if not asked):
             object.__setattr__(self, name, getattr(type(self), name))
+        if self.index == "usual":
+            object.__setattr__(self, "index", "complex" if self.body == "none" else "real")
+        if self.index == "complex" and self.body in ("plastic", "subsurface"):
+            raise ValueError(f"body {self.body!r} lies under a clear interface: its index is real, not complex")
+
+    @property
+    def kind(self) -> Kind:
+        """Interface and body."""
+        return self.index, self.body
 
     @property
     def material(self) -> "Effects":

@@ -42,6 +42,7 @@ class Priors:
         eta: eta - 1, of a coat or a plastic, in the middle channel.
         dispersion: ratio of eta - 1 in another channel to that. Transparent matter disperses by a few per cent; the
             rest is for what white balance may be off.
+        odds: of an albedo, albedo / (1 - albedo): from the floor under a metal, a few thousandths, to snow.
     """
 
     half_width: LogNormal = LogNormal(0.03, 5.0)
@@ -53,6 +54,7 @@ class Priors:
     k: LogNormal = LogNormal(2.0, 2.5)
     eta: LogNormal = LogNormal(0.5, 1.7)
     dispersion: LogNormal = LogNormal(1.0, 1.2)
+    odds: LogNormal = LogNormal(0.11, 9.0)
 
 
 PRIORS = Priors()
@@ -129,13 +131,17 @@ INTERFACE = (
               per_channel=True, source="HP17 Eq. 3"),
 )  # fmt: skip
 ALBEDO = Parameter("albedo", r"\rho_d", "albedo of the body", "1", 0.3, 0.0, 1.0, "linear", per_channel=True,
-                   source="HP17 Eq. 43, 44")  # fmt: skip
-GRAZING = Parameter("grazing_exponent", "k_g", "exponent of the acquisition's loss at grazing angles", "1", 0.5, 0.0,
-                    1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
+                   source="HP17 Eq. 43, 44", quantity="odds")  # fmt: skip
+GRAZING = Parameter("grazing_exponent", "k_g", "exponent of the acquisition's loss of specular light at grazing angles",
+                    "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
+GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "k_d", "the same of diffracted light", "1", 0.2, 0.0, 1.0,
+                               "linear", source="HP17 Eq. 60")  # fmt: skip
 
 
 def parameters(effects: Effects) -> tuple[Parameter, ...]:
     """The parameters of these effects, shared ones first, per-channel ones last."""
-    shared = SURFACE + (DIFFRACTION if effects.diffraction != "off" else ())
-    colour = CONDUCTOR if effects.body == "none" else (*INTERFACE, ALBEDO)
-    return shared + ((GRAZING,) if effects.acquisition == "free" else ()) + colour
+    diffracts, free = effects.diffraction != "off", effects.acquisition == "free"
+    shared = SURFACE + (DIFFRACTION if diffracts else ())
+    apparatus = ((GRAZING, GRAZING_DIFFRACTED) if diffracts else (GRAZING,)) if free else ()
+    interface = CONDUCTOR if effects.index == "complex" else INTERFACE
+    return shared + apparatus + interface + (() if effects.body == "none" else (ALBEDO,))

@@ -7,11 +7,14 @@
 
 It is written as a few factors, each a function of a part of the directions and of a part of the parameters:
 
-    rho = toll shadow (mirror / (cos_i cos_o) + hue spread) + pass under,     measured = loss rho.
+    rho = toll shadow (mirror / (cos_i cos_o) + hue spread) + pass under;
+
+what the apparatus sees of it has ``mirror_loss`` beside mirror and ``spread_loss`` beside spread.
 
 On a grid ``mirror`` and ``spread`` live on (theta_h, theta_d) alone, ``shadow`` is a one-dimensional table, and whoever
 differentiates needs each factor's derivative only in the parameters it names. ``toll`` and ``pass`` belong to the
-conserving split (:mod:`merlfit.model.energy`), ``loss`` to the acquisition, not to the material.
+conserving split (:mod:`merlfit.model.energy`), the losses to the acquisition, not to the material: a blurred footprint
+dims what is sharp, each lobe as its width has it, and leaves the body as it is (docs/physics.md).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,10 +31,11 @@ from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .ndf import epd
 from .numerics import safe_divide
-from .parameters import GRAZING, WAVELENGTHS_UM, parameters
+from .parameters import GRAZING, GRAZING_DIFFRACTED, WAVELENGTHS_UM, parameters
 from .shadowing import height_correlated, masking, masking_table
 
 LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
+RING_ORDER = 32  # of the convolution whose width gives the loss of diffracted light
 Values = Mapping[str, Array]
 
 
@@ -77,7 +81,7 @@ def setting(
 
 def factors(effects: Effects) -> dict[str, Factor]:
     """The factors of a material with these effects."""
-    surface, optics = ("beta", "p"), (("n", "k") if effects.body == "none" else ("eta",))
+    surface, optics = ("beta", "p"), (("n", "k") if effects.index == "complex" else ("eta",))
     nano = ("b", "c", "sigma_s")
     table = {} if effects.masking == "none" else {"shadow": Factor(surface, _shadow, ("masking",))}
     if effects.diffraction == "off":
@@ -99,16 +103,24 @@ def factors(effects: Effects) -> dict[str, Factor]:
     if _pays_toll(effects):
         table["toll"] = Factor(every, _toll, ("surface_albedo",))
     if effects.acquisition not in ("off", 0.0):
-        names = {"free": (GRAZING.name,), "derived": surface}.get(str(effects.acquisition), ())
-        table["loss"] = Factor(names, _loss)
+        by_mode = {"free": (GRAZING.name,), "derived": surface}
+        table["mirror_loss"] = Factor(by_mode.get(str(effects.acquisition), ()), _mirror_loss)
+        if effects.diffraction != "off":
+            derived = effects.acquisition == "derived"
+            names = (GRAZING_DIFFRACTED.name,) if effects.acquisition == "free" else ()
+            names = (*surface, "b", "c") if derived else names
+            table["spread_loss"] = Factor(names, _spread_loss, ("diffracted_exponent",) if derived else ())
     return table
 
 
 def assemble(at: Values, s: Setting) -> Array:
     """The BRDF (1/sr), shape ``(C, ...)``, from the values of its factors."""
     rho = at["mirror"] / (s.geometry.cos_i * s.geometry.cos_o)
+    if "mirror_loss" in at:
+        rho = at["mirror_loss"] * rho
     if "spread" in at:
-        rho = rho + (at["hue"] * at["spread"] if "hue" in at else at["spread"])
+        spread = at["hue"] * at["spread"] if "hue" in at else at["spread"]
+        rho = rho + (at["spread_loss"] * spread if "spread_loss" in at else spread)
     if "shadow" in at:
         rho = at["shadow"] * rho
     under = at.get("under")
@@ -117,7 +129,7 @@ def assemble(at: Values, s: Setting) -> Array:
         under = None if under is None else at["toll"][1] * under
     if under is not None:
         rho = rho + under
-    rho = jnp.where(s.above, rho * at["loss"] if "loss" in at else rho, 0.0)
+    rho = jnp.where(s.above, rho, 0.0)
     return rho.astype(jnp.result_type(s.geometry.theta_h))  # the reference and the conserving split work in float64
 
 
@@ -297,6 +309,7 @@ class Table(NamedTuple):
 TABLES = {
     "masking": Table(("p",), lambda v, s: masking_table(v["p"])),
     "share": Table(("b", "c"), _share),
+    "diffracted_exponent": Table(("beta", "p", "b", "c"), lambda v, s: _derived_diffracted(v, s.effects)),
     "surface_albedo": Table(("beta", "p", "b", "c", "sigma_s", "n", "k", "eta"), surface_albedo),
 }
 
@@ -313,19 +326,48 @@ def _toll(v: Values, s: Setting) -> Array:
     return jnp.stack([kept, safe_divide(through, mean)])
 
 
-def _loss(v: Values, s: Setting) -> Array:
-    """p(i, o) of the acquisition, HP17 Eq. 59-60."""
+def _mirror_loss(v: Values, s: Setting) -> Array:
+    """p(i, o) of specular light, HP17 Eq. 59-60."""
     assert s.log_base is not None  # `setting` has seen to it
     return jnp.exp(grazing_exponent(v, s.effects) * s.log_base)
 
 
+def _spread_loss(v: Values, s: Setting) -> Array:
+    """p(i, o) of diffracted light."""
+    assert s.log_base is not None
+    return jnp.exp(grazing_exponent_diffracted(v, s.effects) * s.log_base)
+
+
 def grazing_exponent(values: Values, effects: Effects) -> Array:
-    """The acquisition's grazing exponent k at these parameter values; 0 where it is off."""
+    """The acquisition's grazing exponent k of specular light at these parameter values; 0 where it is off."""
     if effects.acquisition == "free":
         return values[GRAZING.name]
     if effects.acquisition == "derived":
         return acquisition.derived_exponent(values["beta"], values["p"], effects.apparatus)
     return jnp.asarray(0.0 if effects.acquisition == "off" else float(effects.acquisition))
+
+
+def grazing_exponent_diffracted(values: Values, effects: Effects) -> Array:
+    """The same of diffracted light, from the width of (S * D) at normal incidence and the middle wavelength."""
+    if effects.diffraction == "off":
+        return jnp.zeros(())
+    if effects.acquisition == "free":
+        return values[GRAZING_DIFFRACTED.name]
+    if effects.acquisition == "derived":
+        if "diffracted_exponent" in values:
+            return values["diffracted_exponent"]
+        return _derived_diffracted(values, effects)
+    return jnp.asarray(0.0 if effects.acquisition == "off" else float(effects.acquisition))
+
+
+def _derived_diffracted(v: Values, effects: Effects) -> Array:
+    """What the apparatus does to (S * D) over the rings that a footprint sees."""
+    rings = jnp.asarray(acquisition.RINGS_RAD)[:, None]
+    ones = jnp.ones((1, 1))
+    inner = replace(effects.material, diffraction="quadrature", order=RING_ORDER)
+    middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
+    s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), inner, (middle,))
+    return acquisition.exponent_of_lobe(_blurred_lobe(v, s)[0, :, 0], effects.apparatus)
 
 
 def _blurred_lobe(v: Values, s: Setting) -> Array:
