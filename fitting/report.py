@@ -11,6 +11,7 @@ from rich.table import Table
 
 from ..merl_io.binary import BRIGHTEST, OUTLIER
 from ..merl_io.check import FileReport
+from ..model.effects import Effects
 from .export import Accuracy, DerivedResult, ParameterResult, Result
 from .identifiability import in_words
 
@@ -57,17 +58,19 @@ def check_table(reports: Sequence[FileReport]) -> Table:
 def summary_table(outcomes: Sequence[Outcome]) -> Table:
     """One row a file of a batch."""
     table = Table(title="Fits", title_justify="left")
-    for head in ("material", "body", "status", "cost", "RMSE (1/sr)", "sMAPE", "posterior", "seconds"):
-        table.add_column(head, justify="right" if head in ("cost", "RMSE (1/sr)", "sMAPE", "seconds") else "left")
+    numbers = ("cost", "RMSE 1/sr", "sMAPE", "picture dE", "peak", "seconds")
+    for head in ("material", "interface, body", "status", *numbers[:-1], "posterior", "seconds"):
+        table.add_column(head, justify="right" if head in numbers else "left")
     for o in outcomes:
         if o.result is None:
-            table.add_row(escape(o.path.stem), "-", f"failed: {escape(str(o.error))}", "-", "-", "-", "-", "-")
+            table.add_row(escape(o.path.stem), "-", f"failed: {escape(str(o.error))}", *"------")
             continue
         r = o.result
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
-            escape(r.source.material), r.model.effects.body if r.model else "-", r.fit.status, number(r.fit.cost),
-            number(r.metrics.rmse), number(r.metrics.smape, 3), chain, f"{r.seconds['total']:.1f}",
+            escape(r.source.material), ", ".join(r.model.effects.kind) if r.model else "-", r.fit.status,
+            number(r.fit.cost, 3), number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.picture, 3),
+            number(r.metrics.highlight, 3), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
     return table
 
@@ -77,6 +80,12 @@ def interval(q: ParameterResult | DerivedResult) -> str:
     if q.quantiles is None:
         return "-"
     return f"{number(q.quantiles.q05)} .. {number(q.quantiles.q95)}"
+
+
+def in_words_of(effects: Effects) -> str:
+    """Interface and body."""
+    interface = "conductor" if effects.index == "complex" else "dielectric"
+    return interface if effects.body == "none" else f"{interface} over {effects.body}"
 
 
 def parameter_table(result: Result) -> Table:
@@ -101,9 +110,8 @@ def print_result(console: Console, result: Result) -> None:
         return
     m = result.model
     e = m.effects
-    body = "conductor" if e.body == "none" else f"dielectric over {e.body}"
     console.print(
-        f"two-scale, {body}, diffraction by {e.diffraction}, energy split {e.split}, "
+        f"two-scale, {in_words_of(e)}, diffraction by {e.diffraction}, energy split {e.split}, "
         f"grazing exponent {m.grazing_exponent:.3f} ({e.acquisition})"
     )
     console.print(parameter_table(result))
@@ -112,9 +120,17 @@ def print_result(console: Console, result: Result) -> None:
         f"cost {number(f.cost)} of the weighted energy, RMSE {number(result.metrics.rmse)} 1/sr, "
         f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} bins, {f.steps} steps on the last grid"
     )
+    e = result.metrics
+    console.print(
+        f"picture: mean CIELAB distance {number(e.picture, 3)}; highlight {number(e.highlight, 3)} times the file's; "
+        f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
+    )
+    for caution in f.cautions:
+        console.print(f"caution: {caution}", markup=False)
     if len(f.candidates) > 1:
         console.print(
-            "bodies on the coarse grid (BIC): " + ", ".join(f"{c.body} {number(c.bic)}" for c in f.candidates)
+            "interfaces and bodies on the coarse grid (score, the lowest is best): "
+            + ", ".join(f"{c.index} {c.body} {number(c.score, 3)}" for c in f.candidates)
         )
     if result.identifiability is not None:
         for line in in_words(result.identifiability):
