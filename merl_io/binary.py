@@ -143,7 +143,7 @@ def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None) -> Me
         np.logical_or.reduce(kinds, out=bad[plane])
     if fitted_sha1 not in (None, sha1.hexdigest()):
         raise MerlError(f"{path}: is not the file that was fitted (other SHA-1)")
-    invalid = bad.any(0)
+    invalid = np.logical_or.reduce(bad, axis=0)
     if invalid.all():
         share = ", ".join(f"{c} {b.mean():.0%}" for c, b in zip(COLOURS, bad, strict=True))
         raise MerlError(
