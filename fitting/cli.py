@@ -2,20 +2,33 @@
 
 import os
 import time
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .terminal import BAD_INPUT, FAILED_FIT, console, fail, progress_display, reporter, writable_folder
+from .terminal import (
+    BAD_INPUT,
+    FAILED_FIT,
+    Stopped,
+    console,
+    fail,
+    note,
+    progress_display,
+    reporter,
+    run,
+    writable_folder,
+)
 
 # the commands import what they need: `merlfit --help` does not wait for JAX
 app = typer.Typer(
-    name="merlfit", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    name="merlfit", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
     help="Fit the two-scale reflection + diffraction model to MERL BRDF files, with error bars.",
 )  # fmt: skip
 
-Files = Annotated[list[Path], typer.Argument(help="MERL .binary files.", show_default=False)]
+# typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
+Files = Annotated[list[Path], typer.Argument(help="MERL .binary files.", show_default=False, readable=False)]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False)]
 
@@ -23,7 +36,22 @@ Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_defa
 def main() -> None:
     """Entry point of the ``merlfit`` command."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # all cores have threads of ours, which its own would hinder
-    app()
+    run(app)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        console.print(f"merlfit {metadata.version('merlfit')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
 
 
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
@@ -50,7 +78,9 @@ def check(files: Files) -> None:
 def fit(
     files: Files,
     out: Out = Path("fits"),
-    config: Annotated[Path | None, typer.Option(help="TOML settings; see configs/default.toml.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
+    ] = None,
     preset: Annotated[
         str | None, typer.Option(help="hp17, conserving, microfacet, preview or fast: effects by name.")
     ] = None,
@@ -80,16 +110,19 @@ def fit(
 
 @app.command(epilog="Example: merlfit sample fits/nickel.json")
 def sample(
-    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False)],
-    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.")] = None,
+    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
+    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
     max_steps: Annotated[
-        int | None, typer.Option(min=1, help="More steps, at the most [default: the fit's own].", show_default=False)
+        int | None, typer.Option(min=1, help="More steps, at the most \\[default: the fit's own].", show_default=False)
     ] = None,
 ) -> None:
     """Sample the posterior of a fit, or go on with the chain beside it, and write both anew."""
+    from ..merl_io.atomic import WriteError
     from ..merl_io.binary import MerlError
     from .compilation import use_persistent_cache
+    from .config import ConfigError
     from .export import ResultError, read_result
+    from .inspection import file_of
     from .posterior import ChainError
     from .report import print_result
     from .resampling import resample
@@ -100,9 +133,12 @@ def sample(
         with progress_display() as progress:
             task = progress.add_task(result.name)
             report = reporter(progress, task, read.source.material)
-            found = resample(result, read, file or Path(read.source.path), max_steps, report)
-    except (MerlError, ResultError, ChainError) as error:
+            found = resample(result, read, file or file_of(result, read), max_steps, report)
+    except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
         raise fail(str(error)) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` goes on with the chain so far")
+        raise typer.Exit(stop.code) from None
     print_result(console, found)
     if found.posterior is not None and not found.posterior.sufficient:
         raise typer.Exit(FAILED_FIT)
@@ -113,8 +149,12 @@ def synth(
     material: Annotated[str, typer.Argument(help="MATERIAL of a published table, or RESULT.json of a fit.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="The .binary file to write.", show_default=False)],
     source: Annotated[
-        str | None, typer.Option(help="Published table, see `merlfit materials` [default: sgd].", show_default=False)
+        str | None, typer.Option(help="Published table, see `merlfit materials` \\[default: sgd].", show_default=False)
     ] = None,
+    loss: Annotated[
+        bool, typer.Option("--with-grazing-loss", help="A fit as MERL's apparatus would have measured it.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
 ) -> None:
     """Write a MERL file from a published parameter set or from a fit (without the acquisition's grazing loss)."""
     from ..merl_io.binary import MerlError, write
@@ -122,16 +162,20 @@ def synth(
     from .export import ResultError
     from .synthesis import from_published, from_result
 
-    use_persistent_cache()
     fitted = material.endswith(".json")
     if fitted and source is not None:
         raise fail(f"--source names a published table; {material} is a fit: leave it out")
+    if loss and not fitted:
+        raise fail(f"--with-grazing-loss is for the RESULT.json of a fit; {material} is none: leave it out")
+    if out.exists() and not force:
+        raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
+    use_persistent_cache()
     try:
-        values, said = from_result(Path(material)) if fitted else from_published(material, source or "sgd")
+        values, said = from_result(Path(material), loss) if fitted else from_published(material, source or "sgd")
         write(out, values)
     except (MerlError, ResultError, KeyError, ValueError) as error:
         raise fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
-    console.print(f"{out}: {said}", markup=False, soft_wrap=True)
+    console.print(f"{out}: {said}", soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit materials")
@@ -139,33 +183,33 @@ def materials() -> None:
     """List the published tables that `merlfit synth` knows, and their materials."""
     from .synthesis import describe_sources
 
-    console.print(describe_sources(), markup=False, soft_wrap=True)
+    console.print(describe_sources(), soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit inspect fits/nickel.json")
 def inspect(
-    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False)],
-    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.")] = None,
+    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
+    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Folder for the pictures [default: beside it].")
+        Path | None, typer.Option("-o", "--out", help="Folder for the pictures \\[default: beside it].")
     ] = None,
 ) -> None:
     """Print a fit's parameters with intervals; write its lobe plot and the corner plot of its posterior."""
     from .export import ResultError, read_result
-    from .inspection import show
+    from .inspection import file_of, show
 
     try:
         read = read_result(result)
     except ResultError as error:
         raise fail(str(error)) from None
-    if not show(result, read, file or Path(read.source.path), out or result.parent) and file is not None:
+    if not show(result, read, file or file_of(result, read), out or result.parent, needs_file=file is not None):
         raise typer.Exit(BAD_INPUT)
 
 
 @app.command(epilog="Example: merlfit cost -o cost")
 def cost(
     file: Annotated[
-        Path | None, typer.Argument(help="A MERL .binary file to measure on [default: synthetic materials].")
+        Path | None, typer.Argument(help="A MERL .binary file to measure on \\[default: synthetic materials].")
     ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for JSON, table and plot.")] = Path("cost"),
     repeats: Annotated[int, typer.Option(min=1, help="Fits that a time is the median of.")] = 1,
@@ -193,6 +237,9 @@ def cost(
         tidy(out)
     except MerlError as error:
         raise fail(str(error)) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}; what was measured is kept, the same command goes on from there")
+        raise typer.Exit(stop.code) from None
     except OSError as error:
         raise fail(f"{error}; what was measured is kept, the same command goes on from there") from None
     except CostError as error:
@@ -200,9 +247,9 @@ def cost(
         raise typer.Exit(FAILED_FIT) from None
     for table in tables(frontier):
         console.print(table)
-    console.print(gains(frontier), markup=False, soft_wrap=True)
+    console.print(gains(frontier), soft_wrap=True)
     used = "" if file else f"; fits go by {kept[1]}"
-    console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}", markup=False, soft_wrap=True)
+    console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}", soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")
@@ -219,7 +266,7 @@ def demo(out: Out = Path("demo-out"), seed: Seed = None) -> None:
     values, said = from_published(material, table)
     path = out / f"{material}.binary"
     write(path, values)
-    console.print(f"{path}: {said}", markup=False, soft_wrap=True)
+    console.print(f"{path}: {said}", soft_wrap=True)
     outcomes = fit_files([path], out, settings_of(seed=seed))
     if outcomes[0].result is not None:
         show(out / f"{material}.json", outcomes[0].result, path, out)

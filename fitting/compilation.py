@@ -1,12 +1,21 @@
 """Where compiled programs and tables are kept between runs."""
 
+import glob
 import os
+import re
+import warnings
+from functools import cache
 from pathlib import Path
+from typing import TextIO
 
 import jax
 import platformdirs
 
 from . import tables
+from .terminal import note
+
+NEW = "/jax/compilation_cache/cache_misses"  # told by JAX when it has compiled a program that is kept
+DAMAGED = re.compile("Error reading persistent compilation cache entry for '([^']+)'")
 
 
 def cache_folder() -> Path:
@@ -15,13 +24,50 @@ def cache_folder() -> Path:
 
 
 def use_persistent_cache() -> Path:
-    """Keep compiled programs in the cache folder: only the first run waits.
+    """Keep compiled programs in the cache folder: only the first run waits, and is told so.
 
-    So with the table of ``diffraction = "scaled"``, which is computed when it is first asked for.
+    So with the table of ``diffraction = "scaled"``, which is computed when it is first asked for. Damaged entries are
+    deleted, that they may be compiled anew.
     """
     cache = cache_folder()
     folder = cache / "xla"
     tables.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    _tell_of_compilation(folder)
+    _mend(folder)
     return folder
+
+
+@cache
+def _tell_of_compilation(folder: Path) -> None:
+    """Once a process, and only if there is something to compile."""
+    told = []
+
+    def listen(event: str, **_: str | int) -> None:
+        if event == NEW and not told:
+            told.append(True)
+            note(f"compiling, once: this run is slower by about half a minute; later ones use what is in {folder}")
+
+    jax.monitoring.register_event_listener(listen)
+
+
+@cache
+def _mend(folder: Path) -> None:
+    """Answer JAX's warning of a damaged entry, which it would leave as it is and warn of in every run."""
+    show, told = warnings.showwarning, []
+
+    def shown(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:  # fmt: skip
+        if not (found := DAMAGED.match(str(message))):
+            show(message, category, filename, lineno, file, line)
+            return
+        for entry in folder.glob(f"{glob.escape(found[1])}-*-cache"):
+            entry.unlink(missing_ok=True)
+        if not told:
+            told.append(True)
+            note(f"damaged programs in {folder} were deleted; they are compiled anew, once")
+
+    warnings.showwarning = shown

@@ -1,22 +1,29 @@
 """The result of one material as JSON: its schema, written atomically, and the chain beside it."""
 
+import codecs
 import json
 import math
 import os
 import platform
+from collections.abc import Sized
 from importlib import metadata
-from pathlib import Path
-from typing import IO, Any, Literal
+from pathlib import Path, PurePath
+from typing import IO, Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
 from ..merl_io.atomic import write_atomically
 from ..model.effects import Effects
+from ..model.parameters import CHANNELS, parameters
 from .choice import Choice
 
 SCHEMA_VERSION = "1.3"
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
+
+
+PLAUSIBLE_UM = 0.1, 10.0  # wavelengths: a decade around what is visible
+ROUNDING = 1e-9  # relative: by so much a value may lie beyond a bound
 
 
 class ResultError(ValueError):
@@ -24,14 +31,36 @@ class ResultError(ValueError):
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+def _readable(text: object) -> object:
+    """File names are bytes: of one that is no UTF-8, the bytes that are none become question marks."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace") if isinstance(text, str) else text
+
+
+def _file_name(name: str) -> str:
+    """Only what stays in its folder when a path is made of it."""
+    if name in ("", ".", "..") or PurePath(name).name != name or "\0" in name:
+        raise ValueError(f"{name!r} is not the name of a file without its folder")
+    return name
+
+
+Text = Annotated[str, BeforeValidator(_readable)]
+FileName = Annotated[Text, AfterValidator(_file_name)]
+
+
+def _same_length(first: str, size: int, **lists: Sized) -> None:
+    for name, each in lists.items():
+        if len(each) != size:
+            raise ValueError(f"{name} has {len(each)} entries, {first} {size}")
 
 
 class Source(_Part):
     """Where the data came from."""
 
-    path: str
-    material: str
+    path: Text
+    material: FileName
     sha1: str
     git_blob_sha1: str
     genuine_merl: str | None
@@ -47,6 +76,19 @@ class Model(_Part):
     grazing_exponent: float
     channels: list[str]
     wavelengths_um: list[float]
+
+    @model_validator(mode="after")
+    def _of_a_fit(self) -> Self:
+        low, high = PLAUSIBLE_UM
+        if self.effects.diffraction == "exact":
+            raise ValueError("diffraction 'exact' is a reference that takes hours; no fit uses it")
+        if self.channels != list(CHANNELS):
+            raise ValueError(f"channels should be {', '.join(CHANNELS)}, not {', '.join(self.channels) or 'none'}")
+        _same_length("channels", len(self.channels), wavelengths_um=self.wavelengths_um)
+        for x in self.wavelengths_um:
+            if not low <= x <= high:
+                raise ValueError(f"wavelengths_um {x:g} is not between {low:g} and {high:g}")
+        return self
 
 
 class Quantiles(_Part):
@@ -79,6 +121,13 @@ class ParameterResult(_Part):
     prior: str
     source: str
 
+    @model_validator(mode="after")
+    def _within_bounds(self) -> Self:
+        slack = ROUNDING * max(abs(self.lower), abs(self.upper))
+        if not self.lower - slack <= self.value <= self.upper + slack:
+            raise ValueError(f"{self.name} {self.value:g} is outside its bounds [{self.lower:g}, {self.upper:g}]")
+        return self
+
 
 class Direction(_Part):
     """A direction in free coordinates that the data do not determine.
@@ -104,6 +153,15 @@ class Identifiability(_Part):
     contraction: list[float]
     determined: int
     undetermined: list[Direction]
+
+    @model_validator(mode="after")
+    def _lists_agree(self) -> Self:
+        size = len(self.names)
+        _same_length("names", size, correlation=self.correlation)
+        for row in self.correlation:
+            _same_length("names", size, correlation=row)
+        _same_length("coordinates", len(self.coordinates), contraction=self.contraction)
+        return self
 
 
 class Candidate(_Part):
@@ -195,7 +253,16 @@ class PosteriorResult(_Part):
     tail_size: list[float | None]
     effective_size: list[float | None]
     contraction: list[float | None]
-    chain_file: str
+    chain_file: FileName
+
+    @model_validator(mode="after")
+    def _lists_agree(self) -> Self:
+        _same_length(
+            "coordinates", len(self.coordinates), autocorrelation_steps=self.autocorrelation_steps, r_hat=self.r_hat,
+            bulk_size=self.bulk_size, tail_size=self.tail_size, effective_size=self.effective_size,
+            contraction=self.contraction,
+        )  # fmt: skip
+        return self
 
 
 class Tried(_Part):
@@ -245,6 +312,21 @@ class Result(_Part):
     versions: dict[str, str]
     config: dict[str, Any]
 
+    @model_validator(mode="after")
+    def _parameters_are_the_models(self) -> Self:
+        expected = _expected_parameters(self.model) if self.model else []
+        found = [(q.name, q.parameter, q.channel) for q in self.parameters]
+        if found != expected:
+            here, there = ([name for name, *_ in each] for each in (found, expected))
+            wrong = [f"{n} is missing" for n in there if n not in here] + [
+                f"{n} is none" for n in here if n not in there
+            ]
+            raise ValueError(
+                f"the parameters are not those of the model: {', '.join(wrong) or 'their order or channels'}; "
+                "an older merlfit wrote it, or it was edited: fit the file again"
+            )
+        return self
+
     def values(self, flat: np.ndarray | None = None) -> dict[str, Any]:
         """Values by parameter name, arrays for those per channel: what the model takes.
 
@@ -258,6 +340,15 @@ class Result(_Part):
         return {name: v[0] if name in single else np.array(v) for name, v in grouped.items()}
 
 
+def _expected_parameters(model: Model) -> list[tuple[str, str, str | None]]:
+    """Name, parameter and channel of every number that these effects have."""
+    return [
+        (f"{q.name}_{channel}" if channel else q.name, q.name, channel)
+        for q in parameters(model.effects)
+        for channel in (model.channels if q.per_channel else [None])
+    ]
+
+
 def versions() -> dict[str, str]:
     """Versions of what computed the numbers."""
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
@@ -269,7 +360,11 @@ def finite(x: float) -> float | None:
 
 
 def write_result(path: Path, result: Result) -> None:
-    """Write JSON; numbers that are not finite are refused, since JSON has none."""
+    """Write JSON, atomically; numbers that are not finite are refused, since JSON has none.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: it cannot be written.
+    """
     text = json.dumps(result.model_dump(mode="json"), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
     def write(file: IO[bytes]) -> None:
@@ -278,21 +373,57 @@ def write_result(path: Path, result: Result) -> None:
     write_atomically(path, write)
 
 
+class _Versioned(BaseModel):
+    schema_version: str
+
+
 def read_result(path: str | os.PathLike[str]) -> Result:
     """Read and validate a result.
 
     Raises:
-        ResultError: missing, not JSON, or not a result of a schema version this program knows.
+        ResultError: missing, not JSON, not a result, of a schema version that this program does not know, or with
+            numbers, names or lists that no fit writes.
     """
     path = Path(path)
     try:
-        return Result.model_validate_json(path.read_bytes())
+        text = path.read_bytes().removeprefix(codecs.BOM_UTF8)
+        _check_version(path, _Versioned.model_validate_json(text).schema_version)
+        return Result.model_validate_json(text)
     except OSError as error:
         raise ResultError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "document"
-        raise ResultError(f"{path}: is not a merlfit result: {where}: {first['msg']}") from None
+        raise ResultError(f"{path}: is not a merlfit result: {_in_words(error)}") from None
+
+
+def _check_version(path: Path, version: str) -> None:
+    known = get_args(Result.model_fields["schema_version"].annotation)
+    if version in known:
+        return
+    numbers = [version.split("."), known[-1].split(".")]
+    if all(part.isdecimal() for part in numbers[0]) and [int(x) for x in numbers[0]] > [int(x) for x in numbers[1]]:
+        raise ResultError(
+            f"{path}: was written by a newer merlfit (schema {version}, this one knows {known[-1]} at the most): "
+            "update merlfit"
+        )
+    raise ResultError(f"{path}: is not a merlfit result: schema_version {version!r} is none of {', '.join(known)}")
+
+
+SAID = {
+    "missing": "is missing",
+    "extra_forbidden": "is no field of a result",
+    "finite_number": "is not a finite number",
+}
+
+
+def _in_words(error: ValidationError) -> str:
+    """The first thing that is wrong, and where."""
+    first = error.errors()[0]
+    said = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "json_invalid":
+        return said.replace("Invalid JSON", "it is not JSON")
+    said = SAID.get(first["type"], said.replace("Input should be", "should be"))
+    where = ".".join(map(str, first["loc"]))
+    return f"{where}: {said}" if where else said
 
 
 def schema() -> dict[str, Any]:

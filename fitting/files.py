@@ -5,14 +5,26 @@ from pathlib import Path
 
 import typer
 
+from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
 from .accuracy import Aim, aim
 from .compilation import use_persistent_cache
 from .config import Config, ConfigError, load
+from .keeping import Complete, Place, completeness, place_of
 from .report import Outcome, accuracy_line, summary_table
 from .request import request
 from .run import fit_file
-from .terminal import BAD_INPUT, FAILED_FIT, console, fail, progress_display, reporter, writable_folder
+from .terminal import (
+    BAD_INPUT,
+    FAILED_FIT,
+    Stopped,
+    console,
+    fail,
+    note,
+    progress_display,
+    reporter,
+    writable_folder,
+)
 
 
 def settings_of(
@@ -39,7 +51,7 @@ def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim 
         chosen = aim(request(accuracy, within), settings)
     except ValueError as error:
         raise fail(str(error)) from None
-    console.print(chosen.told, markup=False, soft_wrap=True)
+    console.print(chosen.told, soft_wrap=True)
     return chosen
 
 
@@ -56,21 +68,45 @@ def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = 
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name)
             label = f"[{k}/{len(files)}] {path.stem}"
+            place = None
             try:
-                result = fit_file(path, out, taken, reporter(progress, task, label), finish)
+                with place_of(out, path.stem) as place:
+                    result = fit_file(path, place.folder, taken, reporter(progress, task, label), finish)
                 outcomes.append(Outcome(path, result))
-                console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s", markup=False)
+                console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s")
                 if result.accuracy is not None:
-                    console.print(f"{label}: {accuracy_line(result.accuracy)}", markup=False, soft_wrap=True)
+                    console.print(f"{label}: {accuracy_line(result.accuracy)}", soft_wrap=True)
             except MerlError as error:
                 outcomes.append(Outcome(path, None, str(error), bad_input=True))
                 fail(str(error))
+            except WriteError as error:  # names the output, the input is not to blame
+                outcomes.append(Outcome(path, None, str(error)))
+                fail(str(error))
+            except Stopped as stop:
+                left = f"; {len(files) - k} of {len(files)} files were not begun" if k < len(files) else ""
+                note(f"stopped by {stop}: {kept(path, place)}{left}")
+                if outcomes:
+                    console.print(summary_table(outcomes))
+                raise typer.Exit(stop.code) from None
             except Exception as error:  # of any kind: said with its name, and the next file has its turn
                 said = f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
                 outcomes.append(Outcome(path, None, said))
                 fail(said)
+            if place is not None and place.said:
+                note(place.said)
             progress.remove_task(task)
     return outcomes
+
+
+def kept(path: Path, place: Place | None) -> str:
+    """What there is of a fit that was stopped."""
+    if place is not None and place.said:
+        return place.said
+    found = Complete.NOTHING if place is None else completeness(place.path)
+    if place is None or found == Complete.NOTHING:
+        return f"{path.stem} was not fitted"
+    more = "goes on with it" if found == Complete.CHAIN else "samples it"
+    return f"{place.path} holds {found.words}; `merlfit sample {place.path}` {more}"
 
 
 def summarise(outcomes: list[Outcome]) -> None:
@@ -78,9 +114,9 @@ def summarise(outcomes: list[Outcome]) -> None:
     console.print(summary_table(outcomes))
     for o in outcomes:
         if o.result is not None and not o.result.fit.succeeded:
-            console.print(f"{o.path.stem}: {o.result.fit.message}", markup=False)
+            console.print(f"{o.path.stem}: {o.result.fit.message}")
         for caution in o.result.fit.cautions if o.result is not None else ():
-            console.print(f"{o.path.stem}: {caution}", markup=False)
+            console.print(f"{o.path.stem}: {caution}")
     if any(o.bad_input for o in outcomes):
         raise typer.Exit(BAD_INPUT)
     if any(o.result is None or not o.result.fit.succeeded for o in outcomes):

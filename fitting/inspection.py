@@ -2,36 +2,69 @@
 
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
+from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError, read
 from . import plots
 from .compilation import use_persistent_cache
 from .export import Result
 from .report import print_result
-from .terminal import console, errors, fail, writable_folder
+from .terminal import console, fail, note, writable_folder
 
 
-def show(path: Path, result: Result, file: Path, out: Path) -> bool:
-    """Print and draw; whether the MERL file was of use."""
+def file_of(path: Path, result: Result) -> Path:
+    """The MERL file of a result: where it was when it was fitted, as seen from here or from a folder above the result.
+
+    Its name may be relative to where the fit ran, and a project may have moved as a whole.
+    """
+    named = Path(result.source.path)
+    places = [named, *(folder / named for folder in path.absolute().parents), path.parent / named.name]
+    try:
+        return next((place for place in places if place.is_file()), named)
+    except ValueError:  # a NUL in it, which reading it complains about
+        return named
+
+
+def show(path: Path, result: Result, file: Path, out: Path, needs_file: bool = False) -> bool:
+    """Print and draw.
+
+    Args:
+        needs_file: whether it is bad input if the MERL file is of no use.
+
+    Returns:
+        False if what could have been drawn was not.
+    """
     use_persistent_cache()
     print_result(console, result)
+    if result.model is None:
+        note(f"nothing to draw: the fit ended {result.fit.status}")
+        return True
     writable_folder(out)
-    pictures, chain = {}, None
-    try:
-        chain = plots.chain_file(result, path.parent)
-        pictures["corner"] = plots.corner_figure(result, chain)
-    except plots.NoPicture as error:
-        errors.print(f"merlfit: no corner plot: {error}", markup=False, soft_wrap=True)
-    try:
-        measurement = read(file, result.source.sha1)
-        if result.model is not None:
-            pictures["lobes"] = plots.lobe_figure(result, measurement, chain)
-    except MerlError as error:
-        errors.print(f"merlfit: no lobe plot: {error}; name the file with --file", markup=False, soft_wrap=True)
-    for name, figure in pictures.items():
+    drawn = []
+
+    def save(name: str, figure: Figure) -> None:
         target = out / f"{result.source.material}.{name}.png"
         try:
             plots.save(figure, target)
-        except OSError as error:
-            raise fail(f"{target}: cannot be written ({error.strerror or error})") from None
-        console.print(f"wrote {target}", markup=False, soft_wrap=True)
-    return "lobes" in pictures or result.model is None
+        except WriteError as error:
+            raise fail(str(error)) from None
+        except ValueError as error:  # text that was edited into what is no formula
+            note(f"{target}: cannot be drawn ({str(error).strip().splitlines()[0]})")
+            return
+        drawn.append(name)
+        console.print(f"wrote {target}", soft_wrap=True)
+
+    chain = None
+    try:
+        chain = plots.chain_file(result, path.parent)
+        save("corner", plots.corner_figure(result, chain))
+    except plots.NoPicture as error:
+        note(f"no corner plot: {error}")
+    try:
+        save("lobes", plots.lobe_figure(result, read(file, result.source.sha1), chain))
+    except MerlError as error:
+        note(f"no lobe plot: {error}; name the file with --file")
+    if not drawn:
+        note("nothing was drawn")
+    return "lobes" in drawn if needs_file else bool(drawn)

@@ -280,6 +280,7 @@ def _advance(
     """So many steps; ``done`` before them, of ``most``: for ``progress``."""
     walkers, size = now.coords.shape
     sampler = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves)
+    sampler.log_prob_fn = log_prob  # pyright: ignore[reportAttributeAccessIssue] - emcee's wrapper prints all walkers at Ctrl-C
     for _ in sampler.sample(now, iterations=steps):
         progress(done + sampler.iteration, most)
     states, found = np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob())

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from ..merl_io.binary import BRIGHTEST, OUTLIER
+from ..merl_io.binary import BRIGHTEST, DIMS, OUTLIER
 from ..merl_io.check import FileReport
 from ..model.effects import Effects
 from .export import Accuracy, DerivedResult, ParameterResult, Result
@@ -35,20 +35,21 @@ def number(x: float | None, digits: int = 4) -> str:
 
 def check_table(reports: Sequence[FileReport]) -> Table:
     """What `merlfit check` prints."""
+    bins = "x".join(map(str, DIMS))
     table = Table(
-        title=f"MERL files (inf: or above {BRIGHTEST:g}/sr; outliers: over {OUTLIER:g} times what is beside them; "
-        "max: largest value, 1/sr; genuine: by SHA-1)",
+        title=f"MERL files of {bins} bins (inf: or above {BRIGHTEST:g}/sr; outliers: over {OUTLIER:g} times what is "
+        "beside them; max: largest value, 1/sr; genuine: by SHA-1)",
         title_justify="left",
     )
     left = ("file", "genuine MERL")
     numbers = ("valid", "negative", "NaN", "inf", "outliers", "max R", "max G", "max B")
-    for head in ("file", "dims", *numbers, "genuine MERL"):
+    for head in ("file", *numbers, "genuine MERL"):
         table.add_column(
             head, justify="left" if head in left else "right", overflow="fold" if head in left else "ellipsis"
         )
     for r in reports:
         table.add_row(
-            escape(r.path.name), "x".join(map(str, r.dims)), f"{r.fraction_valid:.1%}",
+            str(r.path), f"{r.fraction_valid:.1%}",
             str(r.negative), str(r.nan), str(r.inf), str(r.outliers),
             *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no",
         )  # fmt: skip
@@ -57,20 +58,23 @@ def check_table(reports: Sequence[FileReport]) -> Table:
 
 def summary_table(outcomes: Sequence[Outcome]) -> Table:
     """One row a file of a batch."""
-    table = Table(title="Fits", title_justify="left")
-    numbers = ("cost", "RMSE 1/sr", "sMAPE", "picture dE", "peak", "seconds")
-    for head in ("material", "interface, body", "status", *numbers[:-1], "posterior", "seconds"):
-        table.add_column(head, justify="right" if head in numbers else "left")
+    table = Table(
+        title="Fits (RMSE in 1/sr; dE: mean CIELAB distance of spheres; peak: fitted over measured highlight)",
+        title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    numbers = ("RMSE", "sMAPE", "dE", "peak", "s")
+    for head in ("material", "model", "status", *numbers[:-1], "posterior", "s"):
+        table.add_column(head, justify="right" if head in numbers else "left", overflow="fold")
     for o in outcomes:
         if o.result is None:
-            table.add_row(escape(o.path.stem), "-", f"failed: {escape(str(o.error))}", *"------")
+            table.add_row(o.path.stem, "-", f"failed: {o.error}", *"------")
             continue
         r = o.result
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
-            escape(r.source.material), ", ".join(r.model.effects.kind) if r.model else "-", r.fit.status,
-            number(r.fit.cost, 3), number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.picture, 3),
-            number(r.metrics.highlight, 3), chain, f"{r.seconds['total']:.1f}",
+            r.source.material, " ".join(r.model.effects.kind) if r.model else "-", r.fit.status,
+            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.picture, 2),
+            number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
     return table
 
@@ -90,7 +94,7 @@ def in_words_of(effects: Effects) -> str:
 
 def parameter_table(result: Result) -> Table:
     """Parameters with intervals."""
-    table = Table(title=f"{escape(result.source.material)}: fitted parameters", title_justify="left")
+    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left")
     for head in ("parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", "meaning"):
         table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
     for q in result.parameters:
@@ -104,7 +108,7 @@ def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
     origin = f"genuine MERL file {s.genuine_merl}" if s.genuine_merl else "not a genuine MERL file (other SHA-1)"
-    console.print(f"{s.material}: {s.path}, {origin}, {s.fraction_valid:.1%} of bins valid", markup=False)
+    console.print(f"{s.material}: {s.path}, {origin}, {s.fraction_valid:.1%} of bins valid")
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
         return
@@ -126,7 +130,7 @@ def print_result(console: Console, result: Result) -> None:
         f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
     )
     for caution in f.cautions:
-        console.print(f"caution: {caution}", markup=False)
+        console.print(f"caution: {caution}")
     if len(f.candidates) > 1:
         console.print(
             "interfaces and bodies on the coarse grid (score, the lowest is best): "
@@ -134,9 +138,9 @@ def print_result(console: Console, result: Result) -> None:
         )
     if result.identifiability is not None:
         for line in in_words(result.identifiability):
-            console.print(line, markup=False)
+            console.print(line)
     if bound := [f"{q.name} ({q.at_bound})" for q in result.parameters if q.at_bound != "no"]:
-        console.print(f"at a bound: {', '.join(bound)}", markup=False)
+        console.print(f"at a bound: {', '.join(bound)}")
     if result.accuracy is not None:
         console.print(accuracy_line(result.accuracy))
     if result.posterior is None:

@@ -1,7 +1,7 @@
 """The posterior of a fit, from its likelihood to the file with its chain and its draws."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from ..merl_io.atomic import WriteError
 from ..merl_io.samples import Samples
 from ..model.derived import derived
 from .clock import Report, silent
@@ -85,7 +86,8 @@ def draw(
         chain, emulator = begin(few, layout, solution.z, covariance, seed, say)
 
     def keep(chain: Chain) -> None:
-        write_chain(path, {**_names(layout), **chain.arrays()})
+        if said := _unwritten(path, {**_names(layout), **chain.arrays()}):
+            report(f"posterior: {said}")
 
     chain = extend(chain, few, emulator, max_steps + (len(chain.states) if resume else 0), say, keep)
     problem, lowest = make_problem(samples, precision="float32"), solution.cost  # 1e-6 of S is 1e-6 N of log L
@@ -93,6 +95,15 @@ def draw(
         chain, few.log_likelihood, lambda z: log_likelihood(layout, z, problem, fitted.count, lowest),
         layout.coordinates, lambda done, most: report(f"posterior: all bins, draw {done} of {most}"),
     )  # fmt: skip
+
+
+def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:
+    """Write a chain; in words why it cannot be written, which is no reason to give up the posterior."""
+    try:
+        write_chain(path, arrays)
+    except WriteError as error:
+        return f"the chain is not kept: {error}"
+    return ""
 
 
 def _names(layout: Layout) -> dict[str, np.ndarray]:
@@ -116,5 +127,6 @@ def sample(
     )
     draws = {"draws_free": found.draws, "weights": found.weights, "log_ratio": found.log_ratio, "values": done.values}
     told = {**_names(layout), **found.chain.arrays(), **draws}
-    write_chain(path, {**told, **{f"derived_{k}": x for k, x in done.derived.items()}})
+    if said := _unwritten(path, {**told, **{f"derived_{k}": x for k, x in done.derived.items()}}):
+        return replace(done, posterior=replace(found, message=f"{found.message}; {said}"))
     return done

@@ -41,8 +41,12 @@ def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
     return values, said
 
 
-def from_result(path: Path) -> tuple[np.ndarray, str]:
-    """A fitted material, without the acquisition's grazing loss.
+def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str]:
+    """A fitted material, and in words what it is.
+
+    Args:
+        grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles; otherwise the
+            material itself, which is brighter there than the file that was fitted.
 
     Raises:
         ResultError: not a result, or a failed one.
@@ -51,8 +55,17 @@ def from_result(path: Path) -> tuple[np.ndarray, str]:
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
-    values = _tabulate(lambda g: two_scale(params, g, m.effects.material, m.wavelengths_um))
-    return values, f"synthetic MERL file from the two-scale fit of {result.source.material}"
+    effects = m.effects if grazing_loss else m.effects.material
+    values = _tabulate(lambda g: two_scale(params, g, effects, m.wavelengths_um))
+    said = f"synthetic MERL file from the two-scale fit of {result.source.material}"
+    if m.effects.acquisition == "off":
+        return values, said
+    if grazing_loss:
+        return values, f"{said}, with the grazing loss of MERL's apparatus, as the file that was fitted has it"
+    return values, (
+        f"{said}, the material alone: near grazing angles many times brighter than the file that was fitted, which "
+        "lacks light that MERL's apparatus lost there; --with-grazing-loss writes it as measured"
+    )
 
 
 def describe_sources() -> str:

@@ -1,32 +1,164 @@
-"""What the commands say: tables and errors, what is being done and for how long."""
+"""What the commands say: tables and errors, what is being done and for how long, and how they are stopped."""
 
+import io
+import os
+import signal
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 
 import typer
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 BAD_INPUT, FAILED_FIT = 2, 1  # exit codes
-console = Console()
+WORDS = 28  # columns that are left to running text in a table before it gets a table of its own
+STOPS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
+
+
+class Stopped(BaseException):
+    """Somebody stopped the program: by Ctrl-C, or by SIGTERM as job schedulers do.
+
+    No ``KeyboardInterrupt``, which libraries answer in ways of their own.
+
+    Attributes:
+        code: what to exit with, 128 and the signal's number, as shells expect it.
+    """
+
+    def __init__(self, number: int = signal.SIGINT) -> None:
+        super().__init__(STOPS[signal.Signals(number)])
+        self.code = 128 + number
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Ctrl-C and SIGTERM raise :class:`Stopped` in here; a second one ends the program on the spot."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        for each in STOPS:
+            signal.signal(each, signal.SIG_DFL)
+        raise Stopped(number)
+
+    before = {each: signal.getsignal(each) for each in STOPS}
+    heard = [each for each, handler in before.items() if handler != signal.SIG_IGN]  # nohup and the like stay deaf
+    for each in heard:
+        signal.signal(each, stop)
+    try:
+        yield
+    finally:
+        for each in heard:
+            signal.signal(each, before[each])
+
+
+class Screen(Console):
+    """A console without markup, to which tables fit, and which no reader can stop from working.
+
+    A pipe that was closed (``| head``) or a full disk ends what is printed, not what is computed.
+
+    Attributes:
+        lost: why nothing more is printed, if so.
+    """
+
+    lost: OSError | None = None
+
+    def print(self, *objects: object, **options: object) -> None:
+        """As rich prints, but tables that are too wide are divided."""
+        divided = [part for each in objects for part in (_divided(each, self) if isinstance(each, Table) else [each])]
+        with self._unbroken():
+            super().print(*divided, **options)  # pyright: ignore[reportArgumentType] - rich's own options, handed on
+
+    def flush(self) -> None:
+        """Now, while a failure can still be told, and not when the interpreter ends."""
+        with self._unbroken():
+            self.file.flush()
+
+    def on_broken_pipe(self) -> None:
+        """Rich would end the program."""
+        self._lose(BrokenPipeError())
+
+    @contextmanager
+    def _unbroken(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._lose(error)
+
+    def _lose(self, error: OSError) -> None:
+        self.lost, self.quiet = error, True
+        with suppress(OSError, ValueError):  # what is still buffered goes nowhere, and exit does not stumble over it
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+        if not self.stderr and not isinstance(error, BrokenPipeError):
+            fail(f"standard output cannot be written ({error.strerror or error}); files are written all the same")
+
+
+def _divided(table: Table, console: Console) -> list[Table]:
+    """The same table, or several that begin with its first column, none of which is wider than the console."""
+    rows = list(zip(*(column.cells for column in table.columns), strict=True))
+
+    def part(columns: list[int]) -> Table:
+        made = Table(title_justify=table.title_justify, box=table.box)
+        for k in columns:
+            made.add_column(table.columns[k].header, justify=table.columns[k].justify, overflow="fold")
+        for row in rows:
+            made.add_row(*(row[k] for k in columns))
+        return made
+
+    def width(columns: list[int]) -> int:
+        return Measurement.get(console, console.options.update(width=10_000), part(columns)).maximum
+
+    parts = [[0]]
+    for k in range(1, len(table.columns)):
+        spare = max(width([0, k]) - width([0]) - WORDS, 0)  # running text may be wrapped so far
+        if width([*parts[-1], k]) - spare > console.width and len(parts[-1]) > 1:
+            parts.append([0])
+        parts[-1].append(k)
+    if len(parts) == 1:
+        return [table]
+    made = [part(columns) for columns in parts]
+    made[0].title = table.title
+    return made
+
+
+console = Screen(markup=False)
 if not console.is_terminal:
-    console = Console(width=140)  # tables in logs and pipes are not squeezed to 80 columns
-errors = Console(stderr=True)
+    console = Screen(markup=False, width=140)  # tables in logs and pipes are not squeezed to 80 columns
+errors = Screen(markup=False, stderr=True)
+_shown: list[Progress] = []  # the display that is on the terminal now
 
 
 def fail(message: str) -> typer.Exit:
     """Print one line; what to raise unless others go on."""
-    errors.print(f"merlfit: {message}", style="red", highlight=False, soft_wrap=True, markup=False)
+    note(message, style="red")
     return typer.Exit(BAD_INPUT)
 
 
-def progress_display() -> Progress:
+def note(message: str, style: str | None = None) -> None:
+    """Print one line where errors go, clear of the progress display."""
+    for progress in _shown:
+        progress.stop()
+    errors.print(f"merlfit: {message}", style=style, highlight=False, soft_wrap=True)
+    for progress in _shown:
+        progress.start()
+
+
+@contextmanager
+def progress_display() -> Iterator[Progress]:
     """What is being done and for how long, on a terminal."""
-    return Progress(
+    progress = Progress(
         SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(),
         console=console, transient=True, disable=not console.is_terminal,
     )  # fmt: skip
+    _shown.append(progress)
+    try:
+        with progress:
+            yield progress
+    finally:
+        _shown.remove(progress)
 
 
 def writable_folder(out: Path) -> None:
@@ -47,6 +179,23 @@ def reporter(progress: Progress, task: TaskID, label: str) -> Callable[[str], No
         progress.update(task, description=f"{label}: {stage}")
         if not console.is_terminal and stage.split(":")[0] != last[0]:
             last[0] = stage.split(":")[0]
-            console.print(f"{label}: {stage}", markup=False)
+            console.print(f"{label}: {stage}")
 
     return report
+
+
+def run(app: Callable[[], None]) -> None:
+    """Run the command line; what it prints can always be encoded, and whoever stops it is told so in one line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files that are no UTF-8
+    try:
+        with stoppable():
+            app()
+    except Stopped as stop:
+        note(f"stopped by {stop}; files that were written before are whole")
+        sys.exit(stop.code)
+    except SystemExit as end:
+        console.flush()
+        unsaid = console.lost is not None and not isinstance(console.lost, BrokenPipeError)
+        sys.exit(end.code or (FAILED_FIT if unsaid else 0))

@@ -7,13 +7,24 @@ from pathlib import Path
 from typing import IO
 
 
+class WriteError(OSError):
+    """A file that cannot be written; the message is one line that names it."""
+
+
 def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
     """Let ``write`` fill a file beside ``path`` and give it that name when it is whole.
 
     Raises:
-        OSError: it cannot be written; nothing is left behind, and an older file of that name stays as it was.
+        WriteError: it cannot be written; nothing is left behind, and an older file of that name stays as it was.
     """
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        _write(path, write)
+    except OSError as error:
+        raise WriteError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def _write(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".merlfit-")  # of any length, the name may be as long
     try:
         with os.fdopen(handle, "wb") as file:
             write(file)

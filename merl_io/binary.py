@@ -16,13 +16,15 @@ from typing import IO
 
 import numpy as np
 
-from .atomic import write_atomically
+from .atomic import WriteError, write_atomically
 
 DIMS = (90, 90, 180)
 CHANNELS = 3
 SCALES = np.array([1.0 / 1500, 1.15 / 1500, 1.66 / 1500])
 HEADER = struct.Struct("<3i")
-FILE_BYTES = HEADER.size + CHANNELS * int(np.prod(DIMS)) * 8
+COLOURS = ("red", "green", "blue")
+PLANE_BYTES = int(np.prod(DIMS)) * 8
+FILE_BYTES = HEADER.size + CHANNELS * PLANE_BYTES
 NO_DATUM = -1.0
 BRIGHTEST = 1e15  # 1/sr: beyond any mirror in a 1 degree bin by 11 orders; such a number is no measurement
 OUTLIER = 1e4  # times the median over phi_d at the same theta_h and theta_d: masking and 1/cos alone vary along it
@@ -107,38 +109,50 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None) -> Measur
             kind = "a directory; name the .binary files in it" if path.is_dir() else "not a regular file"
             raise MerlError(f"{path}: is {kind}")
         with open(path, "rb") as file:
-            head = file.read(HEADER.size)
-            _check_header(path, head, info.st_size)
-            raw = np.memmap(file, dtype=np.uint8, mode="r")
+            return _read(path, file, info.st_size, fitted_sha1)
     except FileNotFoundError:
         raise MerlError(f"{path}: no such file") from None
     except PermissionError:
         raise MerlError(f"{path}: no permission to read it; check its mode and owner") from None
     except OSError as error:
         raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
-    sha1, blob = hashlib.sha1(raw.data), hashlib.sha1(b"blob %d\0" % FILE_BYTES)
+    except MerlError:
+        raise
+    except ValueError:  # a NUL in it
+        raise MerlError(f"{str(path)!r}: is not the name of a file") from None
+
+
+def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None) -> Measurement:
+    """Plane by plane, never mapped into memory: a file that another program cuts short is an error, not a crash."""
+    head = file.read(HEADER.size)
+    _check_header(path, head, size)
+    sha1, blob = hashlib.sha1(head), hashlib.sha1(b"blob %d\0" % FILE_BYTES + head)
+    values, bad = np.empty((CHANNELS, *DIMS)), np.zeros((CHANNELS, *DIMS), bool)
+    counts = np.zeros(3, int)
+    for plane, scale in enumerate(SCALES):
+        raw = file.read(PLANE_BYTES)
+        if len(raw) < PLANE_BYTES:
+            raise MerlError(f"{path}: became shorter while it was read; copy it again, or wait until it is written")
+        sha1.update(raw)
+        blob.update(raw)
+        numbers = np.frombuffer(raw, "<f8").reshape(DIMS)
+        with np.errstate(invalid="ignore"):  # signalling NaNs, which are counted as any others
+            kinds = numbers < 0, np.isnan(numbers), numbers * scale >= BRIGHTEST
+            np.multiply(numbers, scale, out=values[plane])
+        counts += [kind.sum() for kind in kinds]
+        np.logical_or.reduce(kinds, out=bad[plane])
     if fitted_sha1 not in (None, sha1.hexdigest()):
         raise MerlError(f"{path}: is not the file that was fitted (other SHA-1)")
-    blob.update(raw.data)
-    stored = raw[HEADER.size :].view("<f8").reshape((CHANNELS, *DIMS))
-    return _measurement(path, stored, sha1.hexdigest(), blob.hexdigest())
-
-
-def _measurement(path: Path, stored: np.ndarray, sha1: str, blob_sha1: str) -> Measurement:
-    values = np.empty(stored.shape)
-    invalid = np.zeros(DIMS, bool)
-    counts = np.zeros(3, int)
-    for plane, (numbers, scale) in enumerate(zip(stored, SCALES, strict=True)):
-        kinds = numbers < 0, np.isnan(numbers), numbers * scale >= BRIGHTEST
-        counts += [kind.sum() for kind in kinds]
-        invalid |= np.logical_or.reduce(kinds)
-        np.multiply(numbers, scale, out=values[plane])
+    invalid = np.logical_or.reduce(bad, axis=0)
     if invalid.all():
+        share = ", ".join(f"{c} {b.mean():.0%}" for c, b in zip(COLOURS, bad, strict=True))
         raise MerlError(
-            f"{path}: holds no valid bin: all are negative, not finite or above {BRIGHTEST:g}/sr; nothing can be fitted"
+            f"{path}: holds no valid bin, so that nothing can be fitted: in every bin a channel is negative, not "
+            f"finite or above {BRIGHTEST:g}/sr ({share} of the bins)"
         )
     values[:, invalid] = np.nan
-    return Measurement(path, values, ~invalid, int(counts[0]), int(counts[1]), int(counts[2]), sha1, blob_sha1)
+    negative, nan, inf = counts.tolist()
+    return Measurement(path, values, ~invalid, negative, nan, inf, sha1.hexdigest(), blob.hexdigest())
 
 
 def _check_header(path: Path, head: bytes, size: int) -> None:
@@ -188,5 +202,5 @@ def write(path: str | os.PathLike[str], values: np.ndarray, valid: np.ndarray | 
 
     try:
         write_atomically(path, fill)
-    except OSError as error:
-        raise MerlError(f"{path}: cannot be written ({error.strerror or error})") from None
+    except WriteError as error:
+        raise MerlError(str(error)) from None

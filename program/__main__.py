@@ -1,0 +1,5 @@
+"""``python -m merlfit``."""
+
+from merlfit.fitting.cli import main
+
+main()

@@ -1,0 +1,116 @@
+"""Results that were edited or damaged: one clear line each, and nothing written where it should not be."""
+
+import json
+import math
+
+import pytest
+from made_results import made
+from merlfit.fitting import cli
+from merlfit.fitting.export import ResultError, Source, read_result, write_result
+from merlfit.model.effects import Effects
+from typer.testing import CliRunner
+
+
+def edited(tmp_path, edit, **kind):
+    """A file with a result that was changed by ``edit``."""
+    path = tmp_path / "edited.json"
+    write_result(path, made(**kind))
+    data = json.loads(path.read_text())
+    path.write_text(json.dumps(edit(data) or data))
+    return path
+
+
+def set_value(name, value):
+    def edit(data):
+        (found,) = [q for q in data["parameters"] if q["name"] == name]
+        found["value"] = value
+
+    return edit
+
+
+def drop(data, name):
+    data["parameters"] = [q for q in data["parameters"] if q["name"] != name]
+
+
+EDITS = {
+    "beta is 0": (set_value("beta", 0), r"parameters\.0: beta 0 is outside its bounds \[0\.001, 1\]"),
+    "beta is -1": (set_value("beta", -1), "beta -1 is outside its bounds"),
+    "NaN": (set_value("beta", math.nan), "value: is not a finite number"),
+    "1e999": (set_value("beta", math.inf), "value: is not a finite number"),
+    "a missing parameter": (lambda d: drop(d, "beta"), "beta is missing"),
+    "a missing channel": (lambda d: drop(d, "n_G"), "n_G is missing"),
+    "another body": (lambda d: d["model"]["effects"].update(body="plastic", index="real"), "eta_R is missing"),
+    "no such body": (lambda d: d["model"]["effects"].update(body="wood"), "should be 'none'"),
+    "complex under plastic": (lambda d: d["model"]["effects"].update(body="plastic"), "its index is real, not complex"),
+    "no wavelengths": (lambda d: d["model"].update(wavelengths_um=[]), "wavelengths_um has 0 entries, channels 3"),
+    "four wavelengths": (lambda d: d["model"].update(wavelengths_um=[0.6] * 4), "wavelengths_um has 4 entries"),
+    "negative wavelengths": (lambda d: d["model"].update(wavelengths_um=[-0.6] * 3), "-0.6 is not between 0.1 and 10"),
+    "exact": (lambda d: d["model"]["effects"].update(diffraction="exact"), "no fit uses it"),
+    "no channels": (lambda d: d["model"].update(channels=[]), "channels should be R, G, B, not none"),
+    "empty sizes": (lambda d: d["posterior"].update(effective_size=[]), "effective_size has 0 entries, coordinates 13"),
+    "no version": (lambda d: d.pop("schema_version") and None, "schema_version: is missing"),
+    "newer": (lambda d: d.update(schema_version="9.0"), r"by a newer merlfit \(schema 9.0.*: update merlfit"),
+    "newer minor": (lambda d: d.update(schema_version="1.999"), "by a newer merlfit"),
+    "unknown version": (lambda d: d.update(schema_version="one"), "schema_version 'one' is none of 1.0"),
+    "an absolute name": (lambda d: d["source"].update(material="/tmp/abs"), "is not the name of a file"),
+    "a name elsewhere": (lambda d: d["source"].update(material="../../evil"), "is not the name of a file"),
+    "no name": (lambda d: d["source"].update(material=".."), "is not the name of a file"),
+    "NUL": (lambda d: d["source"].update(material="a\0b"), "is not the name of a file"),
+    "a chain elsewhere": (lambda d: d["posterior"].update(chain_file="/etc/passwd"), "is not the name of a file"),
+    "an unknown field": (lambda d: d["fit"].update(colour=1), r"fit\.colour: is no field of a result"),
+    "a list": (lambda d: [d], "should be an object"),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_what_no_fit_writes_is_refused_in_one_line(name, tmp_path):
+    edit, words = EDITS[name]
+    path = edited(tmp_path, edit, posterior=True)
+    with pytest.raises(ResultError, match=words) as error:
+        read_result(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+    assert "Value error" not in str(error.value)
+    assert "Input" not in str(error.value)
+
+
+@pytest.mark.parametrize("command", ["inspect", "sample", "synth"])
+def test_every_command_refuses_an_edited_result_and_writes_nothing(command, tmp_path):
+    path = edited(tmp_path, lambda d: d["source"].update(material="../../evil"))
+    out = tmp_path / "a" / "b"
+    out.mkdir(parents=True)
+    options = {"inspect": ["-o", out], "sample": [], "synth": ["-o", out / "x.binary"]}[command]
+    shown = CliRunner().invoke(cli.app, [command, *map(str, [path, *options])])
+    assert shown.exit_code == cli.BAD_INPUT
+    assert "is not the name of a file" in shown.stderr
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "b", "edited.json"]
+
+
+@pytest.mark.parametrize(
+    "effects", [Effects("plastic", acquisition="free"), Effects("none", "off"), Effects("lambert")]
+)
+def test_results_of_a_fit_come_back_as_they_were(effects, tmp_path):
+    result = made(effects=effects, posterior=True)
+    write_result(tmp_path / "x.json", result)
+    assert read_result(tmp_path / "x.json") == result
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path):
+    write_result(tmp_path / "x.json", made())
+    (tmp_path / "bom.json").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "x.json").read_bytes())
+    assert read_result(tmp_path / "bom.json") == made()
+
+
+def test_a_value_at_its_bound_but_for_rounding_is_no_mistake(tmp_path):
+    path = edited(tmp_path, set_value("beta", 1.0 + 2e-16))
+    assert read_result(path).values()["beta"] == 1.0 + 2e-16
+
+
+def test_a_name_that_is_no_utf8_can_be_written(tmp_path):
+    """It would have cost the finished fit."""
+    name = b"caf\xe9".decode("utf-8", "surrogateescape")
+    result = made(material=name, path=f"/data/{name}.binary", posterior=False)
+    target = tmp_path / f"{name}.json"
+    write_result(target, result)
+    assert read_result(target).source.material == "caf\N{REPLACEMENT CHARACTER}"
+    assert Source.model_validate(result.source.model_dump()) == result.source

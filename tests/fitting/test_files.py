@@ -1,0 +1,273 @@
+"""Batches of files and the folder that they are written to; fits are stood in for, none is compiled."""
+
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_results import made
+from merlfit.fitting import cli, files, keeping, sampling
+from merlfit.fitting.export import read_result, write_result
+from merlfit.fitting.importance import Posterior
+from merlfit.fitting.keeping import Complete, completeness, place_of
+from merlfit.fitting.run import chain_of
+from merlfit.fitting.terminal import Stopped
+from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.atomic import WriteError
+from merlfit.merl_io.binary import DIMS, MerlError, write
+from merlfit.model.effects import Effects
+from typer.testing import CliRunner
+
+
+def call(*words):
+    return CliRunner().invoke(cli.app, [str(w) for w in words])
+
+
+@pytest.fixture
+def stand_in(monkeypatch):
+    """Let a function take the place of the fit: it is given the file and the folder to write to."""
+
+    def put(fit):
+        monkeypatch.setattr(files, "fit_file", lambda path, out, *_: fit(path, out))
+        monkeypatch.setattr(files, "use_persistent_cache", lambda: None)
+
+    return put
+
+
+def put_result(out, posterior=None, chain=None, name="nickel", **kind):
+    """A result as a fit leaves it; chain: what is in the file beside it."""
+    out.mkdir(exist_ok=True, parents=True)
+    result = made(name, posterior=posterior, **kind)
+    write_result(out / f"{name}.json", result)
+    if chain is not None:
+        chain_of(out / f"{name}.json").write_text(chain)
+    return result
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ({"succeeded": False}, Complete.NOTHING),
+        ({}, Complete.FIT),
+        ({"chain": "some"}, Complete.CHAIN),
+        ({"posterior": False, "chain": "some"}, Complete.POSTERIOR),
+        ({"posterior": True, "chain": "some"}, Complete.INTERVALS),
+    ],
+)
+def test_how_complete_a_result_is(kind, expected, tmp_path):
+    put_result(tmp_path, **kind)
+    assert completeness(tmp_path / "nickel.json") == expected
+
+
+@pytest.mark.parametrize("text", [None, "", "[1]", '{"posterior": 3}'])
+def test_what_is_no_result_holds_nothing(text, tmp_path):
+    if text is not None:
+        (tmp_path / "nickel.json").write_text(text)
+    assert completeness(tmp_path / "nickel.json") == Complete.NOTHING
+
+
+def test_fitting_again_without_a_posterior_keeps_the_finished_one(tmp_path, stand_in):
+    out = tmp_path / "fits"
+    before = put_result(out, posterior=True, chain="the old chain")
+    stand_in(lambda path, folder: put_result(folder))
+    shown = call("fit", "nickel.binary", "-o", out, "--no-posterior")
+    assert shown.exit_code == 0
+    assert read_result(out / "nickel.json") == before
+    assert chain_of(out / "nickel.json").read_text() == "the old chain"
+    assert read_result(out / "nickel.2" / "nickel.json").posterior is None
+    said = " ".join(shown.stderr.split())
+    assert "nickel.json stays as it was, with a fit and a posterior with intervals" in said
+    assert "nickel.2/nickel.json is the new one, a fit without a posterior" in said
+
+
+def test_stopping_a_second_sampling_keeps_the_finished_one(tmp_path, stand_in):
+    out = tmp_path / "fits"
+    before = put_result(out, posterior=True, chain="the old chain")
+
+    def stopped(path, folder):
+        put_result(folder, chain="a short chain")
+        raise Stopped
+
+    stand_in(stopped)
+    shown = call("fit", "nickel.binary", "other.binary", "-o", out)
+    assert shown.exit_code == 130
+    assert read_result(out / "nickel.json") == before
+    assert chain_of(out / "nickel.json").read_text() == "the old chain"
+    assert chain_of(out / "nickel.2" / "nickel.json").read_text() == "a short chain"
+    assert len(shown.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(("old", "new"), [(True, True), (False, True), (None, None), (None, False)])
+def test_a_result_at_least_as_complete_takes_the_place_of_the_old_one(old, new, tmp_path, stand_in):
+    out = tmp_path / "fits"
+    put_result(out, posterior=old, chain=None if old is None else "the old chain")
+    stand_in(lambda path, folder: put_result(folder, posterior=new, chain=None if new is None else "the new chain"))
+    assert call("fit", "nickel.binary", "-o", out).exit_code == 0
+    assert read_result(out / "nickel.json").posterior == made(posterior=new).posterior
+    assert [p.name for p in sorted(out.iterdir())] == ["nickel.chain.npz", "nickel.json"][new is None :]
+    assert new is None or chain_of(out / "nickel.json").read_text() == "the new chain"
+
+
+def test_the_chain_of_a_replaced_result_does_not_stay_beside_another(tmp_path):
+    put_result(tmp_path, posterior=False, chain="the old chain")
+    with place_of(tmp_path, "nickel") as place:
+        put_result(place.folder, posterior=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["nickel.json"]
+
+
+def test_of_two_unfinished_chains_both_stay(tmp_path):
+    put_result(tmp_path, chain="long")
+    for folder in ("nickel.2", "nickel.3"):
+        with place_of(tmp_path, "nickel") as place:
+            put_result(place.folder, chain="short")
+        assert place.path == tmp_path / folder / "nickel.json"
+    assert chain_of(tmp_path / "nickel.json").read_text() == "long"
+
+
+def test_a_failed_fit_does_not_take_the_place_of_one_that_succeeded(tmp_path):
+    before = put_result(tmp_path)
+    with place_of(tmp_path, "nickel") as place:
+        put_result(place.folder, succeeded=False)
+    assert read_result(tmp_path / "nickel.json") == before
+    assert "no fit that succeeded" in place.said
+
+
+def test_nothing_is_left_of_a_fit_that_wrote_nothing(tmp_path, stand_in):
+    out = tmp_path / "fits"
+    before = put_result(out)
+
+    def fails(path, folder):
+        raise MerlError(f"{path}: no such file")
+
+    stand_in(fails)
+    assert call("fit", "nickel.binary", "-o", out).exit_code == cli.BAD_INPUT
+    assert [p.name for p in out.iterdir()] == ["nickel.json"]
+    assert read_result(out / "nickel.json") == before
+
+
+def test_a_result_that_cannot_be_written_is_not_the_inputs_fault(tmp_path, stand_in):
+    def fails(path, folder):
+        raise WriteError(f"{folder / 'nickel.json'}: cannot be written (No space left on device)")
+
+    stand_in(fails)
+    shown = call("fit", "data/nickel.binary", "-o", tmp_path)
+    assert shown.exit_code == cli.FAILED_FIT
+    assert f"merlfit: {tmp_path}/nickel.json: cannot be written (No space left on device)" in shown.stderr
+    assert "unexpectedly" not in shown.stderr
+    assert "data/nickel" not in shown.stderr
+
+
+def test_a_file_that_may_not_be_read_does_not_stop_the_batch(tmp_path, stand_in, monkeypatch):
+    """Typer asks os.access and would refuse the whole command."""
+    paths = [tmp_path / f"{name}.binary" for name in ("a", "b")]
+    for path in paths:
+        path.write_bytes(b"")
+    monkeypatch.setattr("os.access", lambda path, mode: str(path) != str(paths[0]))
+
+    def fit(path, folder):
+        if path == paths[0]:
+            raise MerlError(f"{path}: no permission to read it")
+        return put_result(folder, name=path.stem)
+
+    stand_in(fit)
+    shown = call("fit", *paths, "-o", tmp_path / "fits")
+    assert shown.exit_code == cli.BAD_INPUT
+    assert "a.binary: no permission" in shown.stderr
+    assert (tmp_path / "fits" / "b.json").is_file()
+
+
+def test_quantiles_stay_when_only_the_chain_cannot_be_written(tmp_path, monkeypatch):
+    layout = layout_of(Effects("none", "off"))
+    draws = np.zeros((4, layout.size))
+    none = np.zeros(4)
+    chain = SimpleNamespace(arrays=dict)
+    found = Posterior(chain, draws, none + 0.25, none, 0.1, None, none, True, "long enough")
+    monkeypatch.setattr(sampling, "draw", lambda *_: found)
+    monkeypatch.setattr(sampling, "physical", lambda layout, draws: (draws + 1, {}))
+    fitted = SimpleNamespace(layout=layout, solution=SimpleNamespace(z=np.zeros(layout.size)))
+    path = tmp_path / "missing" / "x.chain.npz"
+    sampled = sampling.sample(fitted, None, 10, 0, path)
+    assert sampled.posterior.sufficient
+    assert np.all(sampled.values == 1)
+    assert sampled.posterior.message == (
+        f"long enough; the chain is not kept: {path}: cannot be written (No such file or directory)"
+    )
+
+
+def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
+    target = tmp_path / "mine.binary"
+    target.write_bytes(b"measured")
+    refused = call("synth", "nickel", "-o", target)
+    assert refused.exit_code == cli.BAD_INPUT
+    assert "mine.binary: is there already" in refused.stderr
+    assert "--force" in refused.stderr
+    assert target.read_bytes() == b"measured"
+
+
+def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monkeypatch):
+    monkeypatch.setattr("merlfit.fitting.synthesis._tabulate", lambda evaluate: evaluate)
+    seen = []
+    monkeypatch.setattr("merlfit.fitting.synthesis.two_scale", lambda *words: seen.append(words[2]))
+    monkeypatch.setattr("merlfit.merl_io.binary.write", lambda out, values: values(None))
+    monkeypatch.setattr("merlfit.fitting.compilation.use_persistent_cache", lambda: None)
+    put_result(tmp_path)
+    alone = call("synth", tmp_path / "nickel.json", "-o", tmp_path / "x.binary")
+    assert "near grazing angles many times brighter" in " ".join(alone.stdout.split())
+    assert "--with-grazing-loss" in alone.stdout
+    lossy = call("synth", tmp_path / "nickel.json", "-o", tmp_path / "x.binary", "--with-grazing-loss")
+    assert "with the grazing loss of MERL's apparatus" in " ".join(lossy.stdout.split())
+    assert [e.acquisition for e in seen] == ["off", "free"]
+    refused = call("synth", "nickel", "-o", tmp_path / "x.binary", "--with-grazing-loss")
+    assert refused.exit_code == cli.BAD_INPUT
+
+
+def test_inspect_finds_the_file_of_a_project_that_moved(tmp_path, monkeypatch):
+    """The path in a result is relative to where the fit ran."""
+    project = tmp_path / "project"
+    (project / "data").mkdir(parents=True)
+    write(project / "data" / "nickel.binary", np.ones((3, *DIMS)))
+    put_result(project / "fits", path="data/nickel.binary")
+    shutil.move(project, tmp_path / "moved")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    shown = call("inspect", tmp_path / "moved" / "fits" / "nickel.json", "-o", elsewhere)
+    assert "is not the file that was fitted" in shown.stderr  # found, and refused: another SHA-1
+
+
+def test_inspect_that_draws_nothing_says_so_and_fails(tmp_path):
+    put_result(tmp_path, path="nowhere/nickel.binary")
+    shown = call("inspect", tmp_path / "nickel.json")
+    assert shown.exit_code == cli.BAD_INPUT
+    assert "nothing was drawn" in shown.stderr
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_text_that_looks_like_markup_is_printed_as_it_is(tmp_path):
+    result = made(material="[bold]x", path="[red]nowhere")
+    result.parameters[0].meaning = "a [/] b"
+    result.parameters[1].unit = r"\frac{"
+    result.fit.message = "[/] ended"
+    write_result(tmp_path / "x.json", result)
+    shown = call("inspect", tmp_path / "x.json")
+    assert shown.exit_code == cli.BAD_INPUT  # there is no file to draw
+    for text in ("[bold]x", "[red]nowhere", "a [/] b", r"\frac{", "[/] ended"):
+        assert text in shown.stdout
+
+
+def test_a_picture_of_broken_text_is_said_to_be_impossible(tmp_path):
+    result = put_result(tmp_path, posterior=True)
+    result.parameters[0].symbol = r"\frac{"
+    write_result(tmp_path / "nickel.json", result)
+    rng, names = np.random.default_rng(0), [q.name for q in result.parameters]
+    np.savez(
+        tmp_path / "nickel.chain.npz",
+        names=names,
+        values=rng.normal(size=(200, len(names))),
+        weights=np.full(200, 5e-3),
+    )
+    shown = call("inspect", tmp_path / "nickel.json")
+    assert shown.exit_code == cli.BAD_INPUT
+    assert "nickel.corner.png: cannot be drawn" in shown.stderr
+    assert "Traceback" not in shown.stderr
+    assert keeping.completeness(tmp_path / "nickel.json") == Complete.INTERVALS

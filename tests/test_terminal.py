@@ -1,0 +1,183 @@
+"""What commands look like at 80 columns, and the first things that a newcomer types."""
+
+import io
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+import typer.main
+from made_results import made
+from merlfit.fitting import cli, compilation, terminal
+from merlfit.fitting.report import Outcome, check_table, print_result, summary_table
+from merlfit.fitting.terminal import Screen
+from merlfit.merl_io.check import FileReport
+from rich.table import Table
+from typer.testing import CliRunner
+
+runner = CliRunner()
+
+
+def screen(width=80):
+    return Screen(markup=False, width=width, file=io.StringIO())
+
+
+def shown(*objects):
+    printed = screen()
+    for each in objects:
+        printed.print(each)
+    text = printed.file.getvalue()
+    assert max(map(len, text.splitlines())) <= 80
+    return text
+
+
+def report(path):
+    return FileReport(Path(path), (90, 90, 180), 0.731, 123456, 7, 3, 12, (1234.5, 1187.25, 998.125), "nickel")
+
+
+def test_check_is_readable_at_80_columns():
+    text = shown(check_table([report("a/same.binary"), report("b/gold-metallic-paint2.binary")]))
+    for word in (
+        "a/same.binary",
+        "b/gold-metallic-paint2.binary",
+        "90x90x180",
+        "73.1%",
+        "123456",
+        "1187",
+        "yes: nickel",
+    ):
+        assert word in text
+    assert "…" not in text
+
+
+def test_the_summary_is_readable_at_80_columns():
+    failed = Outcome(Path("x/missing.binary"), None, "x/missing.binary: no such file", bad_input=True)
+    outcomes = [Outcome(Path("gold-metallic-paint2.binary"), made("gold-metallic-paint2", posterior=False)), failed]
+    text = shown(summary_table(outcomes))
+    for word in ("gold-metallic-paint2", "CONVERGED", "missing", "0.02", "2.5"):
+        assert word in text
+    assert "no such file" in " ".join(text.replace("│", " ").split())
+
+
+def test_inspect_is_readable_at_80_columns():
+    printed = screen()
+    print_result(printed, made(posterior=True))
+    text = printed.file.getvalue()
+    assert max(map(len, text.splitlines())) <= 80
+    for word in ("sigma_s", "grazing_exponent", "0.09 .. 0.11", "[0.001, 1]", "std. error"):
+        assert word in text
+
+
+def test_a_table_that_fits_is_left_whole():
+    table = Table("a", "b", title="whole")
+    table.add_row("1", "2")
+    text = shown(table)
+    assert text.count("a") == 1
+    assert "whole" in text
+
+
+def test_a_divided_table_keeps_every_cell_and_repeats_the_names():
+    heads = [f"column {k}" for k in range(12)]
+    table = Table(*heads, title="wide")
+    table.add_row("the name", *(f"cell {k}" for k in range(1, 12)))
+    text = shown(table)
+    assert all(f"cell {k}" in text and head in text for k, head in enumerate(heads[1:], 1))
+    assert text.count("the name") > 1
+    assert text.count("wide") == 1
+
+
+def commands():
+    return typer.main.get_command(cli.app).commands
+
+
+@pytest.mark.parametrize("name", list(commands()))
+def test_no_help_is_eaten_by_markup(name):
+    text = " ".join(re.sub("[│╭╰─╮╯]", " ", runner.invoke(cli.app, [name, "--help"]).stdout).split())
+    for parameter in commands()[name].params:
+        for bracket in re.findall(r"\[[^]]+\]", getattr(parameter, "help", None) or ""):
+            assert bracket in text
+
+
+def test_the_version_is_printed():
+    found = runner.invoke(cli.app, ["--version"])
+    assert found.exit_code == 0
+    assert re.fullmatch(r"merlfit \d+\.\d+\.\d+\n", found.stdout)
+
+
+def test_it_runs_as_a_module(tmp_path):
+    found = subprocess.run(
+        [sys.executable, "-m", "merlfit", "--version"], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert found.stdout.startswith("merlfit ")
+
+
+def test_the_shell_completes_commands(tmp_path):
+    words = {"_MERLFIT_COMPLETE": "complete_bash", "COMP_WORDS": "merlfit ins", "COMP_CWORD": "1"}
+    found = runner.invoke(cli.app, [], prog_name="merlfit", env=words)
+    assert found.stdout.split() == ["inspect"]
+
+
+def test_errors_stand_clear_of_the_progress_display(monkeypatch):
+    """Both on one terminal: the display is taken away, the line printed, the display shown again."""
+    both = io.StringIO()
+    on_screen = Screen(markup=False, file=both, force_terminal=True, width=80)
+    monkeypatch.setattr(terminal, "console", on_screen)
+    monkeypatch.setattr(terminal, "errors", Screen(markup=False, file=both, width=80))
+    with terminal.progress_display() as progress:
+        progress.add_task("fitting nickel")
+        progress.refresh()
+        terminal.fail("other.binary: no such file")
+    lines = re.split(r"\r|\n|\x1b\[2K", re.sub(r"\x1b\[(?!2K)[0-9;?]*[a-zA-Z]", "", both.getvalue()))
+    assert "merlfit: other.binary: no such file" in lines
+
+
+@pytest.fixture
+def told(monkeypatch):
+    found = []
+    monkeypatch.setattr(compilation, "note", found.append)
+    compilation._mend.cache_clear()
+    yield found
+    compilation._mend.cache_clear()
+
+
+def test_a_damaged_program_is_deleted_and_told_once(tmp_path, told, monkeypatch):
+    monkeypatch.setattr(warnings, "showwarning", lambda *_: pytest.fail("the warning itself is shown"))
+    names = [f"jit_{name}-0123abc-cache" for name in ("first", "second", "other")]
+    for name in names:
+        (tmp_path / name).write_bytes(b"damaged")
+    compilation._mend(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        for name in ("jit_first", "jit_second"):
+            warnings.warn(f"Error reading persistent compilation cache entry for '{name}': ZstdError: x", stacklevel=1)
+    assert [p.name for p in tmp_path.iterdir()] == names[2:]
+    assert told == [f"damaged programs in {tmp_path} were deleted; they are compiled anew, once"]
+
+
+def test_jax_is_told_to_compile_once_and_repairs_what_is_damaged(tmp_path):
+    program = """
+import jax, jax.numpy as jnp
+from merlfit.fitting.compilation import use_persistent_cache
+use_persistent_cache()
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.jit(lambda x: jnp.sin(x) @ x)(jnp.ones((8, 8)))
+"""
+
+    def run():
+        environment = {"MERLFIT_CACHE_DIR": str(tmp_path), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+        assert done.returncode == 0
+        return done.stderr
+
+    first = run()
+    assert first.count("merlfit: compiling, once") == 1
+    assert run() == ""
+    entries = list((tmp_path / "xla").glob("jit_*-cache"))
+    for entry in entries:
+        entry.write_bytes(entry.read_bytes()[:40])
+    repaired = run()
+    assert repaired.count("damaged programs") == 1
+    assert "Warning" not in repaired
+    assert run() == ""
