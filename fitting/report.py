@@ -15,6 +15,8 @@ from ..model.effects import Effects
 from .export import Accuracy, DerivedResult, ParameterResult, Result
 from .identifiability import in_words
 
+WIDE = 110  # columns, from which on a table has room for sentences
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -63,8 +65,10 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
         title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
     )  # fmt: skip
     numbers = ("RMSE", "sMAPE", "dE", "peak", "s")
-    for head in ("material", "model", "status", *numbers[:-1], "posterior", "s"):
-        table.add_column(head, justify="right" if head in numbers else "left", overflow="fold")
+    for head in ("material", "model", "status", *numbers[:-1], "chain", "s"):
+        least = 20 if head == "material" else 9 if head == "status" else None  # the longest of MERL's names
+        justify = "right" if head in numbers else "left"
+        table.add_column(head, justify=justify, overflow="fold", min_width=least)
     for o in outcomes:
         if o.result is None:
             table.add_row(o.path.stem, "-", f"failed: {o.error}", *"------")
@@ -92,15 +96,18 @@ def in_words_of(effects: Effects) -> str:
     return interface if effects.body == "none" else f"{interface} over {effects.body}"
 
 
-def parameter_table(result: Result) -> Table:
-    """Parameters with intervals."""
-    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left")
-    for head in ("parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", "meaning"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
+def parameter_table(result: Result, width: int) -> Table:
+    """Parameters with intervals; what they mean only where the terminal has room for it."""
+    heads = ["parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", *(["meaning"] if width >= WIDE else [])]
+    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left", box=box.SIMPLE_HEAD)
+    for head in heads:
+        left = head in ("parameter", "unit", "meaning")
+        table.add_column(head, justify="left" if left else "right", overflow="fold")
     for q in result.parameters:
         bounds = f"[{number(q.lower)}, {number(q.upper)}]" + (f" at {q.at_bound}" if q.at_bound != "no" else "")
         unit = "-" if q.unit == "1" else q.unit
-        table.add_row(q.name, number(q.value), number(q.standard_error, 2), interval(q), unit, bounds, q.meaning)
+        row = (q.name, number(q.value), number(q.standard_error, 2), interval(q), unit, bounds, q.meaning)
+        table.add_row(*row[: len(heads)])
     return table
 
 
@@ -118,7 +125,7 @@ def print_result(console: Console, result: Result) -> None:
         f"two-scale, {in_words_of(e)}, diffraction by {e.diffraction}, energy split {e.split}, "
         f"grazing exponent {m.grazing_exponent:.3f} ({e.acquisition})"
     )
-    console.print(parameter_table(result))
+    console.print(parameter_table(result, console.width))
     console.print(f"{f.status}: {f.message}")
     console.print(
         f"cost {number(f.cost)} of the weighted energy, RMSE {number(result.metrics.rmse)} 1/sr, "

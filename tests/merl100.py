@@ -2,13 +2,14 @@
 
 Every material is fitted from its file as `merlfit fit` does it, then once more with each of the weights that
 `--weights adaptive` tries, which gives the fits of three objectives: compressive, adaptive, none. Tables and pictures
-are `tests.merl100_report`.
+are `tests.merl100_report`. MERL_RECONSTRUCTIONS may name a folder in which to keep the files that are made, 3.5 GB.
 """
 
 import json
+import os
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -43,48 +44,62 @@ def told(fitted, seconds):
     }  # fmt: skip
 
 
-def measure(path):
-    """Fits of one file with three objectives, and the scores of the kinds that were compared."""
-    start = time.perf_counter()
-    config = load(posterior=False)
+def compressive(path):
+    """A file fitted as `merlfit fit` does it, and the kinds that were compared."""
+    start, config = time.perf_counter(), load(posterior=False)
     measurement = read(path)
     samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
-    compressive = fit(measurement, samples, config)
-    seconds = time.perf_counter() - start
-    ladder = config.model_copy(update={"fit": config.fit.model_copy(update={"weights": "adaptive"})})
-    tried = descend(compressive.layout, compressive.solution.z, measurement, samples, ladder, Clock())
-    tried[0] = replace(compressive, bend=config.rungs[0])
+    fitted = fit(measurement, samples, config)
+    candidates = [c.model_dump() for c in fitted.candidates]
+    return {"candidates": candidates, "compressive": told(fitted, time.perf_counter() - start)}
+
+
+def ladder(path, row):
+    """The same material with one weight after the other, from where the compressive one ended."""
+    start, config = time.perf_counter(), load(posterior=False, weights="adaptive")
+    first = row["compressive"]
+    layout, measurement = config.layout_of((first["index"], first["body"])), read(path)
+    samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    tried = descend(layout, layout.free(by_name(layout, first)), measurement, samples, config, Clock())
+    spent = first["seconds"] + time.perf_counter() - start
     kept = nearest([(f.errors.picture, f.errors.highlight) for f in tried])
-    spent = time.perf_counter() - start
+    every = [told(f, None) for f in tried]
+    return {"adaptive": told(tried[kept], spent), "none": told(tried[-1], spent), "tried": every}
+
+
+def by_name(layout, fit):
+    """Parameters of a row as the model takes them."""
+    flat = fit["parameters"]
     return {
-        "material": path.stem, "candidates": [c.model_dump() for c in compressive.candidates],
-        "compressive": told(compressive, seconds), "adaptive": told(tried[kept], spent),
-        "none": told(tried[-1], spent), "tried": [told(f, None) for f in tried],
-    }  # fmt: skip
+        q.name: np.array([flat[f"{q.name}_{channel}"] for channel in layout.channels])
+        if q.per_channel
+        else flat[q.name]
+        for q in layout.parameters
+    }
 
 
 def main(names=()):
-    """Fit what is not there yet, then write tables and pictures."""
+    """Fit what is not there yet, all materials with the compressive weight first; then write tables and pictures."""
     use_persistent_cache()
     FOLDER.mkdir(parents=True, exist_ok=True)
-    rows = json.loads(FITS.read_text()) if FITS.is_file() else []
-    with TemporaryDirectory() as made:
+    rows = {row["material"]: row for row in (json.loads(FITS.read_text()) if FITS.is_file() else [])}
+    for stage in ("compressive", "adaptive"):
         for material in names or every():
-            if material in (row["material"] for row in rows):
+            row = rows.setdefault(material, {"material": material})
+            if stage in row:
                 continue
-            path = file(made, material)
-            rows = sorted([*rows, measure(path)], key=lambda row: row["material"])
-            path.unlink()
-            text = json.dumps(rows, indent=1) + "\n"
+            with TemporaryDirectory() as made:
+                path = file(os.environ.get("MERL_RECONSTRUCTIONS", made), material)
+                row |= compressive(path) if stage == "compressive" else ladder(path, row)
+            text = json.dumps([rows[name] for name in sorted(rows)], indent=1) + "\n"
             write_atomically(FITS, lambda target, text=text: target.write(text.encode()))
-            row = next(r for r in rows if r["material"] == material)
-            said = " | ".join(
-                f"{name} {r['index']} {r['body']} RMSE {r['rmse']:.3g} sMAPE {r['smape']:.3g} dE {r['picture']:.3g} "
-                f"peak {r['highlight'] or np.nan:.2f} {r['status']} {r['seconds']:.1f} s"
-                for name, r in ((name, row[name]) for name in ("compressive", "adaptive", "none"))
+            r = row[stage]
+            print(
+                f"{stage} {material}: {r['index']} {r['body']} RMSE {r['rmse']:.3g} sMAPE {r['smape']:.3g} "
+                f"dE {r['picture']:.3g} peak {r['highlight'] or np.nan:.2f} {r['status']} {r['seconds']:.1f} s",
+                flush=True,
             )
-            print(f"{len(rows)} {material}: {said}", flush=True)
-    merl100_report.write(rows, FOLDER)
+    merl100_report.write([rows[name] for name in sorted(rows)], FOLDER)
 
 
 if __name__ == "__main__":
