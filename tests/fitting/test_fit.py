@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from merlfit.fitting import levenberg_marquardt, run
 from merlfit.fitting import problem as problems
-from merlfit.fitting.config import Config, load, parse
+from merlfit.fitting.config import Config, load
 from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
@@ -75,33 +75,42 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
     if body == "auto":
         assert result.model.effects.kind == ("real", "plastic")
         assert [(c.index, c.body) for c in result.fit.candidates] == list(KINDS)
-        best = min(result.fit.candidates, key=lambda c: c.bic)
+        best = min(result.fit.candidates, key=lambda c: c.score)
         assert (best.index, best.body) == ("real", "plastic")
     assert (tmp_path / f"{name}.json").is_file()
 
 
 def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):
-    """A reconstruction, not the measurement: cost and errors as they were found, which only a regression can raise."""
+    """A reconstruction, not the measurement: errors as they were found, which only a regression can raise.
+
+    A floor under the metal, of a few thousandths, halves the error of the dark parts (sMAPE 0.13 without it).
+    """
     make_merl.main(tmp_path, "nickel")
-    result = run.fit_file(tmp_path / "nickel.binary", tmp_path, load(body="none", posterior=False))
+    result = run.fit_file(tmp_path / "nickel.binary", tmp_path, load(index="complex", posterior=False))
     assert result.fit.succeeded
-    assert result.fit.cost < 0.0226
-    assert result.metrics.rmse < 0.075
-    assert result.metrics.smape < 0.15
+    assert result.model.effects.kind == ("complex", "lambert")
+    assert all(0 < x < 0.02 for x in result.values()["albedo"])
+    assert result.fit.cost < 0.0105
+    assert result.metrics.rmse < 0.05
+    assert result.metrics.smape < 0.085
+    assert 0.8 < result.metrics.highlight < 1.2
 
 
 def test_a_narrow_highlight_is_not_given_up(make_merl, tmp_path):
-    """White marble's carries so little of Eq. 56 as printed that its minimum has three times the error."""
+    """White marble's carries so little of Eq. 56 on all bins that its minimum there has lost it."""
     make_merl.main(tmp_path, "white-marble")
-
-    def rmse(**given):
-        config = parse({"effects": {"body": "plastic"}, "fit": given, "posterior": {"enabled": False}}, "here")
-        result = run.fit_file(tmp_path / "white-marble.binary", tmp_path, config)
+    found = {}
+    for weights in ("compressive", "none"):
+        config = load(body="plastic", weights=weights, posterior=False)
+        result = run.fit_file(tmp_path / "white-marble.binary", tmp_path / weights, config)
         assert result.fit.succeeded
-        return result.metrics.rmse
-
-    assert rmse() < 0.055
-    assert rmse(highlight=0.0) > 0.15
+        assert 0.5 < result.metrics.highlight < 2.5
+        assert result.fit.weights == config.rungs[-1]
+        found[weights] = result.metrics
+    assert found["compressive"].rmse < 0.06
+    assert found["compressive"].smape < 0.06
+    assert found["none"].rmse < 0.9 * found["compressive"].rmse, "what was asked for"
+    assert found["none"].smape > found["compressive"].smape
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from merlfit.fitting import picture
 from merlfit.fitting.metrics import Errors, correlation_length, effective_count, errors
-from merlfit.fitting.selection import bic
 from merlfit.fitting.weights import within
 from merlfit.merl_io.grid import merl_grid
 
@@ -90,14 +89,6 @@ def test_extreme_fields_are_worth_a_finite_number():
     one = np.zeros(SHAPE)
     one[0, 3, 4, 5] = 1e-200
     assert 1 <= effective_count(one, EVERYWHERE) <= 3
-
-
-def test_bic_is_schwarz_with_the_scale_profiled_out():
-    base = bic(0.2, 160.0, 8)
-    assert bic(0.2, 160.0, 9) - base == pytest.approx(np.log(160.0))
-    assert base - bic(0.1, 160.0, 8) == pytest.approx(160 * np.log(2))
-    assert bic(0.199, 160.0, 9) > base  # half a per cent is not worth a parameter
-    assert np.isfinite(bic(0.0, 160.0, 8))
 
 
 def random_planes(seed=4, share=0.15):

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from merlfit.fitting.weights import (
-    BENDS,
-    LADDER,
+    RUNGS,
     THETA_MAX,
     compressive_weight,
     cos_weighted_median,
@@ -20,6 +19,7 @@ from merlfit.merl_io.samples import fold
 
 WIDTH = 0.02  # tan(theta_h) where the lobe has fallen to half
 BODY = np.array([0.3, 0.05, 0.002])  # 1/sr: the darker, the more the highlight counts for
+LADDER = RUNGS["adaptive"]
 EVERY_BEND = [1.4, 0.7, 0.0, "log"]
 
 
@@ -99,7 +99,13 @@ def test_as_if_nothing_were_said_they_are_the_paper_s(glossy):
     found, printed = weighted_samples(glossy), weighted_samples(glossy, 1.4, 1.4)
     np.testing.assert_array_equal(found.weight, printed.weight)
     assert THETA_MAX == 1.4
-    assert BENDS == {"compressive": 1.4, "log": "log", "none": 0.0}
+    assert {name: rungs[-1] for name, rungs in RUNGS.items()} == {
+        "compressive": 1.4,
+        "log": "log",
+        "none": 0,
+        "adaptive": 0,
+    }
+    assert all(rungs[0] == 1.4 for rungs in RUNGS.values()), "the search is always that of the same objective"
     for other in (0.7, 0.0, "log"):
         assert np.max(np.abs(weighted_samples(glossy, other).weight - printed.weight)) > 0.1 * printed.weight.max()
 
