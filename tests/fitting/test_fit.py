@@ -85,23 +85,27 @@ def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):
     make_merl.main(tmp_path, "nickel")
     result = run.fit_file(tmp_path / "nickel.binary", tmp_path, load(body="none", posterior=False))
     assert result.fit.succeeded
-    assert result.fit.cost < 0.0226
-    assert result.metrics.rmse < 0.075
-    assert result.metrics.smape < 0.15
+    assert result.fit.cost < 0.0101
+    assert result.metrics.rmse < 0.047
+    assert result.metrics.smape < 0.135
 
 
 def test_a_narrow_highlight_is_not_given_up(make_merl, tmp_path):
-    """White marble's carries so little of Eq. 56 as printed that its minimum has three times the error."""
+    """White marble's carries little of Eq. 56: as printed, over all directions, its minimum had three times the error.
+
+    Without directions near the horizon that is over. How much the highlight counts for is up to the weights.
+    """
     make_merl.main(tmp_path, "white-marble")
 
-    def rmse(**given):
+    def found(**given):
         config = parse({"effects": {"body": "plastic"}, "fit": given, "posterior": {"enabled": False}}, "here")
         result = run.fit_file(tmp_path / "white-marble.binary", tmp_path, config)
         assert result.fit.succeeded
-        return result.metrics.rmse
+        return result.metrics
 
-    assert rmse() < 0.055
-    assert rmse(highlight=0.0) > 0.15
+    compressive, none = found(), found(weights="none")
+    assert none.rmse < 0.036 < compressive.rmse < 0.052
+    assert compressive.smape < 0.056 < 0.065 < none.smape
 
 
 @pytest.fixture(scope="module")
