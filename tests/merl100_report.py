@@ -167,13 +167,13 @@ def _markdown(table):
         f"{len(table)}; sMAPE: {_beaten(table, OBJECTIVES, 1)}.", "",
         "Medians of the published sets: " + "; ".join(
             f"{said} RMSE {np.median([f[name][0] for _, f in table if name in f]):.3f}, sMAPE "
-            f"{np.median([f[name][1] for _, f in table if name in f]):.3f} ({sum(name in f for _, f in table)} materials)"
+            f"{np.median([f[name][1] for _, f in table if name in f]):.3f} ({sum(name in f for _, f in table)} sets)"
             for name, said in SETS.items()) + ".", "",
         "![sorted errors](sorted_errors.png)", "", "Spheres: [compressive](spheres_compressive.png), "
         "[adaptive](spheres_adaptive.png). Parameters and all columns: [two_scale.csv](two_scale.csv).", "",
         "Sorted by dE of the compressive fit, the worst first.", "",
-        "| material | interface, body | status | RMSE | sMAPE | dE | peak | adaptive: exponent | RMSE | dE | peak | none: "
-        "RMSE | best published RMSE | s |", "|---" * 14 + "|",
+        "| material | interface, body | status | RMSE | sMAPE | dE | peak | adaptive: exponent | RMSE | dE | peak "
+        "| none: RMSE | best published RMSE | s |", "|---" * 14 + "|",
     ]  # fmt: skip
     for row, found in sorted(table, key=lambda each: -each[0]["compressive"]["picture"]):
         c, a = row["compressive"], row["adaptive"]

@@ -49,8 +49,8 @@ def run(folder, out, every):
         [f"`merlfit fit --body BODY` as shipped, all its stages, {starts} times a material: instead of reading its "
          "first starting point off the data it is given one drawn from the whole prior (beta, p, b, c, sigma_s and the "
          "grazing exponents; optical constants are projected, as always), around which it scatters the others. "
-         f"Arrived: what is minimised (cost on all bins, and prior) is within {SAME:.1%} of the lowest of these runs, of the "
-         f"run from the data and of a longer search with fit.starts = {LONGER}.",
+         f"Arrived: what is minimised (cost on all bins, and prior) is within {SAME:.1%} of the lowest of these runs, "
+         f"of the run from the data and of a longer search with fit.starts = {LONGER}.",
          "Excess: of the median and of the worst run over the best. From the data, longer search: their excess."],
         {"all": Target("runs that arrive, of all materials", 99, "%", at_least=True),
          "each": Target("runs that arrive, of the worst material", 95, "%", at_least=True)},

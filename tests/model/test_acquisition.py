@@ -139,7 +139,7 @@ def test_exponent_of_diffracted_light_to_5e_4(lobe, monkeypatch):
 
 
 def test_a_wider_lobe_loses_no_more():
-    """(S * D) is wider than D: where D has a peak, its exponent is never above, whatever the lobes between their bounds.
+    """(S * D) is wider than D: where D has a peak, its exponent is never above, for any lobes between their bounds.
 
     A distribution of normals with p > 1 is flat on top and loses less than what is rounded off by S: by 0.010 at the
     most of 300 such draws, near exponents of 0.01.
