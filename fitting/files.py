@@ -10,6 +10,7 @@ from ..merl_io.binary import MerlError
 from .accuracy import Aim, aim
 from .compilation import use_persistent_cache
 from .config import Config, ConfigError, load
+from .export import read_result
 from .keeping import Complete, Place, completeness, place_of
 from .report import Outcome, accuracy_line, summary_table
 from .request import request
@@ -79,6 +80,8 @@ def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = 
             except Stopped as stop:
                 left = f"; {len(files) - k} of {len(files)} files were not begun" if k < len(files) else ""
                 note(f"stopped by {stop}: {kept(path, place)}{left}")
+                if place is not None and completeness(place.path) >= Complete.FIT:
+                    outcomes.append(Outcome(path, read_result(place.path)))
                 if outcomes:
                     console.print(summary_table(outcomes))
                 raise typer.Exit(stop.code) from None
