@@ -11,7 +11,7 @@ from .accuracy import Aim, aim
 from .compilation import use_persistent_cache
 from .config import Config, ConfigError, load
 from .export import read_result
-from .keeping import Complete, Place, completeness, place_of
+from .keeping import Complete, Place, claimed, completeness, place_of
 from .report import Outcome, accuracy_line, summary_table
 from .request import request
 from .run import fit_file
@@ -59,7 +59,9 @@ def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = 
         raise fail(f"several files are named {twice[0]}, and each result is named after its file: fit them apart")
     taken, finish = (aim.settings, aim.finish) if aim else (settings, None)
     outcomes = []
-    with progress_display() as progress:
+    with claimed(out) as alone, progress_display() as progress:
+        if not alone:
+            note(f"{out}: another merlfit is writing there; of results of the same name the last one stays")
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name)
             label = f"[{k}/{len(files)}] {path.stem}"
