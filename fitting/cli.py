@@ -84,7 +84,12 @@ def fit(
     preset: Annotated[
         str | None, typer.Option(help="hp17, conserving, microfacet, preview or fast: effects by name.")
     ] = None,
-    body: Annotated[str | None, typer.Option(help="auto, none (conductor), lambert, plastic or subsurface.")] = None,
+    index: Annotated[str | None, typer.Option(help="auto, complex (conductor) or real (dielectric).")] = None,
+    body: Annotated[str | None, typer.Option(help="auto, none, lambert, plastic or subsurface.")] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(help="compressive (dark bins count too), log, none (RMSE) or adaptive (picture)."),
+    ] = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
     accuracy: Annotated[
@@ -98,7 +103,7 @@ def fit(
     """Fit each file and write OUT/NAME.json. Exit code 0 if all fits succeeded, 1 if one failed, 2 on bad input."""
     from .files import aim_of, fit_files, settings_of, summarise
 
-    settings = settings_of(config, preset, body, posterior, seed)
+    settings = settings_of(config, preset, index, body, weights, posterior, seed)
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within))
     summarise(outcomes)
 
@@ -262,7 +267,7 @@ def demo(out: Out = Path("demo-out"), seed: Seed = None) -> None:
     path = out / f"{material}.binary"
     write(path, values)
     console.print(f"{path}: {said}", soft_wrap=True)
-    outcomes = fit_files([path], out, settings_of(None, None, None, None, seed))
+    outcomes = fit_files([path], out, settings_of(seed=seed))
     if outcomes[0].result is not None:
         show(out / f"{material}.json", outcomes[0].result, path, out)
     summarise(outcomes)

@@ -27,7 +27,7 @@ from ..model.parameters import PRIORS, LogNormal, Priors
 from .levenberg_marquardt import Backend
 from .problem import AZIMUTHS, Precision
 from .transforms import Layout, layout_of
-from .weights import BENDS, THETA_MAX, Bend
+from .weights import RUNGS, THETA_MAX, Bend, Weights
 
 
 class ConfigError(ValueError):
@@ -114,7 +114,8 @@ class FitSection(_Section):
     Attributes:
         starts: of the coarse grid's race: three times as many starting points run its first lap, so many the second.
         coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on the last one.
-        weights: of the bins: ``compressive`` (HP17 Eq. 57-58), ``log``, ``none`` (``weights``).
+        weights: of the bins: ``compressive`` (HP17 Eq. 57-58), ``log``, ``none``, or ``adaptive``, which tries several
+            exponents of the compressive weight and keeps the nearest picture (``weights.RUNGS``).
         theta_max: light or viewer past this angle (rad) are left out, of the objective and of all errors.
         grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 22nd.
         azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).
@@ -124,8 +125,8 @@ class FitSection(_Section):
 
     starts: Annotated[int, Field(ge=1, le=32)] = 8
     coarse_steps: Annotated[int, Field(ge=1)] = 80
-    max_steps: Annotated[int, Field(ge=1)] = 40
-    weights: Literal["compressive", "log", "none"] = "compressive"
+    max_steps: Annotated[int, Field(ge=1)] = 200
+    weights: Weights = "compressive"
     theta_max: Annotated[float, Field(ge=0.5, le=1.571)] = THETA_MAX
     grid: Literal["fine", "medium", "coarse"] = "fine"
     azimuths: Annotated[int, Field(ge=2, le=90)] = AZIMUTHS
@@ -189,9 +190,9 @@ class Config(_Section):
         return found or [("real", "none")]  # the only other one that `Effects` allows
 
     @property
-    def bend(self) -> Bend:
-        """Of the weights."""
-        return BENDS[self.fit.weights]
+    def rungs(self) -> tuple[Bend, ...]:
+        """Weights of the last grid, one after the other."""
+        return RUNGS[self.fit.weights]
 
     def effects_of(self, kind: Kind) -> Effects:
         """The effects to fit with one interface and body."""

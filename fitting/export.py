@@ -18,7 +18,7 @@ from ..model.effects import Effects
 from ..model.parameters import CHANNELS, parameters
 from .choice import Choice
 
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
 
@@ -165,17 +165,28 @@ class Identifiability(_Part):
 
 
 class Candidate(_Part):
-    """Interface and body on the coarse grid; ``converged`` is false of one too far behind to be followed."""
+    """Interface and body on the coarse grid; ``converged`` is false of one too far behind to be followed.
 
-    index: str
+    ``objective``: cost with the prior; ``cube_root``: error of cube roots on that grid; ``score``: what the choice goes
+    by, from these two (``fitting/selection.py``). ``bic`` is of results before version 1.3.
+    """
+
+    index: str = "usual"
     body: str
     cost: float | None
-    bic: float | None
+    bic: float | None = None
+    objective: float | None = None
+    cube_root: float | None = None
+    score: float | None = None
     converged: bool = True
 
 
 class Fit(_Part):
-    """How the fit ended. Costs are Eq. 56 relative to the measurement's weighted energy."""
+    """How the fit ended. Costs are Eq. 56 relative to the measurement's weighted energy.
+
+    ``weights``: exponent of the compressive weight that the fit was made with, or ``log``. ``cautions``: what a user of
+    the parameters should know, in words.
+    """
 
     status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "UNEXPLAINED", "NON_FINITE", "NO_DATA"]
     message: str
@@ -187,13 +198,23 @@ class Fit(_Part):
     relative_offset: float | None
     bins: int
     candidates: list[Candidate]
+    weights: float | Literal["log"] | None = None
+    cautions: list[str] = []
 
 
 class Metrics(_Part):
-    """Errors over all valid bins with both directions at theta < 1.4 rad; prediction with the acquisition's loss."""
+    """Errors over all valid bins with both directions at theta < ``fit.theta_max``; prediction with the grazing loss.
+
+    ``rmse`` (1/sr) and ``smape``; ``cube_root`` and ``log``: RMS differences of cube roots of BRDF times cos_i and of
+    log(1 + BRDF cos_i); ``highlight``: fitted over measured peak; ``picture``: mean CIELAB distance of spheres.
+    """
 
     rmse: float | None
     smape: float | None
+    cube_root: float | None = None
+    log: float | None = None
+    highlight: float | None = None
+    picture: float | None = None
 
 
 class DerivedResult(_Part):
@@ -274,9 +295,9 @@ class Accuracy(_Part):
 
 
 class Result(_Part):
-    """One material; version 1.0 had no ``accuracy``, 1.1 no ``identifiability`` and no ``derived``."""
+    """One material; version 1.0 had no ``accuracy``, 1.1 no ``identifiability`` and no ``derived``, 1.2 no pictures."""
 
-    schema_version: Literal["1.0", "1.1", "1.2"] = SCHEMA_VERSION
+    schema_version: Literal["1.0", "1.1", "1.2", "1.3"] = SCHEMA_VERSION
     source: Source
     model: Model | None
     parameters: list[ParameterResult]

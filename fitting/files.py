@@ -29,11 +29,17 @@ from .terminal import (
 
 
 def settings_of(
-    config: Path | None, preset: str | None, body: str | None, posterior: bool | None, seed: int | None
+    config: Path | None = None,
+    preset: str | None = None,
+    index: str | None = None,
+    body: str | None = None,
+    weights: str | None = None,
+    posterior: bool | None = None,
+    seed: int | None = None,
 ) -> Config:
     """Those of a file of settings with what the command line replaces in it."""
     try:
-        return load(config, preset=preset, body=body, posterior=posterior, seed=seed)
+        return load(config, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed)
     except ConfigError as error:
         raise fail(str(error)) from None
 
@@ -114,6 +120,8 @@ def summarise(outcomes: list[Outcome]) -> None:
     for o in outcomes:
         if o.result is not None and not o.result.fit.succeeded:
             console.print(f"{o.path.stem}: {o.result.fit.message}")
+        for caution in o.result.fit.cautions if o.result is not None else ():
+            console.print(f"{o.path.stem}: {caution}")
     if any(o.bad_input for o in outcomes):
         raise typer.Exit(BAD_INPUT)
     if any(o.result is None or not o.result.fit.succeeded for o in outcomes):

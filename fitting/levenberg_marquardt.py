@@ -42,7 +42,7 @@ class Status(Enum):
 
     CONVERGED = "converged: no further step lowers the cost noticeably"
     AT_BOUND = "converged with parameters at a bound: the data ask for a value at or beyond it, see at_bound"
-    STEP_LIMIT = "stopped at the step limit while the cost was still falling: raise fit.max_steps"
+    STEP_LIMIT = "usable, but stopped at the step limit while the cost was still falling: raise fit.max_steps"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
     UNEXPLAINED = (
         "failed: the model explains less than half of the file; check it with `merlfit check`, "
@@ -55,7 +55,7 @@ class Status(Enum):
     @property
     def succeeded(self) -> bool:
         """Whether the parameters may be used."""
-        return self in (Status.CONVERGED, Status.AT_BOUND)
+        return self in (Status.CONVERGED, Status.AT_BOUND, Status.STEP_LIMIT)
 
 
 @dataclass(frozen=True)

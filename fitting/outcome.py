@@ -1,6 +1,6 @@
 """What a fit found, and how it is told in JSON."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -19,7 +19,9 @@ from .identifiability import identifiability
 from .laplace import laplace_covariance
 from .levenberg_marquardt import Solution, Status
 from .problem import energy
+from .selection import ALIKE, lost
 from .transforms import Layout
+from .weights import BEND, Bend
 
 if TYPE_CHECKING:  # the sampler's libraries take a second to load
     from .sampling import Sampled
@@ -41,7 +43,8 @@ class Fitted:
     Attributes:
         layout: what was fitted, and in which coordinates. solution: where it ended.
         count: effective sample count of the residuals. errors: metrics.
-        candidates: bodies that were compared on the coarse grid.
+        candidates: interfaces and bodies that were compared on the coarse grid.
+        bend: of the weights that it was made with.
     """
 
     layout: Layout
@@ -49,6 +52,7 @@ class Fitted:
     count: float
     errors: metrics.Errors
     candidates: list[export.Candidate]
+    bend: Bend = BEND
 
     @property
     def effects(self) -> Effects:
@@ -99,6 +103,27 @@ def said(status: Status, measurement: Measurement) -> str:
     return f"{status.value}; {OUTLIERS.format(count=count, times=OUTLIER)}"
 
 
+def cautions(fitted: Fitted, config: Config) -> list[str]:
+    """What a user of the parameters should know, in words."""
+    found, peak = [], fitted.errors.highlight
+    if np.isfinite(peak) and lost(peak):
+        adaptive = config.fit.weights == "adaptive"
+        mend = "no exponent of the weights keeps it" if adaptive else "fit with --weights adaptive"
+        found.append(f"the highlight is lost: at its peak the fit has {peak:.2g} times the file's brightness; {mend}")
+    found += alike(fitted)
+    if fitted.status is Status.STEP_LIMIT:
+        found.append("the cost was still falling when the fit stopped: raise fit.max_steps to go on")
+    return found
+
+
+def alike(fitted: Fitted) -> list[str]:
+    """Which other interfaces and bodies describe the file about as well."""
+    scores = {f"{c.index} {c.body}": c.score for c in fitted.candidates if c.score is not None}
+    own = scores.pop(" ".join(fitted.effects.kind), np.inf)
+    near = [f"{kind} ({score - own:+.1f})" for kind, score in scores.items() if score < own + ALIKE]
+    return [f"as likely within {ALIKE:g} units of score: {', '.join(near)}"] if near and np.isfinite(own) else []
+
+
 def make_result(
     measurement: Measurement,
     samples: Samples,
@@ -134,8 +159,9 @@ def make_result(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
+        weights=fitted.bend, cautions=cautions(fitted, config),
     )  # fmt: skip
-    errors = export.Metrics(rmse=export.finite(fitted.errors.rmse), smape=export.finite(fitted.errors.smape))
+    errors = export.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, fitted.count, fitted.covariance)
     return export.Result(
         model=_model_part(fitted.layout, s.z), parameters=parameter_results(fitted), fit=fit_part,

@@ -16,6 +16,7 @@ from ..merl_io.grid import MerlGrid, merl_grid
 from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
 from .export import Model, Result
+from .report import in_words_of
 from .tables import UNSOUND
 
 matplotlib.use("Agg")
@@ -130,7 +131,7 @@ def lobe_figure(result: Result, measurement: Measurement, chain: dict[str, np.nd
     if chain is not None:
         first.fill_between([], [], [], color="gray", alpha=0.3, linewidth=0, label="5 to 95 % of the posterior")
     first.legend(fontsize=7)
-    body = "conductor" if result.model.effects.body == "none" else f"dielectric over {result.model.effects.body}"
+    body = in_words_of(result.model.effects)
     origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
     figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}, with the acquisition's grazing loss")
     return figure

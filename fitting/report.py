@@ -5,13 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from ..merl_io.binary import BRIGHTEST, DIMS, OUTLIER
 from ..merl_io.check import FileReport
+from ..model.effects import Effects
 from .export import Accuracy, DerivedResult, ParameterResult, Result
 from .identifiability import in_words
+
+WIDE = 110  # columns, from which on a table has room for sentences
 
 
 @dataclass(frozen=True)
@@ -56,18 +60,25 @@ def check_table(reports: Sequence[FileReport]) -> Table:
 
 def summary_table(outcomes: Sequence[Outcome]) -> Table:
     """One row a file of a batch."""
-    table = Table(title="Fits", title_justify="left")
-    for head in ("material", "body", "status", "cost", "RMSE (1/sr)", "sMAPE", "posterior", "seconds"):
-        table.add_column(head, justify="right" if head in ("cost", "RMSE (1/sr)", "sMAPE", "seconds") else "left")
+    table = Table(
+        title="Fits (RMSE in 1/sr; dE: mean CIELAB distance of spheres; peak: fitted over measured highlight)",
+        title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    numbers = ("RMSE", "sMAPE", "dE", "peak", "s")
+    for head in ("material", "model", "status", *numbers[:-1], "chain", "s"):
+        least = 20 if head == "material" else 9 if head == "status" else None  # the longest of MERL's names
+        justify = "right" if head in numbers else "left"
+        table.add_column(head, justify=justify, overflow="fold", min_width=least)
     for o in outcomes:
         if o.result is None:
-            table.add_row(o.path.stem, "-", f"failed: {o.error}", "-", "-", "-", "-", "-")
+            table.add_row(o.path.stem, "-", f"failed: {o.error}", *"------")
             continue
         r = o.result
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
-            r.source.material, r.model.effects.body if r.model else "-", r.fit.status, number(r.fit.cost),
-            number(r.metrics.rmse), number(r.metrics.smape, 3), chain, f"{r.seconds['total']:.1f}",
+            r.source.material, " ".join(r.model.effects.kind) if r.model else "-", r.fit.status,
+            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.picture, 2),
+            number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
     return table
 
@@ -79,15 +90,24 @@ def interval(q: ParameterResult | DerivedResult) -> str:
     return f"{number(q.quantiles.q05)} .. {number(q.quantiles.q95)}"
 
 
-def parameter_table(result: Result) -> Table:
-    """Parameters with intervals."""
-    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left")
-    for head in ("parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", "meaning"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
+def in_words_of(effects: Effects) -> str:
+    """Interface and body."""
+    interface = "conductor" if effects.index == "complex" else "dielectric"
+    return interface if effects.body == "none" else f"{interface} over {effects.body}"
+
+
+def parameter_table(result: Result, width: int) -> Table:
+    """Parameters with intervals; what they mean only where the terminal has room for it."""
+    heads = ["parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", *(["meaning"] if width >= WIDE else [])]
+    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left", box=box.SIMPLE_HEAD)
+    for head in heads:
+        left = head in ("parameter", "unit", "meaning")
+        table.add_column(head, justify="left" if left else "right", overflow="fold")
     for q in result.parameters:
         bounds = f"[{number(q.lower)}, {number(q.upper)}]" + (f" at {q.at_bound}" if q.at_bound != "no" else "")
         unit = "-" if q.unit == "1" else q.unit
-        table.add_row(q.name, number(q.value), number(q.standard_error, 2), interval(q), unit, bounds, q.meaning)
+        row = (q.name, number(q.value), number(q.standard_error, 2), interval(q), unit, bounds, q.meaning)
+        table.add_row(*row[: len(heads)])
     return table
 
 
@@ -101,20 +121,27 @@ def print_result(console: Console, result: Result) -> None:
         return
     m = result.model
     e = m.effects
-    body = "conductor" if e.body == "none" else f"dielectric over {e.body}"
     console.print(
-        f"two-scale, {body}, diffraction by {e.diffraction}, energy split {e.split}, "
+        f"two-scale, {in_words_of(e)}, diffraction by {e.diffraction}, energy split {e.split}, "
         f"grazing exponent {m.grazing_exponent:.3f} ({e.acquisition})"
     )
-    console.print(parameter_table(result))
+    console.print(parameter_table(result, console.width))
     console.print(f"{f.status}: {f.message}")
     console.print(
         f"cost {number(f.cost)} of the weighted energy, RMSE {number(result.metrics.rmse)} 1/sr, "
         f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} bins, {f.steps} steps on the last grid"
     )
+    e = result.metrics
+    console.print(
+        f"picture: mean CIELAB distance {number(e.picture, 3)}; highlight {number(e.highlight, 3)} times the file's; "
+        f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
+    )
+    for caution in f.cautions:
+        console.print(f"caution: {caution}")
     if len(f.candidates) > 1:
         console.print(
-            "bodies on the coarse grid (BIC): " + ", ".join(f"{c.body} {number(c.bic)}" for c in f.candidates)
+            "interfaces and bodies on the coarse grid (score, the lowest is best): "
+            + ", ".join(f"{c.index} {c.body} {number(c.score, 3)}" for c in f.candidates)
         )
     if result.identifiability is not None:
         for line in in_words(result.identifiability):

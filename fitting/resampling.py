@@ -40,7 +40,9 @@ def resample(
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = read(file, result.source.sha1)
-    samples = weighted_samples(measurement, config.bend, config.fit.theta_max)
+    samples = weighted_samples(
+        measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
+    )
     layout, chain = config.layout_of(result.model.effects.kind), chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
     normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))

@@ -20,7 +20,7 @@ from .levenberg_marquardt import Solution, solve
 from .outcome import Fitted, make_result
 from .problem import Problem, directions, energy, make_problem
 from .residuals import predict
-from .selection import bic
+from .selection import choose, nearest, score
 from .starts import ReadOff, read_off, starting_points
 from .threads import CORES
 from .transforms import Layout
@@ -62,8 +62,10 @@ def fit_file(
     with clock.stage("read"):
         report("reading")
         measurement = read(path)
-        samples = weighted_samples(measurement, config.bend, config.fit.theta_max)
+        samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
+    if fitted is not None and fitted.bend != config.rungs[0]:
+        samples = weighted_samples(measurement, fitted.bend, config.fit.theta_max)
     if fitted is not None and finish is not None:
         with clock.stage("accuracy"):
             report("accuracy")
@@ -111,16 +113,34 @@ def fit(
         seen = seen._replace(first=first or seen.first)
         cheap = [cheaper(config.layout_of(kind), COARSE_ORDER) for kind in kinds]
         found = fit_coarse(cheap, seen, *make_coarse(samples), config)
-        candidates = compare(cheap, found, coarse)
-        chosen = min(range(len(kinds)), key=lambda i: np.inf if (b := candidates[i].bic) is None else b)
-    with clock.stage("full"):
-        settings = config.fit
-        report(f"{settings.grid} grid: {' '.join(kinds[chosen])}")
-        layout = config.layout_of(kinds[chosen])
-        whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
-        solution = solve(layout, found[chosen].z, whole, settings.max_steps, backend=settings.backend)
-    with clock.stage("metrics"):
-        return replace(judge(layout, solution, measurement, samples, settings.theta_max), candidates=candidates)
+        candidates, chosen = compare(cheap, found, coarse)
+    report(f"{config.fit.grid} grid: {' '.join(kinds[chosen])}")
+    tried = descend(config.layout_of(kinds[chosen]), found[chosen].z, measurement, samples, config, clock)
+    return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=candidates)
+
+
+def descend(
+    layout: Layout, z: np.ndarray, measurement: Measurement, samples: Samples, config: Config, clock: Clock
+) -> list[Fitted]:
+    """The last grid, with one weight after the other, each from where the one before it ended.
+
+    Args:
+        samples: with the first of `Config.rungs`.
+
+    Returns:
+        the fit with the last weights, or those with all of them, among which ``adaptive`` chooses.
+    """
+    settings, found = config.fit, []
+    for k, bend in enumerate(config.rungs):
+        with clock.stage("full"):
+            own = samples if k == 0 else weighted_samples(measurement, bend, settings.theta_max)
+            problem = make_problem(thin(own, GRIDS[settings.grid]), settings.azimuths, settings.precision)
+            solution = solve(layout, z, problem, settings.max_steps, backend=settings.backend)
+            z = solution.z
+        if settings.weights == "adaptive" or k == len(config.rungs) - 1:
+            with clock.stage("metrics"):
+                found.append(replace(judge(layout, solution, measurement, own, settings.theta_max), bend=bend))
+    return found
 
 
 def chain_of(result: Path) -> Path:
@@ -134,23 +154,21 @@ def make_coarse(samples: Samples) -> tuple[Problem, Problem]:
     return make_problem(thin(samples, COARSE), COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS)
 
 
-def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> list[export.Candidate]:
-    """Costs of fits of the same samples, and their BICs by the effective count of the best one's residuals."""
-    lowest = int(np.argmin(np.nan_to_num([s.cost for s in found], nan=np.inf)))
-    if len(found) == 1:
-        index, body = layouts[0].effects.kind
-        return [export.Candidate(index=index, body=body, cost=export.finite(found[0].cost), bic=None)]
-    count = count_of(samples, predict_samples(layouts[lowest], found[lowest].z, samples))
-    return [
+def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> tuple[list[export.Candidate], int]:
+    """Fits of the same samples, the simplest kind first, and which of them to take (`selection`)."""
+    predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
+    objectives = [float(np.nan_to_num(s.objective, nan=np.inf)) for s in found]
+    count = count_of(samples, predicted[int(np.argmin(objectives))])
+    roots = [metrics.cube_root_error(samples, p) for p in predicted]
+    scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
+    candidates = [
         export.Candidate(
-            index=e.effects.index,
-            body=e.effects.body,
-            cost=export.finite(s.cost),
-            bic=export.finite(bic(s.cost, count, len(s.z))),
-            converged=s.converged,
+            index=layout.effects.index, body=layout.effects.body, cost=export.finite(s.cost),
+            objective=export.finite(j), cube_root=export.finite(e), score=export.finite(each), converged=s.converged,
         )
-        for e, s in zip(layouts, found, strict=True)
-    ]
+        for layout, s, j, e, each in zip(layouts, found, objectives, roots, scores, strict=True)
+    ]  # fmt: skip
+    return candidates, choose(objectives, roots, scores)
 
 
 def judge(

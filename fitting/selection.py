@@ -1,13 +1,64 @@
-"""Choosing among fits of the same samples by the Bayesian information criterion."""
+"""Choosing between fits: which interface and body, and which weights.
+
+**Interface and body.** The residuals alone cannot choose: they are worth few independent ones where the model errs
+(docs/statistics.md), and the compressive weight hardly sees the dark parts of a metal, where a floor of stray light
+halves the error that anybody sees. So the error of cube roots of the BRDF, which is how the eye weighs light and dark
+(Bieron & Peers 2020), is taken as evidence of the same worth:
+
+    score = N log J + N log E^2,
+
+with J the cost with its prior (which keeps an index of 3 from passing for a plastic), E the cube-root error and N the
+effective count. Kinds within `ALIKE` of the lowest score (strong evidence begins at 6, Kass & Raftery 1995), whose J
+and E are no more than `MARGIN` times the best one's, describe the file alike: the simplest is taken, that which comes
+first in ``model.effects.KINDS``.
+
+**Weights.** ``adaptive`` keeps the fit with the nearest picture (`picture`) among those that keep the highlight.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 
+ALIKE = 6.0
+MARGIN = 1.1
+PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
+FACTOR = 2.0  # a highlight that is off by more is lost
 
-def bic(cost: float, count: float, parameters: int) -> float:
-    """BIC of a fit whose residuals have an unknown scale: N log S + P log N; lower is better.
+
+def nearest(tried: Sequence[tuple[float, float]]) -> int:
+    """Which fit of one model to keep, of several with other weights.
+
+    The nearest picture among those that keep the highlight; where none does, or only with a picture `PATIENCE` times
+    worse than the nearest of all, the nearest of all.
 
     Args:
-        cost: S, relative to one energy. count: effective sample count N, the same for all fits that are compared.
-        parameters: P.
+        tried: of each, the picture's error and the highlight, fitted over measured.
     """
-    return float(count * np.log(max(cost, 1e-30)) + parameters * np.log(count))
+    every = range(len(tried))
+    best = min(every, key=lambda k: tried[k][0])
+    kept = [k for k in every if not lost(tried[k][1]) and tried[k][0] <= PATIENCE * tried[best][0]]
+    return min(kept, key=lambda k: tried[k][0], default=best)
+
+
+def lost(highlight: float) -> bool:
+    """Whether a highlight, fitted over measured, is off by more than a factor of two."""
+    return not 1 / FACTOR <= highlight <= FACTOR
+
+
+def score(objective: float, cube_root: float, count: float) -> float:
+    """N log J + N log E^2; lower is better.
+
+    Args:
+        objective: J. cube_root: E. count: effective sample count N, the same for all fits that are compared.
+    """
+    return float(count * (np.log(max(objective, 1e-30)) + 2 * np.log(max(cube_root, 1e-30))))
+
+
+def choose(objectives: Sequence[float], cube_roots: Sequence[float], scores: Sequence[float]) -> int:
+    """Which of some fits to take, listed with the simplest first."""
+    best = int(np.argmin(np.nan_to_num(scores, nan=np.inf)))
+    for k, each in enumerate(scores):
+        near = objectives[k] <= MARGIN * objectives[best] and cube_roots[k] <= MARGIN * cube_roots[best]
+        if near and each < scores[best] + ALIKE:
+            return k
+    return best

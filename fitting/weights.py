@@ -23,8 +23,13 @@ from .threads import side_by_side
 THETA_MAX = 1.4  # rad: HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
 BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
 Bend = float | Literal["log"]
-BENDS: dict[str, Bend] = {"compressive": BEND, "log": "log", "none": 0.0}
-LADDER = (1.4, 1.0, 0.7, 0.0)  # exponents that ``adaptive`` tries, one after the other
+Weights = Literal["compressive", "log", "none", "adaptive"]
+RUNGS: dict[Weights, tuple[Bend, ...]] = {
+    "compressive": (BEND,), "log": (BEND, "log"), "none": (BEND, 1.0, 0.7, 0.0),
+    "adaptive": (BEND, 1.0, 0.7, 0.4, 0.0),
+}  # fmt: skip
+"""Weights that a fit is made with, one after the other, each from where the one before it ended: the search for the
+lowest minimum and the choice of a body are those of the first. ``adaptive`` keeps the one with the nearest picture."""
 
 
 def compressive_weight(value: np.ndarray, median: np.ndarray, bend: float = BEND) -> np.ndarray:

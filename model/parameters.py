@@ -127,7 +127,7 @@ CONDUCTOR = (
               source="HP17 Eq. 3"),
 )  # fmt: skip
 INTERFACE = (
-    Parameter("eta", r"\eta", "index of refraction of the interface", "1", 1.5, 1.001, 4.0, offset=1.0,
+    Parameter("eta", r"\eta", "index of refraction of the interface", "1", 1.5, 1.001, 2.6, offset=1.0,
               per_channel=True, source="HP17 Eq. 3"),
 )  # fmt: skip
 ALBEDO = Parameter("albedo", r"\rho_d", "albedo of the body", "1", 0.3, 0.0, 1.0, "linear", per_channel=True,

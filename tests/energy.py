@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
-from merlfit.model.effects import BODIES, Effects
+from merlfit.model.effects import KINDS, Effects
 from merlfit.model.geometry import Geometry
 from merlfit.model.parameters import parameters
 from merlfit.model.two_scale import two_scale
@@ -33,16 +33,23 @@ RESULTS = Path(__file__).parents[1] / "results"
 STORE = RESULTS / "energy.json"
 
 FULL = Effects(split="conserving")
+
+
+def under(body, **changes):
+    """The conserving split over a body with the index that is usual over it; `replace` would keep that of FULL."""
+    return replace(FULL, index="usual", body=body, **changes)
+
+
 EFFECT_SETS = [
-    *(replace(FULL, body=body) for body in BODIES),
-    *(replace(FULL, body=body, diffraction="lobe") for body in BODIES),
-    *(replace(FULL, body=body, diffraction="off") for body in ("lambert", "plastic")),
-    *(replace(FULL, body=body, diffraction=tier) for body in ("none", "plastic") for tier in ("scaled", "zonal")),
-    *(replace(FULL, body=body, masking="none") for body in BODIES),
-    replace(FULL, body="lambert", masking="height_correlated"),
-    *(replace(FULL, body=body, fresnel="schlick", colour="fresnel") for body in ("none", "subsurface")),
-    *(replace(FULL, body=body, renormalised=False) for body in ("none", "plastic")),
-    *(replace(FULL, body=body, diffraction="exact") for body in ("none", "plastic")),
+    *(replace(FULL, index=index, body=body) for index, body in KINDS),
+    *(replace(FULL, index=index, body=body, diffraction="lobe") for index, body in KINDS),
+    *(under(body, diffraction="off") for body in ("lambert", "plastic")),
+    *(under(body, diffraction=tier) for body in ("none", "plastic") for tier in ("scaled", "zonal")),
+    *(replace(FULL, index=index, body=body, masking="none") for index, body in KINDS),
+    under("lambert", masking="height_correlated"),
+    *(under(body, fresnel="schlick", colour="fresnel") for body in ("none", "subsurface")),
+    *(under(body, renormalised=False) for body in ("none", "plastic")),
+    *(under(body, diffraction="exact") for body in ("none", "plastic")),
 ]
 
 

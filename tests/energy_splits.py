@@ -23,7 +23,19 @@ MATERIALS = {
     "gray-plastic": "plastic", "alumina-oxide": "plastic", "red-plastic": "plastic", "white-marble": "plastic",
     "yellow-phenolic": "plastic",
 }  # fmt: skip
-SHOWN = ("beta", "p", "b", "c", "sigma_s", "grazing_exponent", "n_G", "k_G", "eta_G", "albedo_G")
+SHOWN = (
+    "beta",
+    "p",
+    "b",
+    "c",
+    "sigma_s",
+    "grazing_exponent",
+    "grazing_exponent_diffracted",
+    "n_G",
+    "k_G",
+    "eta_G",
+    "albedo_G",
+)
 
 
 def told(fitted, seconds):

@@ -1,7 +1,7 @@
-"""Grazing exponent fitted freely against derived from the footprint: `python -m tests.grazing_exponent`.
+"""Grazing exponents fitted freely against derived from the footprint: `python -m tests.grazing_exponent`.
 
-Neural reconstructions of twelve MERL materials, each fitted with the exponent free as `merlfit fit` does, and from
-there with the exponent derived, and 0; writes results/grazing.json and results/grazing.md. Minutes a material; names
+Neural reconstructions of twelve MERL materials, each fitted with both exponents free as `merlfit fit` does, and from
+there with them derived, and 0; writes results/grazing.json and results/grazing.md. Minutes a material; names
 of materials may be given.
 """
 
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
 from merlfit.model.acquisition import APPARATUS, Apparatus, derived_exponent
-from merlfit.model.two_scale import grazing_exponent
+from merlfit.model.two_scale import grazing_exponent, grazing_exponent_diffracted
 
 from . import refit
 from .reconstructions import make
@@ -38,10 +38,11 @@ def told(fitted):
     values = layout.values(jnp.asarray(solution.z))
     where = layout.names.index("grazing_exponent") if "grazing_exponent" in layout.names else None
     free = where is not None and fitted.at_bound[where] == "no"
-    k = float(grazing_exponent(values, fitted.effects))
+    k, diffracted = (float(f(values, fitted.effects)) for f in (grazing_exponent, grazing_exponent_diffracted))
     return {
         "status": fitted.status.name, "converged": solution.converged, "cost": solution.cost,
         "rmse": fitted.errors.rmse, "beta": float(values["beta"]), "p": float(values["p"]), "k": k,
+        "k_diffracted": diffracted,
         "k_standard_error": float(fitted.standard_errors[where]) if free else None,
     }  # fmt: skip
 
@@ -88,18 +89,18 @@ def number(x, digits):
 
 def table(rows):
     lines = [
-        "# Grazing exponent: free, derived, none", "", f"{refit.WHAT}.", "",
+        "# Grazing exponents: free, derived, none", "", f"{refit.WHAT}.", "",
         f"Footprint `derived` takes: {APPARATUS.footprint_rad:g} rad ({APPARATUS.pixel_sigma_px:g} px on a sphere",
         f"of radius {APPARATUS.sphere_radius_px:g} px: an assumption).",
-        "beta, p and k are of the free fit, k with its standard error (Laplace). *k pixel* and *k lamp* derive from",
+        "beta, p and k are of the free fit, k of specular light with its standard error (Laplace), kd of diffracted. *k pixel* and *k lamp* derive from",
         f"that lobe, for a point lamp and for one with a spread of {LAMP.lamp_sigma_rad:g} rad; *k derived* is of the",
         "fit that uses it (its own beta and p, point lamp). Fits with k derived and 0 go on from the free one, at most",
         f"{STEPS} steps on either grid; {refit.STARS}. Where another is better than the free one, which",
         "contains it, the free one is at a local minimum. *Footprint*: what k free would take of",
         "an apparatus whose lamp has twice the footprint's spread; one apparatus would give one number.", "",
-        "| material | body | beta | p | k free | k pixel | k lamp | k derived | footprint (rad) "
+        "| material | body | beta | p | k free | k pixel | k lamp | k derived | kd free | kd derived | footprint (rad) "
         "| cost free | cost derived | cost k = 0 | RMSE free | RMSE derived | RMSE k = 0 |",
-        "|---|---|" + "---:|" * 13,
+        "|---|---|" + "---:|" * 15,
     ]  # fmt: skip
     for row in rows:
         free, derived, none = row["free"], row["derived"], row["none"]
@@ -108,6 +109,7 @@ def table(rows):
             row["material"], row["body"], number(free["beta"], 4), number(free["p"], 3),
             number(free["k"], 3) + (f" ± {error}" if error else " (no error)"),
             number(row["k_pixel"], 3), number(row["k_lamp"], 3), number(derived["k"], 3),
+            number(free["k_diffracted"], 3), number(derived["k_diffracted"], 3),
             number(row["implied_footprint_rad"], 4) or "none",
             *(refit.cost(v["cost"], v["converged"]) for v in (free, derived, none)),
             *(number(v["rmse"], 4) for v in (free, derived, none)),

@@ -27,9 +27,15 @@ class Material:
         self.coarse = make_problem(thin(self.samples, run.COARSE), run.COARSE_AZIMUTHS)
 
     def searched(self, body, max_steps=40):
-        """The fit of `merlfit fit` with default effects and one body."""
+        """The fit of `merlfit fit` with default effects, one body and the index that is usual over it."""
+        index = "complex" if body == "none" else "real"
         config = parse(
-            {"effects": {"body": body}, "fit": {"max_steps": max_steps}, "posterior": {"enabled": False}}, ""
+            {
+                "effects": {"index": index, "body": body},
+                "fit": {"max_steps": max_steps},
+                "posterior": {"enabled": False},
+            },
+            "",
         )
         return run.fit(self.measurement, self.samples, config)
 

@@ -23,6 +23,7 @@ from merlfit.model.two_scale import two_scale
 
 METAL = {
     "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "grazing_exponent": 0.35,
+    "grazing_exponent_diffracted": 0.15,
     "n": np.array([1.9, 1.7, 1.6]), "k": np.array([3.5, 3.2, 2.4]),
 }  # fmt: skip
 SHARP = {**METAL, "beta": 0.0166, "p": 0.42, "b": 20.0, "c": 1.6, "sigma_s": 0.047}

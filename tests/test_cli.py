@@ -20,7 +20,7 @@ from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.acquisition import Apparatus
-from merlfit.model.effects import PRESETS, Effects
+from merlfit.model.effects import KINDS, PRESETS, Effects
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import two_scale
 from typer.testing import CliRunner
@@ -221,6 +221,10 @@ def test_unknown_material_and_source_name_the_nearest(tmp_path):
         ("[effects]\norder = true\n", "effects.order"),
         ("[effects]\nacquisition = 2\n", "effects.acquisition: should be 'off', 'free', 'derived' or a number in"),
         ("seed = -1\n", "seed"),
+        ('[effects]\nindex = "usual"\n', "effects.index"),
+        ('[fit]\nweights = "adaptive"\n', "fit.weights"),
+        ("[fit]\ntheta_max = 0.1\n", "fit.theta_max"),
+        ("[fit]\nhighlight = 0.2\n", "unknown key 'fit.highlight'"),
     ],
 )
 def test_bad_settings_are_one_line_errors(tmp_path, text, words):
@@ -256,14 +260,14 @@ def test_default_toml_is_the_defaults():
 def test_settings_of_effects_are_those_of_the_model():
     section = type(Config().effects).model_fields
     for field in dataclasses.fields(Effects):
-        if field.name not in ("body", "acquisition", "apparatus"):
+        if field.name not in ("index", "body", "acquisition", "apparatus"):
             assert section[field.name].default == field.default
     assert set(section) == {field.name for field in dataclasses.fields(Effects)} - {"apparatus"} | {"preset"}
     assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
     chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False, "acquisition": 0.5}
-    assert parse({"effects": chosen}, "here").effects_of("none") == Effects(**chosen)
+    assert parse({"effects": chosen}, "here").effects_of(("complex", "none")) == Effects(**chosen)
     derived = {"effects": {"acquisition": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
-    lamp = parse(derived, "here").effects_of("none").apparatus
+    lamp = parse(derived, "here").effects_of(("complex", "none")).apparatus
     assert lamp == Apparatus(lamp_sigma_rad=0.01)
 
 
@@ -273,23 +277,62 @@ def test_presets_are_those_of_the_model(name):
         with pytest.raises(ConfigError, match="fit with quadrature"):
             parse({"effects": {"preset": name}}, "here")
         return
-    expected = dataclasses.replace(PRESETS[name], body="plastic", acquisition="free")
-    assert parse({"effects": {"preset": name}}, "here").effects_of("plastic") == expected
-    assert load(preset=name, body="plastic").effects_of("plastic") == expected
+    expected = dataclasses.replace(PRESETS[name], index="real", body="plastic", acquisition="free")
+    assert parse({"effects": {"preset": name}}, "here").effects_of(("real", "plastic")) == expected
+    assert load(preset=name, body="plastic").effects_of(("real", "plastic")) == expected
     beside = parse({"effects": {"preset": name, "masking": "none"}}, "here")
-    assert beside.effects_of("plastic") == dataclasses.replace(expected, masking="none")
+    assert beside.effects_of(("real", "plastic")) == dataclasses.replace(expected, masking="none")
 
 
 def test_the_command_line_replaces_the_preset_and_leaves_the_keys_beside_it(tmp_path):
     path = tmp_path / "settings.toml"
     path.write_text('seed = 3\n[effects]\npreset = "conserving"\nmasking = "none"\nacquisition = 0.5\n')
     found = load(path, preset="preview", body="plastic", posterior=False)
-    expected = dataclasses.replace(PRESETS["preview"], body="plastic", masking="none", acquisition=0.5)
-    assert found.effects_of("plastic") == expected
+    kind = {"index": "real", "body": "plastic"}
+    expected = dataclasses.replace(PRESETS["preview"], **kind, masking="none", acquisition=0.5)
+    assert found.effects_of(("real", "plastic")) == expected
     assert found.seed == 3
     assert not found.posterior.enabled
     assert load(path, seed=5).seed == 5
     assert load(path).effects.split == "conserving"
+
+
+def test_the_command_line_replaces_index_and_weights(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text('[effects]\nindex = "real"\n[fit]\nweights = "log"\ntheta_max = 1.3\n')
+    found = load(path, index="complex", weights="none")
+    assert found.effects.index == "complex"
+    assert (found.fit.weights, found.fit.theta_max, found.bend) == ("none", 1.3, 0.0)
+    assert load(path).bend == "log"
+    assert Config().bend == 1.4
+
+
+@pytest.mark.parametrize(
+    ("given", "kinds"),
+    [
+        ({}, KINDS),
+        ({"index": "complex"}, [("complex", "none"), ("complex", "lambert")]),
+        ({"index": "real"}, [("real", "lambert"), ("real", "plastic"), ("real", "subsurface")]),
+        ({"body": "none"}, [("complex", "none")]),
+        ({"body": "lambert"}, [("real", "lambert"), ("complex", "lambert")]),
+        ({"body": "plastic"}, [("real", "plastic")]),
+        ({"index": "complex", "body": "lambert"}, [("complex", "lambert")]),
+        ({"index": "real", "body": "none"}, [("real", "none")]),
+    ],
+    ids=str,
+)
+def test_kinds_are_those_that_agree_with_what_is_given(given, kinds):
+    config = load(**given)
+    assert config.kinds == list(kinds)
+    for kind in kinds:
+        assert config.effects_of(kind).kind == kind
+        assert config.layout_of(kind).effects == config.effects_of(kind)
+
+
+@pytest.mark.parametrize("body", ["plastic", "subsurface"])
+def test_a_clear_interface_with_a_complex_index_is_refused(body):
+    with pytest.raises(ConfigError, match=f"effects.body '{body}' has a real index"):
+        load(index="complex", body=body)
 
 
 def test_presets_that_only_switch_things_off_are_not_refused():

@@ -23,7 +23,7 @@ from scipy.stats import chisquare
 from .record import Record, Target
 
 MATERIALS, FEW = 200, 20
-BODIES = ("none", "lambert")  # in turn
+KINDS = (("complex", "none"), ("real", "lambert"))  # in turn
 BLUR = (1.0, 4.0, 16.0)  # bins along theta_h, theta_d, phi_d: deviations of the kernel that correlates the noise
 ALIKE = 0.8  # correlation of the channels' noise
 COST = (1e-3, 3e-2)  # of the noise, relative to the energy: log-uniform
@@ -39,16 +39,16 @@ def noise(rng, shape):
 
 def synthetic(seed):
     """Layout, truth in free coordinates and noisy samples of one material drawn from the prior."""
-    rng, body = np.random.default_rng([20261122, seed]), BODIES[seed % len(BODIES)]
-    config = load(body=body)
-    layout = config.layout_of(body)
+    rng, kind = np.random.default_rng([20261122, seed]), KINDS[seed % len(KINDS)]
+    config = load(index=kind[0], body=kind[1])
+    layout = config.layout_of(kind)
     truth, grid = rng.standard_normal(layout.size), merl_grid()
     used = grid.above & (grid.weight > 0)
     blank = Measurement(Path(f"synthetic-{seed}"), np.ones((3, *used.shape)), used, 0, 0, 0, "", "")
-    clean = predict_samples(layout, truth, weighted_samples(blank, 0.0))
+    clean = predict_samples(layout, truth, weighted_samples(blank, 0.0, np.pi / 2))
     whole = np.concatenate([clean, clean[..., ::-1]], -1)
     measurement = replace(blank, values=np.where(used, whole, 0.0))
-    samples = weighted_samples(measurement, config.fit.highlight)
+    samples = weighted_samples(measurement, config.bend, config.fit.theta_max)
     energy = np.sum(samples.weight * samples.value**2)
     share = np.exp(rng.uniform(*np.log(COST)))
     root = np.sqrt(np.where(samples.weight > 0, samples.weight, np.inf))

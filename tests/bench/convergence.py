@@ -27,7 +27,8 @@ def measure(path, body, starts):
     """The runs from random points, the one from the data, and one of a longer search."""
     config = load(body=body, posterior=False)
     measurement = read(path)
-    samples, layout = weighted_samples(measurement, config.fit.highlight), config.layout_of(body)
+    (kind,) = config.kinds
+    samples, layout = weighted_samples(measurement, config.bend, config.fit.theta_max), config.layout_of(kind)
 
     def run(config, first=None):
         return told(fit(measurement, samples, config, first=first))
@@ -47,8 +48,8 @@ def run(folder, out, every):
         "convergence", "Fits that arrive", RECONSTRUCTIONS,
         [f"`merlfit fit --body BODY` as shipped, all its stages, {starts} times a material: instead of reading its "
          "first starting point off the data it is given one drawn from the whole prior (beta, p, b, c, sigma_s and the "
-         "grazing exponent; optical constants are projected, as always), around which it scatters the others. Arrived: "
-         f"what is minimised (cost on all bins, and prior) is within {SAME:.1%} of the lowest of these runs, of the "
+         "grazing exponents; optical constants are projected, as always), around which it scatters the others. "
+         f"Arrived: what is minimised (cost on all bins, and prior) is within {SAME:.1%} of the lowest of these runs, of the "
          f"run from the data and of a longer search with fit.starts = {LONGER}.",
          "Excess: of the median and of the worst run over the best. From the data, longer search: their excess."],
         {"all": Target("runs that arrive, of all materials", 99, "%", at_least=True),

@@ -32,7 +32,7 @@ def prepared(names, config):
         for name in names:
             write(path, from_published(name, SOURCE)[0])
             begun = time.perf_counter()
-            found.append(prepare(weighted_samples(read(path), config.fit.highlight), config))
+            found.append(prepare(weighted_samples(read(path), config.bend, config.fit.theta_max), config))
             seconds += time.perf_counter() - begun
     return found, seconds / len(names)
 
@@ -71,7 +71,7 @@ def run(folder, out, every, on_cpu=False):
         return
     counts = COUNTS if device.platform == "gpu" else COUNTS_ON_CPU
     config = load(body=BODY, posterior=False)
-    layout = config.layout_of(BODY)
+    layout = config.layout_of(*config.kinds)
     everything, preparing = prepared(materials(SOURCE)[: max(counts)], config)
     record = Record(
         "gpu", "Fits batched over materials",

@@ -26,7 +26,8 @@ NEVER = 1e-14  # tolerance that no step meets
 
 def measure(path, grid, azimuths, precision):
     """Seconds a step of a solve that has not converged, and the peaks before and after it (MiB)."""
-    layout = load(body=BODY).layout_of(BODY)
+    config = load(body=BODY)
+    layout = config.layout_of(*config.kinds)
     samples = thin(weighted_samples(read(path)), GRIDS[grid])
     problem = make_problem(samples, int(azimuths), precision)
     start = layout.free({**OPTICS, **read_off(samples).first})

@@ -32,7 +32,15 @@ READINGS = {
     },
     "beta squared alone": {"beta": PRINTED["beta"] ** 2},
 }  # fmt: skip
-OTHERWISE = {"beta": 0.02, "b": 5.0, "c": 2.0, "sigma_s": 0.04, "grazing_exponent": 0.5}  # where the search begins
+# where the search begins
+OTHERWISE = {
+    "beta": 0.02,
+    "b": 5.0,
+    "c": 2.0,
+    "sigma_s": 0.04,
+    "grazing_exponent": 0.5,
+    "grazing_exponent_diffracted": 0.3,
+}
 KURTOSES = (0.35, 0.5, 0.8, 1.2)
 STEP = 1e-5  # of the differences that take derivatives from free coordinates to logarithms
 
@@ -66,7 +74,7 @@ def lowest(layout, problem, fixed):
 def measure(path):
     """Rows of the table, and intervals by parameter."""
     config, measurement = load(body="none"), read(path)
-    samples = weighted_samples(measurement, config.fit.highlight)
+    samples = weighted_samples(measurement, config.bend, config.fit.theta_max)
     fitted, problem = fit(measurement, samples, config), make_problem(samples)
     layout, least = fitted.layout, fitted.solution.cost
     rows = [("fit", least, layout.values(jnp.asarray(fitted.solution.z)))]

@@ -124,7 +124,8 @@ def brdf(v, theta_h, theta_d, cos_i, cos_o):
     """What MERL's apparatus would have measured of a conductor (Eq. 24-33, 59-60), (3, H, D, P), 1/sr.
 
     Args:
-        v: beta, p, b, c, sigma_s, grazing_exponent; n and k (3,). theta_h (H,), theta_d (D,); cosines (H, D, P).
+        v: beta, p, b, c, sigma_s, grazing_exponent, grazing_exponent_diffracted; n and k (3,). theta_h (H,),
+            theta_d (D,); cosines (H, D, P).
     """
     wavelength, cos_d = WAVELENGTHS_UM[:, None], np.cos(theta_d)
     eta = (v["n"] + 1j * v["k"])[:, None]
@@ -140,8 +141,10 @@ def brdf(v, theta_h, theta_d, cos_i, cos_o):
         i, o = np.where(above, cos_i[h], 1.0), np.where(above, cos_o[h], 1.0)
         lobe = amplitude * blurred(theta, 2 * b_over_lambda * cos_d, v["c"], v["beta"], v["p"])
         colour = rayleigh_rice(i, o, np.cos(2 * theta_d)[:, None] - i * o, eta[..., None])
-        rho = (mirror * epd(theta, v["beta"], v["p"]))[..., None] / (i * o) + colour * lobe[..., None]
-        loss = [np.maximum(1 - (2 / np.pi * np.arccos(cos)) ** 2, 1e-30) for cos in (i, o)]
+        base = [np.maximum(1 - (2 / np.pi * np.arccos(cos)) ** 2, 1e-30) for cos in (i, o)]
+        loss = [(base[0] * base[1]) ** v[k] for k in ("grazing_exponent", "grazing_exponent_diffracted")]
+        rho = loss[0] * (mirror * epd(theta, v["beta"], v["p"]))[..., None] / (i * o)
+        rho += loss[1] * colour * lobe[..., None]
         seen = masking(i, v["beta"], table) * masking(o, v["beta"], table)
-        found[:, h] = np.where(above, seen * rho * (loss[0] * loss[1]) ** v["grazing_exponent"], 0.0)
+        found[:, h] = np.where(above, seen * rho, 0.0)
     return found

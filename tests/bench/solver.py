@@ -67,7 +67,8 @@ def ours(layout, z, problem):
 
 def measure(path, body):
     """Costs, evaluations and ends of both from random starting points, and seconds an evaluation of each."""
-    layout = cheaper(load(body=body).layout_of(body), COARSE_ORDER)
+    config = load(body=body)
+    layout = cheaper(config.layout_of(*config.kinds), COARSE_ORDER)
     problem = make_problem(thin(weighted_samples(read(path)), COARSE), COARSE_AZIMUTHS)
     rng, rows = np.random.default_rng(0), {"stock": [], "ours": []}
     for _ in range(STARTS):

@@ -57,7 +57,7 @@ def one():
 def test_the_distance_is_that_of_all_bins(one):
     samples, _, fitted, problem = one
     layout, z = fitted.layout, fitted.solution.z
-    cheap = layout_of(Effects(layout.effects.body, "lobe", acquisition="free"))
+    cheap = layout_of(Effects(layout.effects.body, "lobe", index=layout.effects.index, acquisition="free"))
     for a, b in (((layout, z), (layout, z + 0.1)), ((layout, z), (cheap, z))):
         here, there = (run.predict_samples(*model, samples) for model in (a, b))
         expected = np.sqrt(np.sum(samples.weight * (here - there) ** 2) / energy(samples))
@@ -75,7 +75,7 @@ def test_the_step_that_remains_is_the_way_to_the_reference(one):
         away = distance((layout, moved), (layout, z), problem)
         assert remaining((layout, moved), problem) == pytest.approx(away, rel=0.2)
         assert estimate((layout, moved), problem, config) == remaining((layout, moved), problem)
-    cheap = layout_of(Effects(layout.effects.body, order=8, acquisition="free"))
+    cheap = layout_of(Effects(layout.effects.body, index=layout.effects.index, order=8, acquisition="free"))
     both = estimate((cheap, z), problem, config)
     assert both == pytest.approx(distance((cheap, z), (layout, z), problem) + remaining((layout, z), problem))
 

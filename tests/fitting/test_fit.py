@@ -23,7 +23,7 @@ from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
 from merlfit.model.acquisition import derived_exponent
-from merlfit.model.effects import BODIES, Effects
+from merlfit.model.effects import KINDS, Effects
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import two_scale
 
@@ -35,16 +35,16 @@ PLASTIC = {
     "beta": 0.08, "p": 0.8, "b": 1.5, "c": 1.8, "sigma_s": 0.04, "eta": np.array([1.45, 1.5, 1.55]),
     "albedo": np.array([0.5, 0.2, 0.05]),
 }  # fmt: skip
-EXPONENT = 0.35
+EXPONENTS = {"grazing_exponent": 0.35, "grazing_exponent_diffracted": 0.15}
 FREE = layout_of(Effects("none", acquisition="free"))
 
 
-def tabulate(values, effects, exponent=EXPONENT):
+def tabulate(values, effects, exponents=EXPONENTS):
     """What MERL's apparatus would have stored of a material: synthetic data."""
     grid = merl_grid()
     parts = []
-    measured = dataclasses.replace(effects, acquisition=exponent)
-    compiled = jax.jit(lambda g: two_scale(values, g, measured))
+    measured = dataclasses.replace(effects, acquisition="free")
+    compiled = jax.jit(lambda g: two_scale({**values, **exponents}, g, measured))
     for rows in np.split(np.arange(90), 9):
         g = Geometry.from_half_difference(
             grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]
@@ -68,14 +68,15 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
     config = load(body=body, posterior=False)
     result = run.fit_file(files[name], tmp_path, config)
     assert result.fit.status == "CONVERGED", result.fit
-    truth = {**values, "grazing_exponent": EXPONENT}
+    truth = {**values, **EXPONENTS}
     for parameter, found in result.values().items():
         np.testing.assert_allclose(found, truth[parameter], rtol=1e-3, err_msg=parameter)
     assert result.fit.cost < 1e-6
     if body == "auto":
-        assert result.model.effects.body == "plastic"
-        assert {c.body for c in result.fit.candidates} == set(BODIES)
-        assert min(result.fit.candidates, key=lambda c: c.bic).body == "plastic"
+        assert result.model.effects.kind == ("real", "plastic")
+        assert [(c.index, c.body) for c in result.fit.candidates] == list(KINDS)
+        best = min(result.fit.candidates, key=lambda c: c.bic)
+        assert (best.index, best.body) == ("real", "plastic")
     assert (tmp_path / f"{name}.json").is_file()
 
 
@@ -180,7 +181,7 @@ def test_solvers_of_three_libraries_agree(coarse):
     samples = coarse[0]
     problem = make_problem(thin(samples, (10, 10, 45)))
     layout = layout_of(Effects("none", "lobe", acquisition="free"))
-    start = layout.free({**CONDUCTOR, "grazing_exponent": EXPONENT}) + 0.1
+    start = layout.free({**CONDUCTOR, **EXPONENTS}) + 0.1
     ours, minpack, jaxopt = (solve(layout, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
     assert ours.cost < solve(layout, start, problem, 1).cost / 10
     for other in (minpack, jaxopt):
@@ -245,7 +246,7 @@ def test_equations_that_are_not_finite_are_a_failure(coarse):
     solution = solve(FREE, np.zeros(FREE.size), spoiled)
     assert not solution.converged
     assert np.isnan(solution.cost)
-    fitted = Fitted(FREE, solution, np.ones(3), Errors(0.0, 0.0), [])
+    fitted = Fitted(FREE, solution, np.ones(3), Errors(*(0.0,) * 6), [])
     assert fitted.status is Status.NON_FINITE
 
 
@@ -272,7 +273,7 @@ def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):
     normal[:, 8, 8] = 1.0
     normal[:, 5, 5] = 1e3  # the first albedo is well determined, the second is not
     solution = dataclasses.replace(solve(layout, z, problem, 1), z=z, normal=normal, cost=0.3, converged=True)
-    fitted = Fitted(layout, solution, 60.0, Errors(0.0, 0.0), [])
+    fitted = Fitted(layout, solution, 60.0, Errors(*(0.0,) * 6), [])
     assert fitted.at_bound == ["no"] * 6 + ["lower", "no"]
     assert fitted.status is Status.AT_BOUND
 

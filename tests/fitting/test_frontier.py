@@ -53,8 +53,8 @@ def test_a_tier_that_was_asked_for_is_not_replaced(made):
     assert settings.effects == fast.effects
     assert (settings.fit.grid, settings.fit.starts) == ("coarse", 1)
     replaced = POINTS[0].settings(load(preset="conserving"))
-    assert replaced.effects_of("none").diffraction == "lobe"
-    assert replaced.effects_of("none").split == "conserving"
+    assert replaced.effects_of(("complex", "none")).diffraction == "lobe"
+    assert replaced.effects_of(("complex", "none")).split == "conserving"
 
 
 def test_the_defaults_are_a_point():

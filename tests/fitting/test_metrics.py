@@ -1,9 +1,13 @@
 """What residuals are worth: effective counts against the scatter they stand for, and the criterion built on them."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
-from merlfit.fitting.metrics import correlation_length, effective_count, errors
+from merlfit.fitting import picture
+from merlfit.fitting.metrics import Errors, correlation_length, effective_count, errors
 from merlfit.fitting.selection import bic
+from merlfit.fitting.weights import within
 from merlfit.merl_io.grid import merl_grid
 
 SHAPE = (3, 60, 12, 9)  # channels, theta_h, theta_d, phi_d
@@ -96,27 +100,95 @@ def test_bic_is_schwarz_with_the_scale_profiled_out():
     assert np.isfinite(bic(0.0, 160.0, 8))
 
 
-def test_errors_are_those_of_the_definitions():
-    rng = np.random.default_rng(4)
-    grid = merl_grid()
-    shape = (2, *grid.cos_i.shape)
+def random_planes(seed=4, share=0.15):
+    """Measured, predicted and valid bins; light and viewer do not weigh alike."""
+    rng, grid = np.random.default_rng(seed), merl_grid()
+    shape = (3, *grid.cos_i.shape)
     measured, predicted = rng.uniform(0.1, 1, shape), rng.uniform(0.1, 1, shape)
-    predicted[..., :90] += 1  # light and viewer do not weigh alike
-    valid = rng.uniform(size=grid.cos_i.shape) < 0.5
-    found = errors(np.where(valid, measured, np.nan), predicted, valid, grid)
-    squares = weights = shares = bins = 0.0
+    predicted[..., :90] += 1
+    return measured, predicted, rng.uniform(size=grid.cos_i.shape) < share
+
+
+@pytest.mark.parametrize("theta_max", [1.4, 1.0])
+def test_errors_are_those_of_the_definitions(theta_max):
+    grid = merl_grid()
+    measured, predicted, valid = random_planes()
+    found = errors(np.where(valid, measured, np.nan), predicted, valid, grid, theta_max)
+    squares = weights = shares = bins = roots = logs = pairs = 0.0
     widths = np.gradient(grid.theta_h)
     for h, d in np.ndindex(90, 90):
         for i in np.flatnonzero(valid[h, d]):
             light, viewer = np.arccos(np.clip([grid.cos_i[h, d, i], grid.cos_o[h, d, i]], -1, 1))
-            if max(light, viewer) < 1.4:
-                w = np.cos(grid.theta_d[d]) * np.sin(grid.theta_d[d]) * np.sin(grid.theta_h[h]) * widths[h]
-                w *= np.cos(light) ** 2 / max(np.sin(light), 0.02)
+            if max(light, viewer) < theta_max:
+                pair = np.cos(grid.theta_d[d]) * np.sin(grid.theta_d[d]) * np.sin(grid.theta_h[h]) * widths[h]
+                w = pair * np.cos(light) ** 2 / max(np.sin(light), 0.02)
                 m, p = measured[:, h, d, i], predicted[:, h, d, i]
-                squares, weights = squares + w * np.sum((m - p) ** 2), weights + 2 * w
-                shares, bins = shares + np.sum(np.abs(m - p) / (m + p)), bins + 2
+                squares, weights = squares + w * np.sum((m - p) ** 2), weights + 3 * w
+                shares, bins = shares + np.sum(np.abs(m - p) / (m + p)), bins + 3
+                m, p = m * np.cos(light), p * np.cos(light)
+                roots += pair * np.sum((m ** (1 / 3) - p ** (1 / 3)) ** 2)
+                logs += pair * np.sum((np.log(1 + m) - np.log(1 + p)) ** 2)
+                pairs += 3 * pair
     assert found.rmse == pytest.approx(np.sqrt(squares / weights), rel=1e-9)
     assert found.smape == pytest.approx(shares / bins, rel=1e-9)
-    swapped = errors(measured[..., ::-1], predicted[..., ::-1], valid[..., ::-1], grid)
+    assert found.cube_root == pytest.approx(np.sqrt(roots / pairs), rel=1e-9)
+    assert found.log == pytest.approx(np.sqrt(logs / pairs), rel=1e-9)
+    swapped = errors(measured[..., ::-1], predicted[..., ::-1], valid[..., ::-1], grid, theta_max)
     assert swapped.rmse != pytest.approx(found.rmse, rel=0.05)
-    assert np.isnan(errors(measured, measured, np.zeros_like(valid), grid).rmse)
+
+
+def test_without_bins_no_error_is_a_number():
+    measured, _, valid = random_planes()
+    nothing = errors(measured, measured, np.zeros_like(valid), merl_grid())
+    assert all(np.isnan(x) for x in astuple(nothing))
+
+
+def test_an_equal_prediction_has_no_error():
+    measured, _, valid = random_planes()
+    same = errors(np.where(valid, measured, np.nan), measured, valid, merl_grid())
+    assert same == Errors(rmse=0.0, smape=0.0, cube_root=0.0, log=0.0, highlight=1.0, picture=0.0)
+
+
+def test_what_is_not_valid_or_past_theta_max_does_not_matter():
+    grid = merl_grid()
+    measured, predicted, valid = random_planes()
+    expected = errors(measured, predicted, valid, grid)
+    past = np.arccos(np.clip(np.minimum(grid.cos_i, grid.cos_o), -1, 1)) > 1.4
+    for where in (past, ~valid):
+        spoiled = errors(np.where(where, 1e3, measured), np.where(where, 7e3, predicted), valid, grid)
+        assert astuple(spoiled) == astuple(expected)
+    assert errors(measured, predicted, valid, grid, 1.5) != expected
+    wide = errors(np.where(past, 1e3, measured), predicted, valid, grid, 1.5)
+    assert wide.rmse > 10 * expected.rmse
+
+
+def test_the_highlight_is_the_ratio_of_peaks_where_the_mirror_direction_is_seen():
+    grid = merl_grid()
+    measured = np.full((3, *grid.cos_i.shape), 0.1)
+    predicted = measured.copy()
+    measured[:, 0, 20, 90], predicted[:, 0, 31, 10] = [1.0, 2.0, 3.0], [4.0, 1.0, 1.0]  # anywhere in the row
+    valid = grid.above.copy()
+    assert errors(measured, predicted, valid, grid).highlight == pytest.approx(1.0)  # channels summed
+    assert errors(measured, predicted / 2, valid, grid).highlight == pytest.approx(0.5)
+    towards_grazing = predicted.copy()
+    towards_grazing[:, 0, 65:] = 100.0  # theta_d of 60 degrees and more
+    assert errors(measured, towards_grazing, valid, grid).highlight == pytest.approx(1.0)
+    elsewhere = predicted.copy()
+    elsewhere[:, 1] = 100.0
+    assert errors(measured, elsewhere, valid, grid).highlight == pytest.approx(1.0)
+    valid[0, 20, 90] = False  # what is not measured is no highlight
+    assert errors(measured, predicted, valid, grid).highlight == pytest.approx(6.0 / 0.3)
+
+
+def test_the_picture_is_of_the_mean_of_reciprocal_bins():
+    grid = merl_grid()
+    measured, predicted, _ = random_planes(share=1.0)
+    inside = within(grid, 1.4)
+
+    def folded(values):
+        return (values[..., :90] + values[..., :89:-1]) / 2
+
+    both = inside[..., :90] & inside[..., :89:-1]
+    expected = picture.difference(folded(measured), folded(predicted), both)
+    assert errors(measured, predicted, grid.above, grid).picture == pytest.approx(expected, rel=1e-12)
+    assert expected > 1

@@ -11,7 +11,18 @@ import pytest
 from merlfit.fitting.problem import make_problem
 from merlfit.fitting.projection import ALBEDOS, ETAS, project
 from merlfit.fitting.run import predict_samples
-from merlfit.fitting.starts import CLASSES, NEAR, RIM, SCATTER, TYPICAL, ReadOff, read_off, starting_points
+from merlfit.fitting.starts import (
+    CLASSES,
+    DARK_QUANTILE,
+    NEAR,
+    RIM,
+    SCATTER,
+    TYPICAL,
+    ReadOff,
+    half_width,
+    read_off,
+    starting_points,
+)
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
@@ -22,8 +33,8 @@ from scipy.special import ndtr, ndtri
 LAYOUT = layout_of(Effects("lambert", "lobe", acquisition="free"))
 SHARED = [q.name for q in LAYOUT.parameters if not q.per_channel]
 TRUTH = {
-    "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4, "eta": np.full(3, 1.5),
-    "albedo": np.array([0.5, 0.3, 0.1]),
+    "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
+    "grazing_exponent_diffracted": 0.2, "eta": np.full(3, 1.5), "albedo": np.array([0.5, 0.3, 0.1]),
 }  # fmt: skip
 FIRST = {"beta": 0.05, **TYPICAL}
 SEEN = ReadOff(FIRST, 60.0)
@@ -127,7 +138,7 @@ def test_another_prior_scatters_them_otherwise(problem):
     assert len(set(kinds(found[1:]))) == 12
 
 
-@pytest.mark.parametrize("name", ["beta", "p", "b", "c", "sigma_s", "grazing_exponent"])
+@pytest.mark.parametrize("name", ["beta", "p", "b", "c", "sigma_s", "grazing_exponent", "grazing_exponent_diffracted"])
 def test_a_first_one_at_a_bound_leaves_all_within_bounds(name, problem):
     q = next(q for q in LAYOUT.parameters if q.name == name)
     for bound in (q.lower, q.upper):
@@ -167,3 +178,40 @@ def test_a_black_file_has_a_first_one_nevertheless(samples):
         first, b = read_off(black)
         for values in (first, {**first, "b": b}):
             assert np.all(np.isfinite(LAYOUT.free({**TRUTH, **values})))
+
+
+def lobe(tangent, width):
+    """Beckmann's, one at its peak."""
+    return np.exp(-np.log(2) * (tangent / width) ** 2)
+
+
+@pytest.mark.parametrize("width", [0.02, 0.08, 0.3, 1.0])
+def test_the_half_width_is_that_of_a_known_lobe(width):
+    grid = merl_grid()
+    tangent = np.tan(grid.theta_h)
+    value = (0.2 + 5 * lobe(tangent, width))[None, :, None, None] * np.ones((3, 1, 90, 90))
+    used = np.broadcast_to(grid.above[..., :90], value.shape)
+    found = half_width(grid.theta_h, grid.theta_d, value, used)
+    row = np.searchsorted(tangent, width)  # the first that is darker than half
+    assert tangent[row - 1] <= found <= tangent[row + 1]
+    np.testing.assert_allclose(half_width(grid.theta_h, grid.theta_d, 1e3 * value, used), found)
+
+
+def test_the_half_width_looks_at_small_theta_d_and_at_what_counts():
+    grid = merl_grid()
+    value = (0.2 + 5 * lobe(np.tan(grid.theta_h), 0.02))[None, :, None, None] * np.ones((3, 1, 90, 90))
+    used = np.broadcast_to(grid.above[..., :90], value.shape)
+    expected = half_width(grid.theta_h, grid.theta_d, value, used)
+    elsewhere = np.where(grid.theta_d[:, None] > 1.0, 1e4, value)
+    assert half_width(grid.theta_h, grid.theta_d, elsewhere, used) == expected
+    spoiled, without = value.copy(), used.copy()
+    spoiled[:, 60:, :3, :10], without[:, 60:, :3, :10] = 1e6, False
+    assert half_width(grid.theta_h, grid.theta_d, spoiled, without) == expected
+    assert 0 < DARK_QUANTILE < 1
+
+
+def test_the_half_width_of_nothing_is_a_number():
+    grid = merl_grid()
+    value, used = np.zeros((3, 90, 90, 90)), np.broadcast_to(grid.above[..., :90], (3, 90, 90, 90))
+    for nothing in (used, np.zeros_like(used)):
+        assert 0 < half_width(grid.theta_h, grid.theta_d, value, nothing) <= 2

@@ -9,12 +9,17 @@ import pytest
 from merlfit.fitting.config import Config, ConfigError, load, parse
 from merlfit.fitting.transforms import layout_of
 from merlfit.model.diffraction import renormalisation
-from merlfit.model.effects import BODIES, Effects
+from merlfit.model.effects import KINDS, Effects
 from merlfit.model.parameters import PRIORS, WAVELENGTHS_UM, LogNormal, parameters
 from scipy.special import ndtr
 from scipy.stats import kstest, truncnorm
 
-LAYOUTS = {body: layout_of(Effects(body, acquisition="free")) for body in BODIES} | {
+LAYOUTS = {
+    body if index == Effects(body).index else f"{index} {body}": layout_of(
+        Effects(body, index=index, acquisition="free")
+    )
+    for index, body in KINDS
+} | {
     "no diffraction": layout_of(Effects("plastic", "off")),
     "not renormalised": layout_of(Effects("none", renormalised=False, acquisition="free")),
 }
@@ -125,10 +130,14 @@ def test_values_beyond_their_bounds_are_moved_just_inside(layout):
 
 @every
 def test_values_are_what_the_priors_make_of_standard_normal_coordinates(layout):
-    """Quantiles of each parameter given the others: of a log-normal cut at the bounds, or uniform."""
+    """Quantiles of each given the others: of a log-normal cut at the bounds, of log-normal odds, or uniform."""
     z, values = drawn(layout)
     for q, where in zip(layout.parameters, layout.slices.values(), strict=True):
         place = z[:, where] if q.per_channel else z[:, where][:, 0]
+        if q.name == "albedo":
+            odds = layout.priors.odds.median * layout.priors.odds.factor**place
+            np.testing.assert_allclose(values[q.name], odds / (1 + odds), rtol=1e-9)
+            continue
         if q.scale == "linear":
             np.testing.assert_allclose(values[q.name], q.lower + (q.upper - q.lower) * ndtr(place), rtol=1e-9)
             continue
@@ -159,7 +168,11 @@ def test_draws_have_the_stated_priors(layout):
         middle, factor = middle_and_factor(x)
         assert abs(np.log(middle / prior.median)) < 0.12 * np.log(prior.factor)
         assert np.log(factor) / np.log(prior.factor) == pytest.approx(1, abs=0.1)
-    for name in {"grazing_exponent", "albedo"} & set(values):
+    if "albedo" in values:
+        odds = np.log(np.ravel(values["albedo"] / (1 - values["albedo"])) / priors.odds.median)
+        assert kstest(odds / np.log(priors.odds.factor), "norm").pvalue > 1e-3
+        assert np.mean(values["albedo"] < 0.01) > 0.1  # a floor under a metal is no oddity
+    for name in {"grazing_exponent", "grazing_exponent_diffracted"} & set(values):
         assert kstest(np.ravel(values[name]), "uniform").pvalue > 1e-3
 
 
@@ -184,17 +197,18 @@ def test_what_is_cut_off_is_given_to_the_rest():
 
 def test_other_priors_in_the_configuration_are_those_of_the_coordinates():
     given = {"half_width": {"median": 0.1, "factor": 1.5}, "eta": {"median": 0.3, "factor": 1.2},
-             "dispersion": {"median": 1.1, "factor": 1.15}}  # fmt: skip
+             "dispersion": {"median": 1.1, "factor": 1.15}, "odds": {"median": 0.5, "factor": 2.0}}  # fmt: skip
     config = parse({"effects": {"preset": "microfacet"}, "priors": given}, "here")
-    layout = config.layout_of("plastic")
+    layout = config.layout_of(("real", "plastic"))
     assert layout.priors == replace(PRIORS, **{name: LogNormal(**prior) for name, prior in given.items()})
-    assert layout.effects == config.effects_of("plastic")
+    assert layout.effects == config.effects_of(("real", "plastic"))
     _, values = drawn(layout, seed=7, most=np.inf)
     above = values["eta"] - 1
     for x, name in (
         (half_width(values), "half_width"),
         (above[:, 1], "eta"),
         (above[:, 0] / above[:, 1], "dispersion"),
+        (values["albedo"] / (1 - values["albedo"]), "odds"),
     ):
         middle, factor = middle_and_factor(x)
         assert middle == pytest.approx(given[name]["median"], rel=0.03)
@@ -207,7 +221,7 @@ def test_other_priors_in_the_configuration_are_those_of_the_coordinates():
 
 def test_the_configuration_s_priors_are_the_model_s():
     assert Config().priors.model_dump() == asdict(PRIORS)
-    assert load().layout_of("none") == layout_of(load().effects_of("none"))
+    assert load().layout_of(("complex", "none")) == layout_of(load().effects_of(("complex", "none")))
     for bad in ({"median": 0.0, "factor": 2.0}, {"median": 1.0, "factor": 1.0}, {"median": 1.0}, {"mean": 1.0}):
         with pytest.raises(ConfigError, match="priors"):
             parse({"priors": {"p": bad}}, "here")
@@ -216,9 +230,23 @@ def test_the_configuration_s_priors_are_the_model_s():
 def test_priors_are_said_in_words():
     layout = LAYOUTS["plastic"]
     said = {q.name: layout.prior(q) for q in layout.parameters}
-    assert said["albedo"] == "uniform in [0, 1]"
+    assert said["albedo"] == "albedo/(1 - albedo) log-normal, 0.11 times or over 9"
     assert said["beta"] == "half_width log-normal, 0.03 times or over 5; beta in [0.001, 1]"
     assert said["c"].startswith("c - 1 log-normal, 0.7 times or over 2.5")
     assert "that of the middle one times or over 1.2" in said["eta"]
     other = replace(layout, priors=replace(PRIORS, p=LogNormal(1.0, 3.0)))
     assert "1 times or over 3" in other.prior(next(q for q in parameters(layout.effects) if q.name == "p"))
+
+
+def test_an_albedo_of_nothing_is_a_small_one():
+    """A start at 0 or 1 has free coordinates from which a fit can go on."""
+    layout = LAYOUTS["lambert"]
+    where = layout.slices["albedo"]
+    values = {q.name: q.default for q in layout.parameters}
+    for given, most in ((0.0, 2e-6), (-1.0, 2e-6), (1.0, 1.0)):
+        z = layout.free({**values, "albedo": np.full(3, given)})
+        found = layout.values(jnp.asarray(z))["albedo"]
+        assert np.all(np.abs(z[where]) < 8)
+        assert np.all((found > 0) & (found <= most))
+        assert np.all(np.asarray(layout.slopes(jnp.asarray(z))).diagonal()[where] > 0)
+    assert np.all(layout.values(jnp.asarray(layout.free({**values, "albedo": np.full(3, 0.002)})))["albedo"] < 0.0021)

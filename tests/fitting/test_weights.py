@@ -1,4 +1,4 @@
-"""The weights of Eq. 56 and what the highlight counts for under them."""
+"""The weights of Eq. 56, what may take their place, and the directions that have none."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from merlfit.fitting.weights import (
-    DARK_QUANTILE,
+    BENDS,
+    LADDER,
+    THETA_MAX,
     compressive_weight,
     cos_weighted_median,
-    half_width,
     weighted_samples,
+    within,
 )
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
@@ -18,6 +20,7 @@ from merlfit.merl_io.samples import fold
 
 WIDTH = 0.02  # tan(theta_h) where the lobe has fallen to half
 BODY = np.array([0.3, 0.05, 0.002])  # 1/sr: the darker, the more the highlight counts for
+EVERY_BEND = [1.4, 0.7, 0.0, "log"]
 
 
 def lobe(tangent, width=WIDTH):
@@ -38,30 +41,22 @@ def glossy():
     return made(20.0)
 
 
-def plainly(measurement):
-    """Eq. 56-58 as printed: a bin's share of the measure times w_C, channel by channel."""
+def plainly(measurement, bend=1.4, theta_max=1.4):
+    """A bin's share of the measure times its weight, channel by channel, where neither light nor viewer is too low."""
     grid = merl_grid()
-    used = measurement.valid & grid.above & (grid.weight > 0)
+    lowest = np.arccos(np.clip(np.minimum(grid.cos_i, grid.cos_o), -1, 1))
+    used = measurement.valid & grid.above & (lowest < theta_max) & (grid.weight > 0)
     weight = np.zeros(measurement.values.shape)
     for plane, found in zip(measurement.values, weight, strict=True):
         value, cos_i = plane[used], np.maximum(grid.cos_i[used], 0)
+        if bend == "log":
+            found[used] = grid.weight[used] * (cos_i / (1 + value * cos_i)) ** 2
+            continue
         order = np.argsort(value)
         middle = value[order][np.searchsorted(np.cumsum(cos_i[order]), cos_i.sum() / 2)]
         x = value / middle
-        found[used] = grid.weight[used] * ((1 - 2.0**-x) / (x * np.log(2))) ** 1.4
+        found[used] = grid.weight[used] * ((1 - 2.0**-x) / (x * np.log(2))) ** bend
     return weight
-
-
-def bright(samples):
-    """Rows within the half width of the lobe."""
-    width = half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0)
-    return np.tan(samples.theta_h) <= width
-
-
-def shares(samples):
-    """Of each channel's weighted energy, what is within the half width."""
-    rows = np.sum(samples.weight * samples.value**2, (2, 3))
-    return rows[:, bright(samples)].sum(1) / rows.sum(1)
 
 
 def test_the_compressive_weight_is_that_of_the_paper():
@@ -74,96 +69,110 @@ def test_the_compressive_weight_is_that_of_the_paper():
     np.testing.assert_allclose(compressive_weight(7 * value, np.asarray(7.0)), weight)
 
 
+def test_the_exponent_bends_the_weight_of_what_is_bright():
+    value = np.geomspace(1e-3, 1e3, 30)
+    weights = np.array([compressive_weight(value, np.asarray(1.0), bend) for bend in LADDER])
+    assert sorted(LADDER, reverse=True) == list(LADDER)
+    assert np.all(np.diff(weights, axis=0) >= 0)
+    assert np.all(np.diff(weights[:-1], axis=1) < 0)
+    np.testing.assert_array_equal(weights[-1], 1.0)
+    np.testing.assert_allclose(weights[1], weights[0] ** (LADDER[1] / LADDER[0]))
+
+
 def test_the_median_is_weighted_by_cosines():
     assert cos_weighted_median(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.1, 1.0])) == 3.0
     assert cos_weighted_median(np.array([3.0, 1.0, 2.0]), np.array([0.1, 1.0, 0.1])) == 1.0
     assert cos_weighted_median(np.arange(9.0), np.ones(9)) == 4.0
 
 
-def test_without_a_floor_the_weights_are_the_paper_s(glossy):
-    found = weighted_samples(glossy, 0.0)
-    expected = fold(merl_grid(), np.nan_to_num(glossy.values), plainly(glossy))
+@pytest.mark.parametrize("theta_max", [1.0, 1.4, np.pi / 2])
+@pytest.mark.parametrize("bend", EVERY_BEND)
+def test_the_weights_are_those_of_the_definitions(glossy, bend, theta_max):
+    found = weighted_samples(glossy, bend, theta_max)
+    expected = fold(merl_grid(), np.nan_to_num(glossy.values), plainly(glossy, bend, theta_max))
     np.testing.assert_allclose(found.weight, expected.weight, rtol=1e-9)
     np.testing.assert_allclose(found.value, expected.value, rtol=1e-12)
     assert found.scatter == pytest.approx(expected.scatter, abs=1e-9)
 
 
-@pytest.mark.parametrize("least", [0.05, 0.1, 0.5, 0.9])
-def test_the_highlight_carries_what_was_asked_in_every_channel(glossy, least):
-    printed, found = weighted_samples(glossy, 0.0), weighted_samples(glossy, least)
-    before, after = shares(printed), shares(found)
-    assert np.any(before < least)
-    np.testing.assert_allclose(after, np.maximum(before, least), rtol=1e-9)
-    np.testing.assert_allclose(found.value, printed.value, rtol=1e-12)
-    within = bright(printed)
-    np.testing.assert_array_equal(found.weight[:, ~within], printed.weight[:, ~within])
-    for channel in range(3):  # all of them alike, and none is lowered
-        used = printed.weight[channel, within] > 0
-        raised = found.weight[channel, within][used] / printed.weight[channel, within][used]
-        assert np.ptp(raised) < 1e-9 * raised.max()
-        assert (raised.min() > 1 + 1e-9) == (before[channel] < least)
+def test_as_if_nothing_were_said_they_are_the_paper_s(glossy):
+    found, printed = weighted_samples(glossy), weighted_samples(glossy, 1.4, 1.4)
+    np.testing.assert_array_equal(found.weight, printed.weight)
+    assert THETA_MAX == 1.4
+    assert BENDS == {"compressive": 1.4, "log": "log", "none": 0.0}
+    for other in (0.7, 0.0, "log"):
+        assert np.max(np.abs(weighted_samples(glossy, other).weight - printed.weight)) > 0.1 * printed.weight.max()
 
 
-def test_channels_that_need_no_floor_are_left_as_they_are(glossy):
-    """Each by itself: the darker the body, the more the highlight counts for anyway."""
-    printed = weighted_samples(glossy, 0.0)
-    before = shares(printed)
-    assert before[0] < before[1] < before[2]
-    found = weighted_samples(glossy, float(before[1:].mean()))
-    np.testing.assert_array_equal(found.weight[2], printed.weight[2])
-    assert np.all(shares(found)[:2] > before[:2])
+@pytest.mark.parametrize("bend", EVERY_BEND)
+def test_light_or_viewer_beyond_theta_max_count_for_nothing(glossy, bend):
+    """Bins of either direction too low, and no others; whatever is measured there makes no difference."""
+    grid = merl_grid()
+    samples, all_of_them = weighted_samples(glossy, bend), weighted_samples(glossy, bend, np.pi / 2)
+    lowest = np.arccos(np.minimum(samples.cos_i, samples.cos_o))
+    assert not np.any(samples.weight[:, lowest > 1.4])
+    counted = all_of_them.weight > 0
+    assert np.array_equal(samples.weight > 0, counted & (lowest < 1.4))
+    assert 0.05 < np.mean(lowest[counted[0]] > 1.4) < 0.5
+    past = ~within(grid, 1.4)
+    spoiled = replace(glossy, values=np.where(past, 1e3 * glossy.values, glossy.values))
+    np.testing.assert_array_equal(weighted_samples(spoiled, bend).weight, samples.weight)
+    assert not np.array_equal(weighted_samples(spoiled, bend, np.pi / 2).weight, all_of_them.weight) or bend == 0.0
 
 
-def test_pairs_that_differ_scatter_by_the_raised_weights(glossy):
-    """Weights are raised before folding: what that cannot explain is of the same unit as the cost."""
+def test_directions_are_within_as_both_are():
+    grid = merl_grid()
+    light, viewer = (np.arccos(np.clip(cos, -1, 1)) for cos in (grid.cos_i, grid.cos_o))
+    for theta_max in (0.7, 1.4):
+        expected = (light < theta_max) & (viewer < theta_max)
+        assert np.array_equal(within(grid, theta_max), expected)
+        assert np.any((light < theta_max) & ~expected)
+        assert np.any((viewer < theta_max) & ~expected)
+    assert np.array_equal(within(grid, np.pi / 2), grid.above & (np.minimum(grid.cos_i, grid.cos_o) > 6e-17))
+
+
+def test_every_channel_is_compared_with_its_own_median(glossy):
+    """A channel that is brighter everywhere weighs as the others do: the weights know no unit."""
+    brighter = replace(glossy, values=glossy.values * np.array([1.0, 7.0, 1.0])[:, None, None, None])
+    before, after = weighted_samples(glossy), weighted_samples(brighter)
+    np.testing.assert_allclose(after.weight, before.weight, rtol=1e-9)
+    assert not np.allclose(weighted_samples(brighter, "log").weight[1], weighted_samples(glossy, "log").weight[1])
+
+
+def test_the_log_weight_is_that_of_small_errors_of_the_logarithm():
+    """d log(1 + m cos_i) = cos_i / (1 + m cos_i) dm."""
+    grid, measurement = merl_grid(), made(20.0)
+    one = replace(measurement, valid=grid.above & (grid.theta_d < 0.2)[:, None])
+    found = weighted_samples(one, "log")
+    less, more = (
+        np.log1p(np.nan_to_num(one.values) * scale * np.maximum(grid.cos_i, 0)) for scale in (1 - 1e-5, 1 + 1e-5)
+    )
+    slope = (more - less) / (2e-5 * np.nan_to_num(one.values, nan=1.0))
+    expected = fold(
+        grid, np.nan_to_num(one.values), np.where(one.valid & within(grid, 1.4), grid.weight * slope**2, 0.0)
+    )
+    np.testing.assert_allclose(found.weight, expected.weight, rtol=1e-7)
+
+
+def test_pairs_that_differ_scatter_by_their_weights(glossy):
     uneven = replace(glossy, values=np.where(np.arange(180) < 90, 1.2, 1.0) * glossy.values)
-    low, high = (weighted_samples(uneven, least) for least in (0.0, 0.5))
-    factor = np.where(bright(low), (high.weight / np.where(low.weight > 0, low.weight, np.inf)).max((2, 3)), 1.0)
-    expected = fold(merl_grid(), np.nan_to_num(uneven.values), plainly(uneven) * factor[..., None, None])
-    assert high.scatter == pytest.approx(expected.scatter, rel=1e-9)
-    assert high.scatter > 1.2 * low.scatter > 0
-    np.testing.assert_allclose(high.weight, expected.weight, rtol=1e-9)
+    for bend in EVERY_BEND:
+        found = weighted_samples(uneven, bend)
+        expected = fold(merl_grid(), np.nan_to_num(uneven.values), plainly(uneven, bend))
+        assert found.scatter == pytest.approx(expected.scatter, rel=1e-9)
+        assert found.scatter > 0
 
 
-def test_a_file_without_bins_or_without_light_has_weights():
+@pytest.mark.parametrize("bend", EVERY_BEND)
+def test_a_file_without_bins_or_without_light_has_weights(bend):
     grid = merl_grid()
     nothing = Measurement(
         Path("none"), np.full((3, *grid.above.shape), np.nan), np.zeros_like(grid.above), 0, 0, 0, "", ""
     )
-    assert not np.any(weighted_samples(nothing).weight)
+    assert not np.any(weighted_samples(nothing, bend).weight)
     black = replace(nothing, values=np.zeros((3, *grid.above.shape)), valid=grid.above)
-    assert np.all(np.isfinite(weighted_samples(black).weight))
+    assert np.all(np.isfinite(weighted_samples(black, bend).weight))
     away = grid.above & (grid.theta_h > 0.5)[:, None, None]
-    assert np.all(np.isfinite(weighted_samples(replace(made(20.0), valid=away)).weight))
-
-
-@pytest.mark.parametrize("width", [0.02, 0.08, 0.3, 1.0])
-def test_the_half_width_is_that_of_a_known_lobe(width):
-    grid = merl_grid()
-    tangent = np.tan(grid.theta_h)
-    value = (0.2 + 5 * lobe(tangent, width))[None, :, None, None] * np.ones((3, 1, 90, 90))
-    used = np.broadcast_to(grid.above[..., :90], value.shape)
-    found = half_width(grid.theta_h, grid.theta_d, value, used)
-    row = np.searchsorted(tangent, width)  # the first that is darker than half
-    assert tangent[row - 1] <= found <= tangent[row + 1]
-    np.testing.assert_allclose(half_width(grid.theta_h, grid.theta_d, 1e3 * value, used), found)
-
-
-def test_the_half_width_looks_at_small_theta_d_and_at_what_counts():
-    grid = merl_grid()
-    value = (0.2 + 5 * lobe(np.tan(grid.theta_h)))[None, :, None, None] * np.ones((3, 1, 90, 90))
-    used = np.broadcast_to(grid.above[..., :90], value.shape)
-    expected = half_width(grid.theta_h, grid.theta_d, value, used)
-    elsewhere = np.where(grid.theta_d[:, None] > 1.0, 1e4, value)
-    assert half_width(grid.theta_h, grid.theta_d, elsewhere, used) == expected
-    spoiled, without = value.copy(), used.copy()
-    spoiled[:, 60:, :3, :10], without[:, 60:, :3, :10] = 1e6, False
-    assert half_width(grid.theta_h, grid.theta_d, spoiled, without) == expected
-    assert 0 < DARK_QUANTILE < 1
-
-
-def test_the_half_width_of_nothing_is_a_number():
-    grid = merl_grid()
-    value, used = np.zeros((3, 90, 90, 90)), np.broadcast_to(grid.above[..., :90], (3, 90, 90, 90))
-    for nothing in (used, np.zeros_like(used)):
-        assert 0 < half_width(grid.theta_h, grid.theta_d, value, nothing) <= 2
+    assert np.all(np.isfinite(weighted_samples(replace(made(20.0), valid=away), bend).weight))
+    past = grid.above & ~within(grid, 1.4)
+    assert not np.any(weighted_samples(replace(made(20.0), valid=past), bend).weight)

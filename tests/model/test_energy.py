@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from energy import BRIGHTEST, FULL, albedo, draw, half_vectors
+from energy import BRIGHTEST, FULL, albedo, draw, half_vectors, under
 from merlfit.model import energy
 from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
@@ -52,8 +52,8 @@ def test_bodies_below_the_surface_give_back_no_more_than_they_get(kind):
 
 
 QUICK = [
-    FULL, replace(FULL, body="lambert", masking="none"), replace(FULL, body="plastic", diffraction="lobe"),
-    replace(FULL, body="subsurface", diffraction="off"),
+    FULL, under("lambert", masking="none"), under("plastic", diffraction="lobe"),
+    under("subsurface", diffraction="off"), replace(FULL, body="lambert", diffraction="lobe"),
 ]  # fmt: skip
 
 

@@ -44,6 +44,13 @@ class Choices(NamedTuple):
     colour: str = "rayleigh_rice"
 
 
+class Losses(NamedTuple):
+    """Exponents k of the apparatus's loss p(i, o) of specular and of diffracted light, HP17 Eq. 59-60; 0 is none."""
+
+    specular: float = 0.0
+    diffracted: float = 0.0
+
+
 def relative_variance(cos_d, wavelength, material, choices=Choices()):
     """sigma_rel^2/sigma_s^2 at theta_d (Eq. 18-19)."""
     if not choices.renormalised:
@@ -102,11 +109,21 @@ def diffraction_lobe(i, o, wavelength, material, q_factor=0.5, choices=Choices()
     return float(hue * masking(g, material, choices) * share * peak * shape)
 
 
-def brdf(i, o, wavelength, material, body=0.0, q_factor=0.5, choices=Choices()):
-    """The assembled BRDF in 1/sr: A_spec(theta_d) rho_CT + rho_CTD + body (HP17 Eq. 24, section 4.5). To 1e-9."""
+def grazing_loss(i, o, k):
+    """p(i, o) = (1 - 4 theta_i^2/pi^2)^k (1 - 4 theta_o^2/pi^2)^k, HP17 Eq. 59-60."""
+    thetas = [math.acos(min(1.0, direction[2])) for direction in (i, o)]
+    return math.prod((1 - (2 * theta / math.pi) ** 2) ** k for theta in thetas)
+
+
+def brdf(i, o, wavelength, material, body=0.0, q_factor=0.5, choices=Choices(), losses=Losses()):
+    """The assembled BRDF in 1/sr: A_spec(theta_d) rho_CT + rho_CTD + body (HP17 Eq. 24, section 4.5). To 1e-9.
+
+    With ``losses`` what the apparatus measures of it: each lobe loses by itself, the body nothing.
+    """
     share = specular_share(geometry(i, o).cos_d, wavelength, material, choices)
-    diffracted = diffraction_lobe(i, o, wavelength, material, q_factor, choices)
-    return share * reflection_lobe(i, o, material, choices) + diffracted + body
+    diffracted = grazing_loss(i, o, losses.diffracted) * diffraction_lobe(i, o, wavelength, material, q_factor, choices)
+    specular = grazing_loss(i, o, losses.specular) * reflection_lobe(i, o, material, choices)
+    return share * specular + diffracted + body
 
 
 def exact_ctd(i, o, wavelength, material, q_factor=0.5, colour_frame="facet"):

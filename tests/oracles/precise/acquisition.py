@@ -1,12 +1,17 @@
-"""The apparatus: the loss at grazing angles, and its exponent from a footprint."""
+"""The apparatus: the loss at grazing angles, and its exponents from a footprint."""
 
 from functools import cache
 
 import mpmath as mp
 
 from .arithmetic import exactly
+from .chebyshev import interpolant
+from .convolution import convolve
 from .quadrature import panels
 from .surface import epd
+
+MIDDLE_UM = mp.mpf("0.526")
+INSIDE, NODES = mp.mpf(10) ** -5, 48  # of the diffracted lobe
 
 
 @exactly
@@ -19,9 +24,27 @@ def grazing(cos_i, cos_o, exponent):
 @exactly
 def derived_exponent(beta, p):
     """k of HP17 Eq. 60 by least squares of log loss at 10, 15 .. 80 degrees; the blur of D to 1e-6."""
+    return _exponent(lambda angle: epd(angle, beta, p))
+
+
+@exactly
+def derived_exponent_diffracted(beta, p, b, c):
+    """The same of (S * D) for light along the normal at MIDDLE_UM, the lobe to 1e-7 by a polynomial of its logarithm.
+
+    Between `INSIDE` and the horizon; nearer to the normal the lobe is flat.
+    """
+    low, high = mp.log(INSIDE), mp.log(mp.pi / 2)
+    logarithm = interpolant(
+        lambda x: mp.log(convolve(mp.exp(low + (high - low) * x), 2 * b / MIDDLE_UM, c, beta, p)), NODES
+    )
+    return _exponent(lambda angle: mp.exp(logarithm(max(0, (mp.log(angle) - low) / (high - low)))))
+
+
+def _exponent(lobe):
+    """k of a lobe around the normal."""
 
     def signal(degrees):
-        return mp.fsum(epd(angle, beta, p) * weight for angle, weight in _footprints(mp.radians(degrees)))
+        return mp.fsum(lobe(angle) * weight for angle, weight in _footprints(mp.radians(degrees)))
 
     laws = {degrees: 2 * mp.log(1 - (mp.mpf(degrees) / 90) ** 2) for degrees in range(10, 81, 5)}
     losses = mp.fsum(law * mp.log(signal(degrees) / signal(0)) for degrees, law in laws.items())

@@ -29,20 +29,23 @@ class Geometry(NamedTuple):
     cos_o: Any
 
 
-def lobes(at, wavelength_um, v, e, many=False):
-    """Both lobes at a `Geometry`, parameters v, effects e; for ``many`` dear functions of theta_d are interpolated."""
+def lobes(at, wavelength_um, v, e, many=False, losses=(1, 1)):
+    """Both lobes at a `Geometry`, parameters v, effects e; for ``many`` dear functions of theta_d are interpolated.
+
+    ``losses``: what the apparatus leaves of the mirror term and of the diffracted light.
+    """
     cos_d = mp.cos(at.theta_d)
     shadow = shadowing(e.masking, at.cos_i, at.cos_o, v.beta, v.p)
     mirror = _reflectance(cos_d, v, e) * epd(at.theta_h, v.beta, v.p)
     mirror /= 4 * at.cos_i * at.cos_o
     if e.diffraction == "off":
-        return shadow * mirror
+        return shadow * losses[0] * mirror
     ratio = v.b / wavelength_um
     share = _share(at.theta_d, ratio, v, e, many)
     phase = phase_variance(share, v.sigma_s, cos_d, wavelength_um)
     kept = _kept(at.theta_d, phase, wavelength_um, v, e, many)
     blurred = _blurred(at, 2 * ratio * cos_d, phase, v, e)
-    return shadow * (kept * mirror + lobe_amplitude(ratio, v.c) / share * blurred)
+    return shadow * (losses[0] * kept * mirror + losses[1] * lobe_amplitude(ratio, v.c) / share * blurred)
 
 
 def _reflectance(cos_d, v, e):

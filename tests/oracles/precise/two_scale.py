@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import mpmath as mp
 
-from .acquisition import derived_exponent, grazing
+from .acquisition import derived_exponent, derived_exponent_diffracted, grazing
 from .arithmetic import DIGITS
 from .body import under
 from .energy import conserved
@@ -13,12 +13,14 @@ from .lobes import Geometry, lobes
 CHOICES = {
     "body": "none", "diffraction": "quadrature", "zonal_order": 100, "fresnel": "exact", "masking": "smith",
     "renormalised": True, "split": "printed", "colour": "rayleigh_rice", "acquisition": "off",
+    "index": "usual",
 }  # fmt: skip
 
 
 def two_scale(theta_h, theta_d, phi_d, wavelength_um, **rest):
     """The BRDF of HP17 Eq. 24-33 at half and difference angles: effects, as `CHOICES` has them else, and parameters.
 
+    Of the mirror term and of the diffracted light the apparatus leaves a share each, of the body everything.
     Under the conserving split lobes are not blurred, and the surface's albedo is an integral by fixed rules, to 1e-6.
     """
     with mp.workdps(DIGITS):
@@ -26,13 +28,14 @@ def two_scale(theta_h, theta_d, phi_d, wavelength_um, **rest):
         wavelength_um = mp.mpf(wavelength_um)
         e = SimpleNamespace(**{name: rest.pop(name, choice) for name, choice in CHOICES.items()})
         v = SimpleNamespace(**{name: mp.mpf(x) for name, x in rest.items()})
-        v.index = (v.n, v.k) if e.body == "none" else (v.eta, mp.mpf(0))
+        conducts = e.body == "none" if e.index == "usual" else e.index == "complex"
+        v.index = (v.n, v.k) if conducts else (v.eta, mp.mpf(0))
         if min(at.cos_i, at.cos_o) <= 0:
             return mp.mpf(0)
-        surface, body = lobes(at, wavelength_um, v, e), under(at, v, e)
+        surface, body = lobes(at, wavelength_um, v, e, losses=_losses(at, v, e)), under(at, v, e)
         if e.split == "conserving":
             surface, body = conserved(surface, body, at, wavelength_um, v, e)
-        return (surface + body) * _loss(at, v, e)
+        return surface + body
 
 
 def _geometry(theta_h, theta_d, phi_d):
@@ -40,9 +43,19 @@ def _geometry(theta_h, theta_d, phi_d):
     return Geometry(theta_h, theta_d, phi_d, even - odd, even + odd)
 
 
-def _loss(at, v, e):
-    """The apparatus's loss at grazing angles; ``acquisition`` is a name or the exponent itself."""
+def _losses(at, v, e):
+    """What the apparatus leaves at grazing angles: of the mirror term, and of the diffracted light.
+
+    ``acquisition`` is a name or the exponent of both itself.
+    """
     if e.acquisition == "off":
-        return mp.mpf(1)
-    k = {"free": lambda: v.grazing_exponent, "derived": lambda: derived_exponent(v.beta, v.p)}
-    return grazing(at.cos_i, at.cos_o, k.get(e.acquisition, lambda: e.acquisition)())
+        return mp.mpf(1), mp.mpf(1)
+    diffracts = e.diffraction != "off"
+    if e.acquisition == "free":
+        exponents = v.grazing_exponent, v.grazing_exponent_diffracted if diffracts else 0
+    elif e.acquisition == "derived":
+        wider = derived_exponent_diffracted(v.beta, v.p, v.b, v.c) if diffracts else 0
+        exponents = derived_exponent(v.beta, v.p), wider
+    else:
+        exponents = e.acquisition, e.acquisition
+    return tuple(grazing(at.cos_i, at.cos_o, k) for k in exponents)
