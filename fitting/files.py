@@ -10,7 +10,8 @@ from ..merl_io.binary import MerlError
 from .accuracy import Aim, aim
 from .compilation import use_persistent_cache
 from .config import Config, ConfigError, load
-from .keeping import Complete, Place, completeness, place_of
+from .export import read_result
+from .keeping import Complete, Place, claimed, completeness, place_of
 from .report import Outcome, accuracy_line, summary_table
 from .request import request
 from .run import fit_file
@@ -64,7 +65,9 @@ def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = 
         raise fail(f"several files are named {twice[0]}, and each result is named after its file: fit them apart")
     taken, finish = (aim.settings, aim.finish) if aim else (settings, None)
     outcomes = []
-    with progress_display() as progress:
+    with claimed(out) as alone, progress_display() as progress:
+        if not alone:
+            note(f"{out}: another merlfit is writing there; of results of the same name the last one stays")
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name)
             label = f"[{k}/{len(files)}] {path.stem}"
@@ -85,6 +88,8 @@ def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = 
             except Stopped as stop:
                 left = f"; {len(files) - k} of {len(files)} files were not begun" if k < len(files) else ""
                 note(f"stopped by {stop}: {kept(path, place)}{left}")
+                if place is not None and completeness(place.path) >= Complete.FIT:
+                    outcomes.append(Outcome(path, read_result(place.path)))
                 if outcomes:
                     console.print(summary_table(outcomes))
                 raise typer.Exit(stop.code) from None

@@ -39,11 +39,34 @@ def completeness(path: Path) -> Complete:
         posterior, succeeded = found["posterior"], found["fit"]["succeeded"]
         if posterior:
             return Complete.INTERVALS if posterior["sufficient"] else Complete.POSTERIOR
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return Complete.NOTHING
     if not succeeded:
         return Complete.NOTHING
     return Complete.CHAIN if chain_of(path).is_file() else Complete.FIT
+
+
+@contextmanager
+def claimed(out: Path) -> Iterator[bool]:
+    """Claim a folder for as long as this lasts; False if another run has it already."""
+    try:
+        import fcntl  # not on Windows
+
+        folder = os.open(out, os.O_RDONLY)
+    except (ImportError, OSError):
+        yield True
+        return
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            free = True
+        except BlockingIOError:
+            free = False
+        except OSError:  # a file system without locks
+            free = True
+        yield free
+    finally:
+        os.close(folder)
 
 
 class Place:

@@ -1,6 +1,5 @@
 """Pictures of a fit: lobes in the plane of incidence, and the corner plot of the posterior. They return figures."""
 
-import zipfile
 from pathlib import Path
 
 import corner
@@ -18,6 +17,7 @@ from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
 from .export import Model, Result
 from .report import in_words_of
+from .tables import UNSOUND
 
 matplotlib.use("Agg")
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
@@ -74,12 +74,16 @@ def chain_file(result: Result, folder: Path) -> dict[str, np.ndarray]:
         raise NoPicture(result.posterior.message)
     path = folder / Path(result.posterior.chain_file).name
     try:
-        with np.load(path, allow_pickle=False) as chain:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as chain:
             found = {name: chain[name] for name in ("names", "values", "weights")}
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise NoPicture(f"{path}: cannot be read ({error})") from None
+    except UNSOUND as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no finished chain"
+        raise NoPicture(f"{path}: cannot be read ({why})") from None
     if [str(n) for n in found["names"]] != [q.name for q in result.parameters]:
         raise NoPicture(f"{path}: is the chain of another fit")
+    count, size = len(found["weights"].ravel()), len(result.parameters)
+    if found["values"].shape != (count, size) or not all(np.isfinite(found[k]).all() for k in ("values", "weights")):
+        raise NoPicture(f"{path}: is damaged: its draws are not {size} finite numbers each")
     return found
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import emcee
 import jax
@@ -21,6 +20,7 @@ from jax import Array
 from ..merl_io.atomic import write_atomically
 from .emulator import MOST_EVER, Channels, Emulator, log_posterior
 from .likelihood import StandIn
+from .tables import UNSOUND
 from .transforms import Layout
 
 WALKERS = 32
@@ -244,8 +244,9 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
                 file["chain_free"], file["log_prob"], float(file["accepted"]), file["root"], float(file["leap"]),
                 file["taught_free"], random, file["fit_free"],
             )  # fmt: skip
-    except (OSError, EOFError, KeyError, ValueError, BadZipFile) as error:
-        raise ChainError(f"{path}: cannot be gone on with ({error}); delete it to begin anew") from None
+    except UNSOUND as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no chain"
+        raise ChainError(f"{path}: cannot be gone on with ({why}); delete it to begin anew") from None
     if chain.fit.shape != fit.shape or not np.allclose(chain.fit, fit, atol=1e-6):
         raise ChainError(f"{path}: is the chain of another fit; delete it to begin anew")
     return chain

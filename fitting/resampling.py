@@ -33,6 +33,10 @@ def resample(
     """
     if result.model is None or not result.fit.succeeded:
         raise export.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")
+    if result.posterior is not None and not chain_of(path).is_file():
+        raise export.ResultError(
+            f"{path}: has a posterior, but its chain {chain_of(path).name} is not beside it: put it back, or fit again"
+        )
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = read(file, result.source.sha1)

@@ -7,6 +7,8 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -98,14 +100,11 @@ class Screen(Console):
 
 def _divided(table: Table, console: Console) -> list[Table]:
     """The same table, or several that begin with its first column, none of which is wider than the console."""
-    rows = list(zip(*(column.cells for column in table.columns), strict=True))
 
     def part(columns: list[int]) -> Table:
-        made = Table(title_justify=table.title_justify, box=table.box)
-        for k in columns:
-            made.add_column(table.columns[k].header, justify=table.columns[k].justify, overflow="fold")
-        for row in rows:
-            made.add_row(*(row[k] for k in columns))
+        made = copy(table)
+        kept = [replace(table.columns[k], _index=i, overflow="fold") for i, k in enumerate(columns)]
+        made.columns, made.title = kept, None
         return made
 
     def width(columns: list[int]) -> int:

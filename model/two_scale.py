@@ -19,6 +19,7 @@ dims what is sharp, each lobe as its width has it, and leaves the body as it is 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from . import acquisition, body, convolution, diffraction, energy, exact, scaled, zonal
-from .effects import Effects
+from .effects import KINDS, Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .ndf import epd
@@ -152,7 +153,7 @@ def two_scale(
         shape ``(C, *broadcast shape of geometry)``; 0 where light or viewer are below the surface.
 
     Raises:
-        KeyError: a parameter that the effects call for is missing from ``params``.
+        KeyError: a parameter that the effects call for is missing from ``params``, or one there is of no effects.
 
     Reciprocal in light and viewer for every choice of effects. Differentiable in every parameter, with finite gradients
     at the horizon, at theta_h = 0 and for i = o; the conserving split has kinks where an excess begins. Accuracy: that
@@ -163,11 +164,20 @@ def two_scale(
     return assemble({name: f.evaluate(values, s) for name, f in factors(effects).items()}, s)
 
 
+@cache
+def known() -> frozenset[str]:
+    """Names that parameters may have: those of any effects, so that a material does for fewer effects as well."""
+    every = (Effects(body, index=index, acquisition="free") for index, body in KINDS)
+    return frozenset({q.name for effects in every for q in parameters(effects)} | TABLES.keys())
+
+
 def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
     """Parameters in the precision of the angles, those per channel with a leading axis; tables if given."""
     missing = [q.name for q in parameters(s.effects) if q.name not in params]
     if missing:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
+    if unknown := params.keys() - known():
+        raise KeyError(f"two_scale has no parameter {', '.join(sorted(unknown))}, whatever the effects")
     precision = jnp.result_type(s.geometry.theta_h)
     given = {name: jnp.asarray(params[name], precision) for name in TABLES if name in params}
     return given | {

@@ -3,10 +3,12 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from made_results import made
-from merlfit.fitting import cli
+from merlfit.fitting import cli, plots
 from merlfit.fitting.export import ResultError, Source, read_result, write_result
+from merlfit.fitting.posterior import ChainError, read_chain
 from merlfit.model.effects import Effects
 from typer.testing import CliRunner
 
@@ -114,3 +116,65 @@ def test_a_name_that_is_no_utf8_can_be_written(tmp_path):
     write_result(target, result)
     assert read_result(target).source.material == "caf\N{REPLACEMENT CHARACTER}"
     assert Source.model_validate(result.source.model_dump()) == result.source
+
+
+def chain(**changed):
+    size = len(made().parameters)
+    names = [q.name for q in made().parameters]
+    return {"names": names, "values": np.ones((5, size)), "weights": np.full(5, 0.2), **changed}
+
+
+@pytest.mark.parametrize(
+    ("contents", "words"),
+    [
+        (None, "No such file"),
+        (b"", "is damaged, or no"),
+        (b"PK\x03\x04 and more", "is damaged, or no"),
+        (b"text", "is damaged, or no"),
+        ({"names": ["beta"]}, "is damaged, or no"),
+        (chain(names=["beta"]), "is the chain of another fit"),
+        (chain(values=np.ones((5, 2))), "its draws are not 13 finite numbers each"),
+        (chain(values=np.full((5, 13), np.nan)), "its draws are not 13 finite numbers each"),
+        (chain(weights=np.full(4, 0.25)), "its draws are not 13 finite numbers each"),
+    ],
+)
+def test_a_damaged_chain_is_one_line_in_plain_words(contents, words, tmp_path):
+    path = tmp_path / "nickel.chain.npz"
+    if isinstance(contents, bytes):
+        path.write_bytes(contents)
+    elif contents is not None:
+        np.savez(path, **contents)
+    with pytest.raises(plots.NoPicture, match=words) as error:
+        plots.chain_file(made(posterior=True), tmp_path)
+    assert "pickle" not in str(error.value)
+    if not isinstance(contents, dict):
+        with pytest.raises(ChainError, match=words) as error:
+            read_chain(path, np.zeros(13))
+        assert "pickle" not in str(error.value)
+
+
+def test_a_chain_with_a_flipped_bit_is_damaged(tmp_path):
+    path = tmp_path / "nickel.chain.npz"
+    np.savez_compressed(path, **chain(values=np.random.default_rng(0).normal(size=(500, 13)), weights=np.full(500, 1)))
+    spoiled = bytearray(path.read_bytes())
+    spoiled[len(spoiled) // 2 :: 500] = b"\xff" * len(spoiled[len(spoiled) // 2 :: 500])
+    path.write_bytes(spoiled)
+    with pytest.raises(plots.NoPicture, match="is damaged"):
+        plots.chain_file(made(posterior=True), tmp_path)
+
+
+def test_sampling_a_finished_posterior_whose_chain_is_gone_is_refused(tmp_path):
+    """It would have begun anew, and replaced the intervals by those of a chain that may be too short."""
+    write_result(tmp_path / "nickel.json", made(posterior=True))
+    shown = CliRunner().invoke(cli.app, ["sample", str(tmp_path / "nickel.json")])
+    assert shown.exit_code == cli.BAD_INPUT
+    assert "its chain nickel.chain.npz is not beside it: put it back, or fit again" in shown.stderr
+    assert read_result(tmp_path / "nickel.json") == made(posterior=True)
+
+
+def test_settings_of_another_version_in_a_result_are_one_line(tmp_path):
+    path = edited(tmp_path, lambda d: d["config"].update(colour=1))
+    shown = CliRunner().invoke(cli.app, ["sample", str(path)])
+    assert shown.exit_code == cli.BAD_INPUT
+    assert "unknown key 'colour'" in shown.stderr
+    assert shown.exception is None or isinstance(shown.exception, SystemExit)

@@ -271,3 +271,13 @@ def test_a_picture_of_broken_text_is_said_to_be_impossible(tmp_path):
     assert "nickel.corner.png: cannot be drawn" in shown.stderr
     assert "Traceback" not in shown.stderr
     assert keeping.completeness(tmp_path / "nickel.json") == Complete.INTERVALS
+
+
+def test_two_runs_into_one_folder_are_told(tmp_path, stand_in):
+    stand_in(lambda path, folder: put_result(folder, name=path.stem))
+    with keeping.claimed(tmp_path) as alone:
+        assert alone
+        shown = call("fit", "nickel.binary", "-o", tmp_path)
+    assert shown.exit_code == 0
+    assert f"merlfit: {tmp_path}: another merlfit is writing there" in shown.stderr
+    assert "another" not in call("fit", "nickel.binary", "-o", tmp_path).stderr

@@ -1,1 +1,0 @@
-"""Fit the two-scale reflection + diffraction model to measured BRDFs."""

@@ -1,5 +1,0 @@
-"""``python -m merlfit``."""
-
-from merlfit.fitting.cli import main
-
-main()
