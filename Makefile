@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test test-slow bench bench-convergence bench-posterior bench-gpu cost hard-cases tables lint types install schema clean
+.PHONY: demo test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost hard-cases tables lint types install schema clean
 
 install: $(READY)
 
@@ -40,6 +40,10 @@ bench-posterior: install
 	$(BIN)/python -m tests.bench calibration
 	$(BIN)/python -m tests.bench halves
 	$(BIN)/python -m tests.bench nickel
+
+# Forty minutes: all 100 materials with three objectives, beside published parameters; goes on where it was stopped.
+merl100: install
+	$(BIN)/python -m tests.merl100
 
 bench-gpu: install
 	$(BIN)/python -m tests.bench gpu

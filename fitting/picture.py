@@ -22,7 +22,8 @@ Lighting = Literal["lamp", "environment"]
 LAMP = np.array([0.45, 0.55, 0.7]) / np.linalg.norm([0.45, 0.55, 0.7])  # camera along z, up along y
 LAMP_RADIUS_RAD = np.radians(1.5)
 LAMP_NODES = 3  # radii of its disc, with 6 azimuths each
-AZIMUTHS = 24  # of half vectors
+AZIMUTHS = 24  # of half vectors, on each of 90 rows
+GOLDEN = (np.sqrt(5) - 1) / 2
 PIXELS = {"lamp": 900, "environment": 220}  # of the comparison, spread evenly over the disc of the sphere
 SKY, GROUND = 0.6, 0.15
 BOXES = (((-0.6, 0.5, 0.6), 60.0, 4.0), ((0.7, 0.6, 0.3), 200.0, 12.0), ((0.2, 0.9, -0.3), 30.0, 2.0))
@@ -85,8 +86,10 @@ def _lamp_view(normal: np.ndarray) -> View:
 
 def _environment_view(normal: np.ndarray) -> View:
     grid = merl_grid()
-    turn = (np.arange(AZIMUTHS) + 0.5) * 2 * np.pi / AZIMUTHS
-    theta, phi = (x.reshape(-1) for x in np.meshgrid(grid.theta_h, turn, indexing="ij"))
+    rows = np.arange(len(grid.theta_h))
+    # every row of theta_h is turned against the one before it, so that the environment is sampled evenly
+    turn = 2 * np.pi * ((np.arange(AZIMUTHS) + GOLDEN * rows[:, None]) % AZIMUTHS) / AZIMUTHS
+    theta, phi = np.repeat(grid.theta_h, AZIMUTHS), turn.reshape(-1)
     solid_angle = np.repeat(-np.diff(np.cos(grid.edges[0])), AZIMUTHS) * 2 * np.pi / AZIMUTHS
     across, up = (x[:, None] for x in _frame(normal))
     sin = np.sin(theta)[:, None]

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from merlfit.fitting.compilation import use_persistent_cache
 from merlfit.fitting.config import load
 from merlfit.fitting.metrics import SIN_FLOOR
-from merlfit.fitting.picture import view
+from merlfit.fitting.picture import difference, view
 from merlfit.fitting.run import predict_samples
 from merlfit.fitting.weights import THETA_MAX, weighted_samples, within
 from merlfit.merl_io.binary import read
@@ -75,6 +75,7 @@ def judged(row, path, pixels):
         predicted = predict_samples(layout, layout.free(by_name(layout, fit["parameters"])), samples)
         unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)
         found[objective] = errors(measured, unfolded[:, *BINS], used)
+        fit["picture"] = difference(samples.value, predicted, lit)
         spheres[objective] = pixels.render(np.where(lit, predicted, 0.0))
     theta_h, theta_d, phi_d = grid.theta_h[BINS[0]], grid.theta_d[BINS[1]], grid.phi_d[BINS[2]]
     geometry = Geometry.from_half_difference(theta_h, theta_d, phi_d)
