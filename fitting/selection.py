@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 ALIKE = 6.0
-MARGIN = 1.1
+MARGIN = 1.05
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
 FACTOR = 2.0  # a highlight that is off by more is lost
 
