@@ -12,7 +12,7 @@ from .materials import TWELVE, measured
 from .record import RECONSTRUCTIONS, Record, Target
 
 FOUR = ("nickel", "brass", "gray-plastic", "yellow-phenolic")
-STARTS, FEW_STARTS = 100, 5
+STARTS, FEW_STARTS = 20, 5
 LONGER = 32  # fit.starts of one longer search, so that the best known does not come from the runs alone
 SAME = 1e-3  # of what is minimised
 
@@ -28,7 +28,7 @@ def measure(path, body, starts):
     config = load(body=body, posterior=False)
     measurement = read(path)
     (kind,) = config.kinds
-    samples, layout = weighted_samples(measurement, config.bend, config.fit.theta_max), config.layout_of(kind)
+    samples, layout = weighted_samples(measurement, config.rungs[0], config.fit.theta_max), config.layout_of(kind)
 
     def run(config, first=None):
         return told(fit(measurement, samples, config, first=first))

@@ -32,7 +32,7 @@ def prepared(names, config):
         for name in names:
             write(path, from_published(name, SOURCE)[0])
             begun = time.perf_counter()
-            found.append(prepare(weighted_samples(read(path), config.bend, config.fit.theta_max), config))
+            found.append(prepare(weighted_samples(read(path), config.rungs[0], config.fit.theta_max), config))
             seconds += time.perf_counter() - begun
     return found, seconds / len(names)
 
