@@ -222,7 +222,7 @@ def test_unknown_material_and_source_name_the_nearest(tmp_path):
         ("[effects]\nacquisition = 2\n", "effects.acquisition: should be 'off', 'free', 'derived' or a number in"),
         ("seed = -1\n", "seed"),
         ('[effects]\nindex = "usual"\n', "effects.index"),
-        ('[fit]\nweights = "adaptive"\n', "fit.weights"),
+        ('[fit]\nweights = "squared"\n', "fit.weights"),
         ("[fit]\ntheta_max = 0.1\n", "fit.theta_max"),
         ("[fit]\nhighlight = 0.2\n", "unknown key 'fit.highlight'"),
     ],
