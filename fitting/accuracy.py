@@ -155,6 +155,7 @@ class Aim:
             fitted = replace(
                 judge(best.layout, best.solution, measurement, samples, self.config.fit.theta_max),
                 candidates=fitted.candidates,
+                bend=fitted.bend,
             )
         return fitted, self._told(tried, best)
 

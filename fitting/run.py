@@ -156,6 +156,9 @@ def make_coarse(samples: Samples) -> tuple[Problem, Problem]:
 
 def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> tuple[list[export.Candidate], int]:
     """Fits of the same samples, the simplest kind first, and which of them to take (`selection`)."""
+    if len(found) == 1:
+        index, body = layouts[0].effects.kind
+        return [export.Candidate(index=index, body=body, cost=export.finite(found[0].cost))], 0
     predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
     objectives = [float(np.nan_to_num(s.objective, nan=np.inf)) for s in found]
     count = count_of(samples, predicted[int(np.argmin(objectives))])

@@ -35,7 +35,7 @@ def nearest(tried: Sequence[tuple[float, float]]) -> int:
         tried: of each, the picture's error and the highlight, fitted over measured.
     """
     every = range(len(tried))
-    best = min(every, key=lambda k: tried[k][0])
+    best = min(every, key=lambda k: np.nan_to_num(tried[k][0], nan=np.inf))
     kept = [k for k in every if not lost(tried[k][1]) and tried[k][0] <= PATIENCE * tried[best][0]]
     return min(kept, key=lambda k: tried[k][0], default=best)
 
