@@ -69,7 +69,7 @@ def judged(row, path, pixels):
     measured = measurement.values[:, *BINS]
     lit = np.all(samples.weight > 0, 0)
     found, spheres = {}, {"measured": pixels.render(np.where(lit, samples.value, 0.0))}
-    for objective in OBJECTIVES:
+    for objective in filter(row.__contains__, OBJECTIVES):
         fit = row[objective]
         layout = config.layout_of((fit["index"], fit["body"]))
         predicted = predict_samples(layout, layout.free(by_name(layout, fit["parameters"])), samples)
@@ -103,7 +103,7 @@ def write(rows, folder):
     _csv(table, folder / "two_scale.csv")
     (folder / "two_scale.md").write_text(_markdown(table))
     _sorted_errors(table).savefig(folder / "sorted_errors.png", dpi=120)
-    for objective in ("compressive", "adaptive"):
+    for objective in (o for o in ("compressive", "adaptive") if all(o in row for row, _ in table)):
         _contact_sheet(table, spheres, inside, objective).savefig(folder / f"spheres_{objective}.png", dpi=100)
 
 
@@ -111,7 +111,7 @@ def _csv(table, path):
     with path.open("w", newline="") as target:
         out, head = csv.writer(target), None
         for row, found in table:
-            for objective in OBJECTIVES:
+            for objective in filter(row.__contains__, OBJECTIVES):
                 fit = row[objective]
                 line = {
                     "material": row["material"], "objective": objective, "index": fit["index"], "body": fit["body"],
@@ -132,7 +132,7 @@ def _beaten(table, objectives, which):
     count = 0
     for _, found in table:
         rivals = [found[name][which] for name in SETS if name in found]
-        count += min(found[objective][which] for objective in objectives) < min(rivals)
+        count += min(found[o][which] for o in objectives if o in found) < min(rivals)
     return count
 
 
@@ -145,24 +145,30 @@ def _markdown(table):
         f"{m['date']}. Made by `make merl100`.", "",
         "RMSE (1/sr) and sMAPE on the bins theta_h[1::3], theta_d[1::3], phi_d[3::12] with both directions at "
         "theta < 1.4; dE: mean CIELAB distance of spheres under a lamp and an environment; peak: fitted over measured "
-        "highlight (theta_h = 0, theta_d < 60 degrees). The three objectives: `--weights` compressive, adaptive, none.",
-        "", "| of 100 materials | compressive | adaptive | none |", "|---|---|---|---|",
+        "highlight (theta_h = 0, theta_d < 60 degrees). The three objectives: `--weights` compressive, adaptive, none. "
+        "Seconds (s) are of the whole fit from the file, whatever else the machine did.",
+        "", "| | compressive | adaptive | none |", "|---|---|---|---|",
     ]  # fmt: skip
 
-    def over(what, value):
-        lines.append(f"| {what} | " + " | ".join(cell(value(objective)) for objective in OBJECTIVES) + " |")
+    fitted = {objective: [(row, found) for row, found in table if objective in row] for objective in OBJECTIVES}
 
-    over("median RMSE (1/sr)", lambda o: float(np.median([found[o][0] for _, found in table])))
-    over("median sMAPE", lambda o: float(np.median([found[o][1] for _, found in table])))
-    over("median dE", lambda o: float(np.median([row[o]["picture"] for row, _ in table])))
-    over("peak within a factor of two", lambda o: sum(0.5 <= row[o]["highlight"] <= 2 for row, _ in table))
-    over("RMSE below every published set", lambda o: _beaten(table, [o], 0))
-    over("sMAPE below every published set", lambda o: _beaten(table, [o], 1))
+    def over(what, value):
+        cells = (cell(value(objective)) if fitted[objective] else "-" for objective in OBJECTIVES)
+        lines.append(f"| {what} | " + " | ".join(cells) + " |")
+
+    over("materials fitted", lambda o: len(fitted[o]))
+
+    over("median RMSE (1/sr)", lambda o: float(np.median([found[o][0] for _, found in fitted[o]])))
+    over("median sMAPE", lambda o: float(np.median([found[o][1] for _, found in fitted[o]])))
+    over("median dE", lambda o: float(np.median([row[o]["picture"] for row, _ in fitted[o]])))
+    over("peak within a factor of two", lambda o: sum(0.5 <= row[o]["highlight"] <= 2 for row, _ in fitted[o]))
+    over("RMSE below every published set", lambda o: _beaten(fitted[o], [o], 0))
+    over("sMAPE below every published set", lambda o: _beaten(fitted[o], [o], 1))
     usable = ("CONVERGED", "AT_BOUND", "STEP_LIMIT")
-    over("failed", lambda o: sum(row[o]["status"] not in usable for row, _ in table))
-    over("stopped at the step limit", lambda o: sum(row[o]["status"] == "STEP_LIMIT" for row, _ in table))
-    over("a parameter at a bound", lambda o: sum(bool(row[o]["at_bound"]) for row, _ in table))
-    over("median seconds from file to fit", lambda o: float(np.median([row[o]["seconds"] for row, _ in table])))
+    over("failed", lambda o: sum(row[o]["status"] not in usable for row, _ in fitted[o]))
+    over("stopped at the step limit", lambda o: sum(row[o]["status"] == "STEP_LIMIT" for row, _ in fitted[o]))
+    over("a parameter at a bound", lambda o: sum(bool(row[o]["at_bound"]) for row, _ in fitted[o]))
+    over("median seconds from file to fit", lambda o: float(np.median([row[o]["seconds"] for row, _ in fitted[o]])))
     lines += [
         "", f"RMSE below every published set with one of the three objectives: {_beaten(table, OBJECTIVES, 0)} of "
         f"{len(table)}; sMAPE: {_beaten(table, OBJECTIVES, 1)}.", "",
@@ -170,20 +176,23 @@ def _markdown(table):
             f"{said} RMSE {np.median([f[name][0] for _, f in table if name in f]):.3f}, sMAPE "
             f"{np.median([f[name][1] for _, f in table if name in f]):.3f} ({sum(name in f for _, f in table)} sets)"
             for name, said in SETS.items()) + ".", "",
-        "![sorted errors](sorted_errors.png)", "", "Spheres: [compressive](spheres_compressive.png), "
-        "[adaptive](spheres_adaptive.png). Parameters and all columns: [two_scale.csv](two_scale.csv).", "",
+        "![sorted errors](sorted_errors.png)", "", "Spheres: " + ", ".join(
+            f"[{o}](spheres_{o}.png)" for o in OBJECTIVES[:2] if len(fitted[o]) == len(table)),
+        "", "Parameters and all columns: [two_scale.csv](two_scale.csv).", "",
         "Sorted by dE of the compressive fit, the worst first.", "",
         "| material | interface, body | status | RMSE | sMAPE | dE | peak | adaptive: exponent | RMSE | dE | peak "
         "| none: RMSE | best published RMSE | s |", "|---" * 14 + "|",
     ]  # fmt: skip
     for row, found in sorted(table, key=lambda each: -each[0]["compressive"]["picture"]):
-        c, a = row["compressive"], row["adaptive"]
+        c, a, plain = row["compressive"], row.get("adaptive"), found.get("none", ("-",))
+        adapted = "----"
+        if a:
+            adapted = [cell(a["weights"]), cell(found["adaptive"][0]), cell(a["picture"]), cell(a["highlight"])]
         rivals = {name: found[name][0] for name in SETS if name in found}
         best = min(rivals, key=rivals.get)
         lines.append("| " + " | ".join([
             row["material"], f"{c['index']} {c['body']}", c["status"], *(cell(x) for x in found["compressive"]),
-            cell(c["picture"]), cell(c["highlight"]), cell(a["weights"]), cell(found["adaptive"][0]),
-            cell(a["picture"]), cell(a["highlight"]), cell(found["none"][0]), f"{cell(rivals[best])} {SETS[best]}",
+            cell(c["picture"]), cell(c["highlight"]), *adapted, cell(plain[0]), f"{cell(rivals[best])} {SETS[best]}",
             cell(c["seconds"]),
         ]) + " |")  # fmt: skip
     return "\n".join(lines) + "\n"
@@ -196,6 +205,8 @@ def _sorted_errors(table):
     for axis, which, unit in zip(figure.subplots(1, 2), (0, 1), ("RMSE (1/sr)", "sMAPE"), strict=True):
         for name in names:
             found = np.sort([f[name][which] for _, f in table if name in f])
+            if not len(found):
+                continue
             ours = name in OBJECTIVES
             axis.plot(np.linspace(0, 100, len(found)), found, lw=2.0 if ours else 1.0, ls="-" if ours else "--",
                       label=f"two-scale, {name}" if ours else f"{SETS[name]}, published")  # fmt: skip
@@ -212,7 +223,7 @@ def _display(radiance, exposure):
 
 def _contact_sheet(table, spheres, inside, objective):
     """Spheres under the lamp as measured, as fitted, and twice their difference, the worst first."""
-    order = sorted(table, key=lambda each: -each[0][objective]["picture"])
+    order = sorted((each for each in table if objective in each[0]), key=lambda each: -each[0][objective]["picture"])
     lines = -(-len(order) // COLUMNS)
     figure = Figure(figsize=(COLUMNS * 2.6, lines * 1.12))
     figure.suptitle(f"Neural reconstruction, fit ({objective}), twice the difference; the worst first", fontsize=10)
