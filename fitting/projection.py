@@ -29,7 +29,7 @@ from .problem import Part, Problem
 from .residuals import _evaluate, _weigh, with_tables
 
 METALS = np.array(list(product(np.geomspace(0.05, 6, 14), np.geomspace(0.05, 12, 14))))  # (n, k) that are tried
-ETAS = 1 + np.geomspace(0.15, 2.5, 10)
+ETAS = 1 + np.geomspace(0.15, 1.55, 10)
 ALBEDOS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.35, 0.55, 0.75, 0.92])
 BATCH = 64  # candidates of one call
 MIRROR = {"n": jnp.zeros(3), "k": jnp.ones(3)}  # reflects everything

@@ -40,7 +40,13 @@ cli.main()
 def start(out, *names, **streams):
     command = [sys.executable, "-c", PROGRAM, "fit", *(f"{name}.binary" for name in names), "-o", str(out)]
     kinds = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
-    return subprocess.Popen(command, text=True, env={**os.environ, "MERLFIT_CACHE_DIR": str(out / "cache")}, **kinds)
+    environment = {**os.environ, "MERLFIT_CACHE_DIR": str(out / "cache")}
+    # whoever started the tests may have had Ctrl-C ignored, and children inherit that
+    return subprocess.Popen(command, text=True, env=environment, preexec_fn=heed_interrupts, **kinds)
+
+
+def heed_interrupts():
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])

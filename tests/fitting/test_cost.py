@@ -103,7 +103,7 @@ def test_calibration_materials_exist():
 def test_errors_beyond_their_estimate_are_counted_as_astray():
     row = {"rmse": 0.1, "estimate": 1e-3, "seconds": 1.0, "other_body": False, "error": 1e-4, "parameters": 0.5,
            "megabytes": 900.0, "estimate_seconds": 0.5, "status": "AT_BOUND"}  # fmt: skip
-    astray = {**row, "error": 0.05, "other_body": True, "parameters": None, "status": "STEP_LIMIT"}
+    astray = {**row, "error": 0.05, "other_body": True, "parameters": None, "status": "UNEXPLAINED"}
     once, twice = (cost._point(POINTS[0], [row] * (20 - k) + [astray] * k) for k in (1, 2))
     assert (once.astray, once.promised.p95, once.error.p95, once.error.worst) == (0.0, 1e-3, 1e-4, 0.05)
     assert (twice.astray, twice.promised.p95, twice.other_body, twice.failed) == (0.05, 0.05, 0.1, 0.1)
