@@ -31,8 +31,8 @@ def fit(path, out, settings, report, finish):
     return result
 
 files.fit_file = fit
-if "DEAF" in os.environ:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+# whoever started the tests may have had Ctrl-C ignored, and children inherit that
+signal.signal(signal.SIGINT, signal.SIG_IGN if "DEAF" in os.environ else signal.default_int_handler)
 cli.main()
 """
 
@@ -41,12 +41,7 @@ def start(out, *names, **streams):
     command = [sys.executable, "-c", PROGRAM, "fit", *(f"{name}.binary" for name in names), "-o", str(out)]
     kinds = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
     environment = {**os.environ, "MERLFIT_CACHE_DIR": str(out / "cache")}
-    # whoever started the tests may have had Ctrl-C ignored, and children inherit that
-    return subprocess.Popen(command, text=True, env=environment, preexec_fn=heed_interrupts, **kinds)
-
-
-def heed_interrupts():
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return subprocess.Popen(command, text=True, env=environment, **kinds)
 
 
 @pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
