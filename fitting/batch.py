@@ -58,7 +58,7 @@ def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> 
     """
     cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
     count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
-    runners = [starting_points(rough, m.seen, m.roughly, count) for m in materials]
+    runners = [starting_points([rough], m.seen, m.roughly, count)[0] for m in materials]
 
     def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
         model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])
@@ -161,6 +161,6 @@ def _equations(layout: Layout, z: Array, stacked: Problem) -> Array:
     """Normal equations of all materials, (M, C, P+1, P+1)."""
     by_material: Any = Part(directions=None, root=0, target=0)  # type: ignore
     mapped = jax.vmap(partial(_normal_equations, layout.effects), in_axes=(0, by_material))
-    values = jax.vmap(layout.values)(z)
+    values, slopes = jax.vmap(layout.values_and_slopes)(z)
     compact = reduce(add, side_by_side(lambda part: mapped(values, part), stacked.parts))
-    return jax.vmap(partial(spread_out, layout))(z, compact, stacked.rest)
+    return jax.vmap(partial(spread_out, layout))(slopes, compact, stacked.rest)

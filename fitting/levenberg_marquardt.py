@@ -107,7 +107,7 @@ def prior_factor(z: ArrayLike) -> tuple[Array, Array]:
     return factor, PRIOR * z / factor
 
 
-def compress(z: Array, normal: Array) -> _Affine:
+def compress(z: Array, normal: Array | np.ndarray) -> _Affine:
     """P + 1 residuals that stand for all, prior included: same cost, gradient and Gauss-Newton matrix at ``z``.
 
     Args:
@@ -116,7 +116,7 @@ def compress(z: Array, normal: Array) -> _Affine:
     sign = jnp.ones(len(z) + 1).at[-1].set(-1.0)  # the residual's derivative is minus that of the prediction
     factor, slope = prior_factor(z)
     with_prior = (factor * jnp.eye(len(z) + 1)).at[-1, :-1].add(slope)  # (J|r) to (s J + r ds/dz | s r)
-    signed = jnp.sum(normal, 0) * sign * sign[:, None]
+    signed = jnp.sum(jnp.asarray(normal), 0) * sign * sign[:, None]
     r = _factor(with_prior.T @ signed @ with_prior)
     r = jnp.where(jnp.all(jnp.isfinite(r)), r, jnp.eye(len(r)) * NON_FINITE_COST)
     return _Affine(z, r[:, -1], r[:, :-1])
@@ -231,7 +231,7 @@ def solve(
     A trial step to where the model is not finite is rejected; the returned ``z`` is always finite.
     """
 
-    def evaluate(z: Array) -> Array:
+    def evaluate(z: Array) -> np.ndarray:
         return normal_equations(layout, z, problem)
 
     start = np.asarray(z, dtype=float)

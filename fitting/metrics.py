@@ -112,20 +112,28 @@ def correlation_length(field: np.ndarray, used: np.ndarray, axis: int) -> float:
     (Geyer's initial positive sequence): beyond it there is but noise. 1 for independent bins, n for a constant field.
     Slices without any datum are passed over.
     """
-    field, used = (np.moveaxis(x, axis, 0) for x in (field, used))
-    kept = used.reshape(len(used), -1).any(1)
-    rows, counted = np.where(used, field, 0.0)[kept].reshape(kept.sum(), -1), used[kept].reshape(kept.sum(), -1)
-    counted = counted.astype(np.float32)  # exact sums up to 2^24 pairs of rows
-    products, pairs = rows @ rows.T, counted @ counted.T  # every pair of rows; those at one lag are a diagonal
+    products = _pairs_of_rows(np.where(used, field, 0.0), axis)  # those at one lag are a diagonal
+    pairs = _pairs_of_rows(used.astype(np.float32), axis)  # exact sums up to 2^24 pairs of rows
+    kept = np.flatnonzero(np.diagonal(pairs))
+    products, pairs = products[kept[:, None], kept], pairs[kept[:, None], kept]
     variance = np.trace(products) / np.trace(pairs, dtype=float)
     length = 1.0
-    for lag in range(1, len(rows)):
+    for lag in range(1, len(kept)):
         count = np.trace(pairs, lag, dtype=float)
         covariance = np.trace(products, lag) / count if count >= LEAST_PAIRS else 0.0
         if covariance <= 0:
             break
-        length += 2 * (1 - lag / len(rows)) * min(covariance / variance, 1.0)
+        length += 2 * (1 - lag / len(kept)) * min(covariance / variance, 1.0)
     return float(length)
+
+
+def _pairs_of_rows(x: np.ndarray, axis: int) -> np.ndarray:
+    """Scalar products of all slices along an axis, (n, n), without moving the axis, which would copy everything."""
+    n = x.shape[axis]
+    stacked = x.reshape(int(np.prod(x.shape[:axis])), n, -1)
+    if stacked.shape[2] == 1:
+        return stacked[..., 0].T @ stacked[..., 0]
+    return np.sum(stacked @ stacked.swapaxes(1, 2), 0)
 
 
 def effective_count(field: np.ndarray, used: np.ndarray) -> float:

@@ -5,14 +5,15 @@ loop over blocks on one core, so every core is given its share of them by a thre
 """
 
 from collections.abc import Callable, Mapping
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from operator import add
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from ..model import two_scale
 from ..model.effects import Effects
@@ -22,13 +23,14 @@ from .problem import Directions, Part, Problem, shares
 from .threads import side_by_side
 from .transforms import Layout
 
+Numbers = np.ndarray | Array
 T = TypeVar("T")
 
 
 def predict(effects: Effects, values: Mapping[str, Array], where: Directions) -> np.ndarray:
     """What the apparatus would have measured, (C, H, D, K)."""
-    parts = shares(where, where.log_base.size)
-    found = side_by_side(lambda part: np.asarray(_predict(effects, values, part)), parts)
+    parts, given = shares(where, where.log_base.size), two_scale.generalised(effects, values)
+    found = side_by_side(lambda part: np.asarray(_predict(effects.general, given, part)), parts)
     blocks = np.moveaxis(np.concatenate(found), 1, 0)
     return blocks.reshape(len(blocks), -1, *blocks.shape[3:])
 
@@ -77,16 +79,28 @@ def _weigh(root: Array, nodes: Array) -> Array:
     return jnp.sum(root * nodes[..., None, :], -1)
 
 
-def normal_equations(layout: Layout, z: Array, problem: Problem) -> Array:
+def normal_equations(layout: Layout, z: ArrayLike, problem: Problem) -> np.ndarray:
     """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
 
     Its last diagonal entry is :func:`cost`. Sums are taken of derivatives by physical values. A channel's rows and
     columns of other channels' parameters are zero, which is why one tangent a parameter, applied to all channels at
-    once, gives the whole Jacobian.
+    once, gives the whole Jacobian. One program does for all kinds (`Effects.general`).
     """
-    values = layout.values(z)
-    compact = reduce(add, side_by_side(lambda part: _normal_equations(layout.effects, values, part), problem.parts))
-    return spread_out(layout, z, compact, problem.rest)
+    effects = layout.effects
+    values, slopes = layout.values_and_slopes(z)
+    given = two_scale.generalised(effects, values)
+    found = side_by_side(lambda part: np.asarray(_normal_equations(effects.general, given, part)), problem.parts)
+    kept = _rows(effects)
+    compact = reduce(add, found)[:, kept[:, None], kept]
+    return spread_out(layout, np.asarray(slopes), compact, np.asarray(problem.rest))
+
+
+@cache
+def _rows(effects: Effects) -> np.ndarray:
+    """Of the general program's rows those of the parameters of these effects, and that of the residual."""
+    rows = [q.name for q in parameters(effects.general)]
+    own = [q.name if q.name in rows else "n" for q in parameters(effects)]  # a dielectric's eta is n
+    return np.array([*map(rows.index, own), len(rows)])
 
 
 # XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
@@ -102,16 +116,25 @@ def _normal_equations(effects: Effects, values: Mapping[str, Array], part: Part)
     return jax.lax.scan(step, jnp.zeros((channels, groups, groups)), part)[0]
 
 
-@partial(jax.jit, static_argnums=0)
-def spread_out(layout: Layout, z: Array, compact: Array, rest: Array) -> Array:
-    """Rows and columns of every parameter where its channel's are, by free coordinates."""
-    channels = len(compact)
+def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers) -> Any:  # noqa: ANN401 - as they come
+    """Rows and columns of every parameter where its channel's are, by free coordinates: arrays of NumPy or JAX.
+
+    Args:
+        slopes: of physical values by free coordinates, (P, P). compact: a row and column a parameter, (C, G+1, G+1).
+        rest: what is added to each channel's cost, (C,).
+    """
+    place, last = _places(layout.chart)
+    chain = place[..., :-1] @ slopes @ np.eye(layout.size, layout.size + 1) + place * last
+    return chain.swapaxes(-1, -2) @ compact @ chain + rest[:, None, None] * (last[:, None] * last)
+
+
+@cache
+def _places(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Column of each channel's parameters among all and that of the residual, (C, G+1, P+1), one or zero; the last."""
+    channels = len(layout.channels)
     where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in layout.slices.values()]
-    index = np.array([*where, [layout.size] * channels]).T  # (C, groups): row of the full matrix
-    full = jnp.zeros((channels, layout.size + 1, layout.size + 1))
-    full = full.at[np.arange(channels)[:, None, None], index[:, :, None], index[:, None, :]].set(compact)
-    chain = jnp.eye(layout.size + 1).at[:-1, :-1].set(layout.slopes(z))
-    return (chain.T @ full @ chain).at[:, -1, -1].add(rest)
+    last = np.eye(layout.size + 1)[-1]
+    return np.eye(layout.size + 1)[np.array([*where, [layout.size] * channels]).T], last
 
 
 def _evaluate(
@@ -152,7 +175,7 @@ def _rates(
 ) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
     """Values with tables, and by parameter the rates at which they change when it moves, in all channels at once."""
     s = _setting(effects, jax.tree.map(lambda x: x[0], where))
-    rates = {q: {q: jnp.ones_like(x)} for q, x in values.items()}
+    rates = {q.name: {q.name: jnp.ones_like(values[q.name])} for q in parameters(effects)}
     found = {}
     for name, table in two_scale.tables(effects).items():
         own = [q for q in rates if q in table.names]

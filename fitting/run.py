@@ -22,7 +22,7 @@ from .problem import Problem, directions, energy, make_problem
 from .residuals import predict
 from .selection import choose, nearest, score
 from .starts import ReadOff, read_off, starting_points
-from .threads import CORES
+from .threads import CORES, one_core_a_call
 from .transforms import Layout
 from .weights import THETA_MAX, weighted_samples
 
@@ -89,6 +89,7 @@ def fit_file(
     return result
 
 
+@one_core_a_call
 def fit(
     measurement: Measurement,
     samples: Samples,
@@ -119,6 +120,7 @@ def fit(
     return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=candidates)
 
 
+@one_core_a_call
 def descend(
     layout: Layout, z: np.ndarray, measurement: Measurement, samples: Samples, config: Config, clock: Clock
 ) -> list[Fitted]:
@@ -200,7 +202,7 @@ def fit_coarse(
     count = RUNNERS_EACH * config.fit.starts
     with ThreadPoolExecutor(max_workers=CORES) as pool:
         rough = [cheaper(layout, CANDIDATE_ORDER) for layout in layouts]
-        runners = [starting_points(layout, seen, roughly, count, pool.map) for layout in rough]
+        runners = starting_points(rough, seen, roughly, count, pool.map)
 
         def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
             models, where = (rough, roughly) if first else (layouts, problem)

@@ -21,7 +21,7 @@ from .likelihood import log_likelihood, stand_in
 from .outcome import Fitted
 from .posterior import Chain, begin, extend, read_chain, write_chain
 from .problem import make_problem
-from .threads import CORES, side_by_side
+from .threads import CORES, one_core_a_call, side_by_side
 from .transforms import Layout
 
 
@@ -110,6 +110,7 @@ def _names(layout: Layout) -> dict[str, np.ndarray]:
     return {"names": np.array(layout.names), "coordinates": np.array(layout.coordinates)}
 
 
+@one_core_a_call
 def sample(
     fitted: Fitted,
     samples: Samples,

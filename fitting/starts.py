@@ -7,11 +7,9 @@ are not scattered but projected out (`projection`).
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtr, ndtri
 from scipy.stats.qmc import Sobol
@@ -70,21 +68,25 @@ def half_width(theta_h: np.ndarray, theta_d: np.ndarray, value: np.ndarray, used
 
 
 def starting_points(
-    layout: Layout, seen: ReadOff, problem: Problem, count: int, over: Callable[..., Iterable] = map
-) -> np.ndarray:
-    """So many starting points in free coordinates, shape (count + 1, P), the first one before them; no random numbers.
+    layouts: Sequence[Layout], seen: ReadOff, problem: Problem, count: int, over: Callable[..., Iterable] = map
+) -> list[np.ndarray]:
+    """So many starting points of every kind, in free coordinates, (count + 1, P) each; no random numbers.
+
+    The first point is read off the data.
 
     Candidates are a Sobol sequence over the prior of the shared parameters, shifted (modulo 1) so that its first point
     is that of ``seen``: another first point moves all. In every other candidate b is near that of ``seen``. Of every
     kind the best is taken, then the second best, and so on.
 
     Args:
+        layouts: kinds that differ in interface and body alone: their candidates have the same lobes.
         problem: on which candidates are compared.
         over: maps a function over batches of candidates.
     """
-    shared = [q.name for q in layout.parameters if not q.per_channel]
+    first = layouts[0]
+    shared = [q.name for q in first.parameters if not q.per_channel]
     most = 1 << (CANDIDATES_EACH * count - 1).bit_length()
-    begun = layout.free({**OPTICS, **{name: seen.first[name] for name in shared}})
+    begun = first.free({**OPTICS, **{name: seen.first[name] for name in shared}})
     size = len(shared)  # shared parameters come first
     places = (ndtr(begun[:size] / SCATTER) + Sobol(size, scramble=False).random(most)) % 1.0
     points = np.tile(begun, (most, 1))
@@ -92,15 +94,22 @@ def starting_points(
     sharp = np.zeros(most, bool)
     if "b" in shared:
         sharp[1::2], b = True, shared.index("b")
-        points[sharp, b] = layout.free({**OPTICS, **seen.first, "b": seen.b})[b] + NEAR / SCATTER * points[sharp, b]
-    named = jax.vmap(layout.values)(jnp.asarray(points))
-    costs, found = project(layout.effects, {name: np.asarray(named[name]) for name in shared}, problem, over)
+        points[sharp, b] = first.free({**OPTICS, **seen.first, "b": seen.b})[b] + NEAR / SCATTER * points[sharp, b]
+    named = first.values_of_many(points)
+    found = project([each.effects for each in layouts], {name: named[name] for name in shared}, problem, over)
     classes = np.array([CLASSES.get(name, 1) for name in shared])
     kinds = [tuple(each) for each in np.column_stack([(places * classes).astype(int), sharp]).tolist()]
+    return [
+        np.array([layout.free({name: x[i] for name, x in values.items()}) for i in (0, *_best(costs, kinds, count))])
+        for layout, (costs, values) in zip(layouts, found, strict=True)
+    ]
+
+
+def _best(costs: np.ndarray, kinds: Sequence[tuple[int, ...]], count: int) -> list[int]:
+    """So many candidates after the first: of every kind the best, then the second best, and so on."""
     better: Counter[tuple[int, ...]] = Counter()
     order = []
     for i in (np.argsort(np.nan_to_num(costs[1:], nan=np.inf), kind="stable") + 1).tolist():
         order.append((better[kinds[i]], float(np.nan_to_num(costs[i], nan=np.inf)), i))
         better[kinds[i]] += 1
-    chosen = [0, *(i for _, _, i in sorted(order)[:count])]
-    return np.array([layout.free({name: x[i] for name, x in found.items()}) for i in chosen])
+    return [i for _, _, i in sorted(order)[:count]]

@@ -12,8 +12,8 @@ others.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
 
 import jax
 import jax.numpy as jnp
@@ -86,9 +86,36 @@ class Layout:
         """Declaration of every entry."""
         return tuple(q for q in self.parameters for _ in range(self._width(q)))
 
-    @partial(jax.jit, static_argnums=0)
+    @cached_property
+    def chart(self) -> "Layout":
+        """The same for all effects with the same parameters: programs are compiled for this."""
+        e = self.effects
+        body, diffraction = "none" if e.body == "none" else "lambert", "off" if e.diffraction == "off" else "quadrature"
+        acquisition = "free" if e.acquisition == "free" else "off"
+        same = Effects(body, diffraction, renormalised=e.renormalised, acquisition=acquisition, index=e.index)
+        return replace(self, effects=same)
+
     def values(self, z: Array) -> dict[str, Array]:
         """Physical values by name: scalars, and ``(C,)`` for parameters per channel."""
+        return _values(self.chart, z)
+
+    def values_of_many(self, z: np.ndarray) -> dict[str, np.ndarray]:
+        """The same for many points (M, P), with a leading axis M."""
+        return {name: np.asarray(x) for name, x in _values_of_many(self.chart, z).items()}
+
+    def flat(self, z: Array) -> Array:
+        """Physical values, shape (P,)."""
+        return _flat(self.chart, z)
+
+    def slopes(self, z: ArrayLike) -> Array:
+        """d value_i / d z_j, (P, P)."""
+        return self.values_and_slopes(z)[1]
+
+    def values_and_slopes(self, z: ArrayLike) -> tuple[dict[str, Array], Array]:
+        """Both in one call."""
+        return _values_and_slopes(self.chart, jnp.asarray(z))
+
+    def _values(self, z: Array) -> dict[str, Array]:
         where, found = self.slices, {}
         for q in sorted(self.parameters, key=lambda q: q.name in LAST):
             place = z[where[q.name]] if q.per_channel else z[where[q.name]][0]
@@ -97,24 +124,12 @@ class Layout:
             found[q.name] = self._value(q, place, found)
         return {name: value for name, value in found.items() if name != MIDDLE}
 
-    @partial(jax.jit, static_argnums=0)
-    def flat(self, z: Array) -> Array:
-        """Physical values, shape (P,)."""
-        named = self.values(z)
-        return jnp.concatenate([jnp.ravel(named[q.name]) for q in self.parameters])
-
-    @partial(jax.jit, static_argnums=0)
-    def slopes(self, z: Array) -> Array:
-        """d value_i / d z_j, (P, P)."""
-        return jax.jacfwd(self.flat)(z)
-
     def free(self, values: Mapping[str, ArrayLike]) -> np.ndarray:
         """Free coordinates of physical values; values on or beyond a bound are moved just inside."""
         inside = {q.name: np.clip(np.asarray(values[q.name], float), q.lower, q.upper) for q in self.parameters}
         given = {q.name: np.broadcast_to(inside[q.name], self._shape(q)) for q in self.parameters}
-        return np.asarray(self._flat_free(given))
+        return np.asarray(_free(self.chart, given))
 
-    @partial(jax.jit, static_argnums=0)
     def _flat_free(self, values: Mapping[str, Array]) -> Array:
         given = {**values, MIDDLE: values["eta"][len(self.channels) // 2]} if "eta" in values else values
         return jnp.concatenate([jnp.ravel(self._free(q, values[q.name], given)) for q in self.parameters])
@@ -191,6 +206,32 @@ class Layout:
         below, above = (ndtr(normal) - ndtr(low)) / inside, (ndtr(-normal) - ndtr(-high)) / inside
         left = below < above
         return jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
+
+
+@partial(jax.jit, static_argnums=0)
+def _values(chart: Layout, z: Array) -> dict[str, Array]:
+    return chart._values(z)
+
+
+@partial(jax.jit, static_argnums=0)
+def _values_of_many(chart: Layout, z: Array) -> dict[str, Array]:
+    return jax.vmap(chart._values)(z)
+
+
+@partial(jax.jit, static_argnums=0)
+def _flat(chart: Layout, z: Array) -> Array:
+    named = chart._values(z)
+    return jnp.concatenate([jnp.ravel(named[q.name]) for q in chart.parameters])
+
+
+@partial(jax.jit, static_argnums=0)
+def _values_and_slopes(chart: Layout, z: Array) -> tuple[dict[str, Array], Array]:
+    return chart._values(z), jax.jacfwd(partial(_flat, chart))(z)
+
+
+@partial(jax.jit, static_argnums=0)
+def _free(chart: Layout, values: Mapping[str, Array]) -> Array:
+    return chart._flat_free(values)
 
 
 @cache

@@ -19,15 +19,17 @@ dims what is sharp, each lobe as its width has it, and leaves the body as it is 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from . import acquisition, body, convolution, diffraction, energy, exact, scaled, zonal
-from .effects import KINDS, Effects
+from .effects import BODIES, KINDS, Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .ndf import epd
@@ -37,6 +39,7 @@ from .shadowing import height_correlated, masking, masking_table
 
 LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
 RING_ORDER = 32  # of the convolution whose width gives the loss of diffracted light
+WHICH = "which_body"  # number of the body in `BODIES`, where the effects leave it open
 Values = Mapping[str, Array]
 
 
@@ -100,7 +103,7 @@ def factors(effects: Effects) -> dict[str, Factor]:
             table["hue"] = Factor(optics, _hue)
     every = tuple(q.name for q in parameters(effects.material) if q.name != "albedo")
     if effects.body != "none":
-        table["under"] = Factor(("albedo",) if effects.body == "lambert" else ("eta", "albedo"), _under)
+        table["under"] = Factor(("albedo",) if effects.body == "lambert" else (optics[0], "albedo"), _under)
     if _pays_toll(effects):
         table["toll"] = Factor(every, _toll, ("surface_albedo",))
     if effects.acquisition not in ("off", 0.0):
@@ -176,16 +179,31 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
     missing = [q.name for q in parameters(s.effects) if q.name not in params]
     if missing:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
-    if unknown := params.keys() - known():
+    if unknown := params.keys() - known() - ({WHICH} if s.effects.body == "any" else set()):
         raise KeyError(f"two_scale has no parameter {', '.join(sorted(unknown))}, whatever the effects")
     precision = jnp.result_type(s.geometry.theta_h)
     given = {name: jnp.asarray(params[name], precision) for name in TABLES if name in params}
+    if s.effects.body == "any":
+        given[WHICH] = jnp.asarray(params[WHICH])
     return given | {
         q.name: jnp.asarray(params[q.name], precision).reshape(
             (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
         )
         for q in parameters(s.effects)
     }
+
+
+def generalised(effects: Effects, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+    """Values for :attr:`merlfit.model.effects.Effects.general` that give the same BRDF as these for ``effects``."""
+    if effects.general == effects:
+        return dict(values)
+    given = dict(values)
+    if effects.index == "real":
+        given["n"] = given.pop("eta")
+        given["k"] = np.zeros_like(given["n"])
+    if effects.body == "none":
+        given["albedo"] = np.zeros_like(given["n"])
+    return given | {WHICH: np.int32(BODIES.index(effects.kind[1]))}
 
 
 def _index(v: Values) -> tuple[Array, Array]:
@@ -269,6 +287,16 @@ def _under(v: Values, s: Setting) -> Array:
     if s.effects.split == "conserving":
         return energy.unlit_body(kind, g.cos_i, g.cos_o, v["albedo"], v.get("eta"))
     match kind:
+        case "any":
+            whole = jnp.broadcast_shapes(v["albedo"].shape, g.cos_i.shape)
+            under = [
+                lambda n, albedo: jnp.zeros_like(albedo),
+                lambda n, albedo: body.lambert(albedo),
+                partial(body.plastic, g.cos_i, g.cos_o),
+                partial(body.subsurface, g.cos_i, g.cos_o),
+            ]  # in the order of BODIES
+            chosen = [lambda n, albedo, f=f: jnp.broadcast_to(f(n, albedo), whole) for f in under]
+            return jax.lax.switch(v[WHICH], chosen, v["n"], v["albedo"])
         case "plastic":
             return body.plastic(g.cos_i, g.cos_o, v["eta"], v["albedo"])
         case "subsurface":

@@ -55,7 +55,7 @@ class Plain:
 def coarse_stage(layout, samples, config):
     """Seconds of the race that `run.fit_coarse` makes, from merlfit's starting points, which cost nothing here."""
     rough, (_, roughly) = cheaper(layout, CANDIDATE_ORDER), make_coarse(samples)
-    points = starting_points(rough, read_off(samples), roughly, RUNNERS_EACH * config.fit.starts)
+    points = starting_points([rough], read_off(samples), roughly, RUNNERS_EACH * config.fit.starts)[0]
     begun, plain = time.perf_counter(), Plain(layout, thin(samples, COARSE_RUNS))
     begin = Plain(layout, thin(samples, FIRST_RUNS))
 

@@ -15,7 +15,7 @@ from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
 from merlfit.fitting.problem import make_problem
-from merlfit.fitting.residuals import _predict, cost, normal_equations
+from merlfit.fitting.residuals import _normal_equations, _predict, cost, normal_equations, spread_out
 from merlfit.fitting.starts import read_off, starting_points
 from merlfit.fitting.transforms import layout_of
 from merlfit.fitting.weights import weighted_samples
@@ -170,10 +170,22 @@ def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
         assert difference(few, expected) > 10 * difference(many, expected)
 
 
+@pytest.mark.parametrize("kind", KINDS, ids=" ".join)
+def test_the_program_of_all_kinds_has_the_normal_equations_of_each(coarse, kind):
+    """A dielectric as a conductor with k = 0, a body chosen when the program runs, albedo 0 for none."""
+    problem = make_problem(thin(coarse[0], run.CANDIDATES), 2)
+    layout = run.cheaper(layout_of(Effects(kind[1], index=kind[0], acquisition="free")), 8)
+    z = jnp.asarray(np.random.default_rng(3).normal(size=layout.size))
+    values, slopes = layout.values_and_slopes(z)
+    alone = sum(np.asarray(_normal_equations(layout.effects, values, part)) for part in problem.parts)
+    expected = spread_out(layout, np.asarray(slopes), alone, np.asarray(problem.rest))
+    assert difference(normal_equations(layout, z, problem), expected) < 1e-12
+
+
 def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
     thinned = thin(coarse[0], (5, 5, 1))
     problem = make_problem(thinned)
-    z = jnp.asarray(starting_points(FREE, read_off(coarse[0]), problem, 1)[0])
+    z = jnp.asarray(starting_points([FREE], read_off(coarse[0]), problem, 1)[0][0])
     assert len(problem.parts) == 1
     assert problem.parts[0].target.shape[0] == 1
     monkeypatch.setattr(problems, "BLOCK", 700)

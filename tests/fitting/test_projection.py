@@ -62,7 +62,8 @@ def made(request, blank):
     layout = layout_of(effects_of(request.param))
     value = predict_samples(layout, layout.free({**SHARED, **OPTICS[request.param]}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)
-    return layout.effects, problem, *project(layout.effects, batch([SHARED, *OTHERS]), problem)
+    together = project([effects_of(kind) for kind in OPTICS], batch([SHARED, *OTHERS]), problem)
+    return layout.effects, problem, *together[list(OPTICS).index(request.param)]
 
 
 def test_every_candidate_has_the_model_s_cost(made):
@@ -108,7 +109,7 @@ def test_batches_do_not_mix_their_candidates(made, monkeypatch):
         seen.append(len(list(batches)))
         return [function(each) for each in reversed(batches)][::-1]
 
-    again, values = project(effects, batch([[SHARED, *OTHERS][k] for k in order]), problem, backwards)
+    ((again, values),) = project([effects], batch([[SHARED, *OTHERS][k] for k in order]), problem, backwards)
     assert (seen, BATCH) == ([3], 64)
     np.testing.assert_allclose(again, costs[order], rtol=1e-12)
     for name in found:
@@ -122,7 +123,7 @@ def test_diffracted_light_coloured_by_q_is_projected_roughly(blank):
     value = predict_samples(layout, layout.free({**alike, **METAL}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)
     effects = replace(layout.effects, colour="rayleigh_rice")
-    values = one(project(effects, batch([alike]), problem)[1], 0)
+    values = one(project([effects], batch([alike]), problem)[0][1], 0)
     here, rng = cost_of(effects, values, problem), np.random.default_rng(3)
     assert here < 0.12
     metals = [jnp.asarray(METALS[rng.choice(len(METALS), 3)].T) for _ in range(60)]

@@ -56,13 +56,18 @@ def problem(samples):
 @pytest.fixture(scope="module")
 def points(problem):
     """As many as there are kinds, half as many again, and the first."""
-    return starting_points(LAYOUT, SEEN, problem, 36)
+    return points_of(LAYOUT, SEEN, problem, 36)
 
 
 def kinds(points):
     """Class of every point in every parameter that has some, which both kinds of correlation length share."""
     classes = np.array([CLASSES.get(name, 1) for name in SHARED])
     return [tuple(each) for each in (ndtr(points[:, : len(SHARED)] / SCATTER) * classes).astype(int).tolist()]
+
+
+def points_of(layout, *rest):
+    """Of one kind alone."""
+    return starting_points([layout], *rest)[0]
 
 
 def values_of(points):
@@ -85,7 +90,7 @@ def test_they_are_of_every_kind_the_best_of_each_first(points, problem):
     assert len(set(best)) == number
     assert max(Counter(second).values()) <= 2
     values = values_of(points)
-    costs, _ = project(LAYOUT.effects, {name: values[name] for name in SHARED}, problem)
+    ((costs, _),) = project([LAYOUT.effects], {name: values[name] for name in SHARED}, problem)
     first, then = costs[1 : 2 * number + 1], costs[2 * number + 1 :]
     for some in (first, then):
         assert np.all(np.diff(some) >= -1e-9 * some[1:])
@@ -105,8 +110,15 @@ def test_in_half_of_them_the_highlight_is_diffracted_light(points):
     assert points[1:, b].min() < -1
 
 
+def test_those_of_one_kind_are_the_same_beside_others(points, problem):
+    others = [layout_of(replace(LAYOUT.effects, body=body, index="usual")) for body in ("plastic", "none")]
+    together = starting_points([others[0], LAYOUT, others[1]], SEEN, problem, 36)
+    np.testing.assert_allclose(together[1], points, rtol=1e-12)
+    assert [each.shape[1] for each in together] == [others[0].size, LAYOUT.size, others[1].size]
+
+
 def test_few_are_of_as_many_kinds(problem):
-    assert max(Counter(kinds(starting_points(LAYOUT, SEEN, problem, 5)[1:])).values()) <= 2
+    assert max(Counter(kinds(points_of(LAYOUT, SEEN, problem, 5)[1:])).values()) <= 2
 
 
 def test_they_are_scattered_over_the_prior_with_the_optics_that_suit_them(points):
@@ -123,15 +135,15 @@ def test_they_are_scattered_over_the_prior_with_the_optics_that_suit_them(points
 
 def test_they_are_the_same_every_time_and_another_first_moves_all(problem):
     with ThreadPoolExecutor(2) as pool:
-        once, again = (starting_points(LAYOUT, SEEN, problem, 4, over) for over in (map, pool.map))
+        once, again = (points_of(LAYOUT, SEEN, problem, 4, over) for over in (map, pool.map))
     np.testing.assert_array_equal(once, again)
-    moved = starting_points(LAYOUT, SEEN._replace(first={**FIRST, "beta": 0.06, "p": 0.9}), problem, 4)
+    moved = points_of(LAYOUT, SEEN._replace(first={**FIRST, "beta": 0.06, "p": 0.9}), problem, 4)
     assert np.all(np.any(np.abs(once[:, None] - moved) > 1e-3, axis=-1))
 
 
 def test_another_prior_scatters_them_otherwise(problem):
     narrow = layout_of(LAYOUT.effects, replace(PRIORS, half_width=LogNormal(0.05, 1.2), p=LogNormal(1.0, 1.2)))
-    found = starting_points(narrow, SEEN, problem, 24)
+    found = points_of(narrow, SEEN, problem, 24)
     values = [narrow.values(jnp.asarray(z)) for z in found]
     widths = [float(v["beta"] * np.log(2) ** (1 / (2 * v["p"]))) for v in values]
     assert max(abs(np.log(np.array(widths) / 0.05))) < SCATTER * ndtri(1 - RIM) * np.log(1.2)
@@ -142,7 +154,7 @@ def test_another_prior_scatters_them_otherwise(problem):
 def test_a_first_one_at_a_bound_leaves_all_within_bounds(name, problem):
     q = next(q for q in LAYOUT.parameters if q.name == name)
     for bound in (q.lower, q.upper):
-        found = starting_points(LAYOUT, ReadOff({**FIRST, name: bound}, bound if name == "b" else 60.0), problem, 1)
+        found = points_of(LAYOUT, ReadOff({**FIRST, name: bound}, bound if name == "b" else 60.0), problem, 1)
         assert np.all(np.isfinite(found))
         for each, x in values_of(found).items():
             q = next(q for q in LAYOUT.parameters if q.name == each)
@@ -151,7 +163,7 @@ def test_a_first_one_at_a_bound_leaves_all_within_bounds(name, problem):
 
 def test_effects_without_diffraction_are_scattered_too(problem):
     layout = layout_of(replace(LAYOUT.effects, diffraction="off"))
-    points = starting_points(layout, SEEN, problem, 6)
+    points = points_of(layout, SEEN, problem, 6)
     assert points.shape == (7, layout.size)
     assert np.all(np.isfinite(points))
     width = [q.name for q in layout.parameters].index("beta")
