@@ -113,10 +113,15 @@ def fit(
         coarse, seen = thin(samples, COARSE), read_off(samples)
         seen = seen._replace(first=first or seen.first)
         cheap = [cheaper(config.layout_of(kind), COARSE_ORDER) for kind in kinds]
-        found = fit_coarse(cheap, seen, *make_coarse(samples), config)
-        candidates, chosen = compare(cheap, found, coarse)
+        printed = [replace(each, effects=replace(each.effects, split="printed")) for each in cheap]
+        problem, roughly = make_coarse(samples)
+        found = fit_coarse(printed, seen, problem, roughly, config)
+        candidates, chosen = compare(printed, found, coarse)
+        z = found[chosen].z
+        if cheap[chosen] != printed[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
+            z = solve(cheap[chosen], z, problem, config.fit.coarse_steps, backend=config.fit.backend).z
     report(f"{config.fit.grid} grid: {' '.join(kinds[chosen])}")
-    tried = descend(config.layout_of(kinds[chosen]), found[chosen].z, measurement, samples, config, clock)
+    tried = descend(config.layout_of(kinds[chosen]), z, measurement, samples, config, clock)
     return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=candidates)
 
 

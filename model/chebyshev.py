@@ -11,6 +11,25 @@ def nodes(count: int) -> np.ndarray:
     return (1 + np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
 
 
+def evaluate(values: Real, x: Real) -> Real:
+    """The interpolating polynomial of one function or of several, by Clenshaw's recurrence: a pass over ``x`` a node.
+
+    Args:
+        values: at the nodes, shape (count, ...), trailing axes broadcasting with those of ``x``. x: in [0, 1]; beyond,
+            as for `weights`.
+    """
+    count = len(values)
+    k = np.arange(count)
+    to_coefficients = np.cos(np.outer(k, np.pi * (k + 0.5) / count)) * (2 / count)
+    to_coefficients[0] /= 2
+    coefficients = jnp.tensordot(jnp.asarray(to_coefficients, values.dtype), values, 1)
+    x = jnp.clip(2 * x - 1, -1.01, 1.01)
+    later = last = jnp.zeros(())
+    for each in coefficients[:0:-1]:
+        later, last = last, 2 * x * last - later + each
+    return x * last - later + coefficients[0]
+
+
 def weights(x: Real, count: int) -> Real:
     """Weights by which values at the nodes make the interpolating polynomial at ``x`` in [0, 1].
 

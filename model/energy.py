@@ -36,19 +36,21 @@ AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
 STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
 
 
-def _share_of(b_over_lambda: Array, c: Scalar) -> Callable[[Array], Array]:
+def share_of(b_over_lambda: Array, c: Scalar) -> Callable[[Array], Array]:
     """sigma_rel^2/sigma_s^2 (`diffraction.renormalisation`) as a table over 1 - sin(theta_d), per channel (C,).
 
     The variable is asinh(b/lambda (1 - sin)): the share falls where the lobe's centre is within its width of the rim.
+    Nodes are placed as b is now, so that they need no derivative.
     """
-    longest = jnp.arcsinh(b_over_lambda)  # (C,)
-    gap = jnp.sinh(chebyshev.nodes(SHARES)[:, None] * longest) / b_over_lambda
+    placed = jax.lax.stop_gradient(b_over_lambda)
+    longest = jnp.arcsinh(placed)  # (C,)
+    gap = jnp.sinh(chebyshev.nodes(SHARES)[:, None] * longest) / placed
     values = diffraction.renormalisation(1 - gap, jnp.broadcast_to(b_over_lambda, gap.shape), c)  # (K, C)
 
     def share(one_minus_sin: Array) -> Array:  # (C, ...)
         along = (-1, *(1,) * (one_minus_sin.ndim - 1))
-        x = jnp.arcsinh(b_over_lambda.reshape(along) * one_minus_sin) / longest.reshape(along)
-        return jnp.sum(chebyshev.weights(x, SHARES) * values.reshape(SHARES, *along), 0)
+        x = jnp.arcsinh(placed.reshape(along) * one_minus_sin) / longest.reshape(along)
+        return chebyshev.evaluate(values.reshape(SHARES, *along), x)
 
     return share
 
@@ -73,8 +75,8 @@ def lobe_albedo(
     """
     wavelengths = wavelength_um.reshape(-1)
     table = _lobe_albedo_table(b_um / wavelengths, c, sigma_s / wavelengths, renormalised, exact)  # (C, K)
-    w = chebyshev.weights(jnp.asarray(theta_d) * (2 / jnp.pi), LOBE_INCIDENCES)
-    return jnp.tensordot(table, w, 1)
+    x = jnp.asarray(theta_d) * (2 / jnp.pi)
+    return chebyshev.evaluate(table.T.reshape(LOBE_INCIDENCES, -1, *(1,) * x.ndim), x)
 
 
 def _lobe_albedo_table(
@@ -107,7 +109,7 @@ def _lobe_albedo_table(
     cos2_h = jnp.clip(safe_divide((cos_i + cos_o) ** 2, 4 * cos2_d), 0.0, 1.0)
     share = jnp.ones(())
     if renormalised:
-        share = _share_of(b_over_lambda, c)(cos2_d / (1 + safe_sqrt(1 - cos2_d)))
+        share = share_of(b_over_lambda, c)(cos2_d / (1 + safe_sqrt(1 - cos2_d)))
     phase = diffraction.phase_variance(
         share * sigma_over_lambda[:, None, None, None] ** 2, safe_sqrt(cos2_d), jnp.ones(())
     )

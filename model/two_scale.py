@@ -327,9 +327,13 @@ def surface_albedo(v: Values, s: Setting) -> Array:
     largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
     degree = effects.zonal_order if effects.diffraction == "zonal" else 0
     incidences = energy.incidences(v["beta"])
-    geometry, measure = energy.half_vectors(incidences, v["beta"], v["p"], largest_B, degree)
+    placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
+    geometry, measure = energy.half_vectors(incidences, *placed, degree)
     inner = replace(effects.material, order=min(effects.order, energy.ORDER))
     s = setting(geometry, inner, wavelengths_um)
+    if inner.renormalised and inner.diffraction != "off":
+        one_minus_sin = 2 * jnp.sin(jnp.pi / 4 - geometry.theta_d[None] / 2) ** 2
+        own["share"] = energy.share_of(v["b"] / wavelengths_um, v["c"])(one_minus_sin)
     lobes = {name: f.evaluate(own, s) for name, f in factors(inner).items() if name not in ("under", "toll")}
     return jnp.sum(assemble(lobes, s) * measure, (-2, -1))
 
