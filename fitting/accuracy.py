@@ -8,7 +8,8 @@ norms over all bins, relative to the measurement, with the weights of Eq. 56. Th
 diffraction errs by, is evaluated; the second is the length |J dz| of the Gauss-Newton step that the reference has still
 to take from z. A sum of lengths is an upper bound as far as one step goes; of other minima it knows nothing. Those are
 counted by the calibration: where more than one in twenty of its fits went astray, no estimate is below what nineteen in
-twenty keep to (`frontier.Point.astray`). Held to its word on synthetic cases by ``tests/fitting/test_accuracy.py``.
+twenty keep to (`frontier.Point.astray`): then a floor is told, and called so.
+Held to its word on synthetic cases by ``tests/fitting/test_accuracy.py``.
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ import numpy as np
 from ..merl_io.binary import Measurement
 from ..merl_io.samples import Samples, thin
 from . import export
-from .choice import FITTED, POINTS, REFERENCE, Choice
+from .choice import FITTED, POINTS, REFERENCE, Choice, default_choice
 from .config import Config, ConfigError
 from .frontier import Point, load
 from .levenberg_marquardt import Solution, compress, solve
@@ -91,6 +92,7 @@ class _Try(NamedTuple):
     layout: Layout
     solution: Solution
     error: float
+    floor: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,13 +124,16 @@ class Aim:
     def told(self) -> str:
         """What was asked, what is chosen for it, and what to expect."""
         asked, point = self.request, self.point
-        wanted = f"--accuracy {asked.accuracy:g}" if asked.accuracy is not None else f"--time {asked.seconds:g}s"
+        longest = needed(point, asked.has_time_to_estimate(point))
         expected = (
             f"expected within {point.promised.p95:.2g} of the reference fit in {point.seconds.median:.2g} to "
-            f"{needed(point):.2g} s a file, once compiled, four bodies, no posterior"
+            f"{longest:.2g} s for each file, without posterior; the first fit with these settings also compiles its "
+            "programs, which takes longer than the fit"
         )
         said = expected if self.calibrated else "what to expect of these effects and limits was not calibrated"
-        return f"{wanted}: {point.choice.applied(self.config)}; {said} ({self.calibration})"
+        chosen = point.choice.applied(self.config)
+        default = " (the defaults)" if point.choice == default_choice() else ""
+        return f"{asked}: {chosen}{default}; {said} ({self.calibration})"
 
     @property
     def finer(self) -> list[Choice]:
@@ -142,6 +147,9 @@ class Aim:
 
     def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, export.Accuracy]:
         """The error that a fit is estimated to have, and the fit carried on until it is what was asked for."""
+        if not self.request.has_time_to_estimate(self.point):
+            only = _Try(self.point.choice.applied(self.config), fitted.layout, fitted.solution, np.inf)
+            return fitted, self._told([only], only)
         problem, wanted = reference_problem(samples), self.request.accuracy
         best = self._judged(self.point.choice, (fitted.layout, fitted.solution), problem)
         tried = [best]
@@ -161,17 +169,17 @@ class Aim:
 
     def _judged(self, choice: Choice, found: tuple[Layout, Solution], problem: Problem) -> _Try:
         layout, solution = found
-        error = max(estimate((layout, solution.z), problem, self.config), self.point.astray)
-        return _Try(choice.applied(self.config), layout, solution, error)
+        error, floor = estimate((layout, solution.z), problem, self.config), self.point.astray
+        return _Try(choice.applied(self.config), layout, solution, max(error, floor), floor > error)
 
     def _told(self, tried: list[_Try], best: _Try) -> export.Accuracy:
         asked, point = self.request.accuracy, self.point
         return export.Accuracy(
             asked=asked, asked_seconds=self.request.seconds, calibration=self.calibration,
             expected=point.promised.p95 if self.calibrated else None,
-            expected_seconds=needed(point) if self.calibrated else None,
-            tried=[export.Tried(settings=t.choice, estimated=export.finite(t.error)) for t in tried],
-            settings=best.choice, estimated=export.finite(best.error),
+            expected_seconds=needed(point, self.request.has_time_to_estimate(point)) if self.calibrated else None,
+            tried=[export.Tried(settings=t.choice, estimated=export.finite(t.error), floor=t.floor) for t in tried],
+            settings=best.choice, estimated=export.finite(best.error), floor=best.floor,
             met=None if asked is None else best.error <= asked,
         )  # fmt: skip
 

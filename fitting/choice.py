@@ -10,7 +10,16 @@ from .problem import Precision
 
 
 class Choice(BaseModel):
-    """Settings of a fit that trade accuracy for time; as in ``[effects]`` and ``[fit]`` of the configuration."""
+    """Settings of a fit that trade accuracy for time; as in ``[effects]`` and ``[fit]`` of the configuration.
+
+    Attributes:
+        diffraction: tier of the diffraction lobe.
+        order: radial nodes of its quadrature.
+        grid: rows of theta_h and theta_d that the last steps use.
+        azimuths: nodes in which a row of azimuths is gathered.
+        precision: of the model.
+        starts: starting points that run the second lap of the race on the coarse grid.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

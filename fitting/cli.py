@@ -82,25 +82,30 @@ def fit(
         Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(help="hp17, conserving, microfacet, preview or fast: effects by name.")
+        str | None, typer.Option(help="What is simulated: hp17, conserving, microfacet, preview or fast.")
     ] = None,
-    index: Annotated[str | None, typer.Option(help="auto, complex (conductor) or real (dielectric).")] = None,
-    body: Annotated[str | None, typer.Option(help="auto, none, lambert, plastic or subsurface.")] = None,
+    index: Annotated[
+        str | None, typer.Option(help="Index of refraction: auto, complex (metal) or real (plastic, coat).")
+    ] = None,
+    body: Annotated[
+        str | None, typer.Option(help="What lies under the surface: auto, none, lambert, plastic or subsurface.")
+    ] = None,
     weights: Annotated[
         str | None,
-        typer.Option(help="compressive (dark bins count too), log, none (RMSE) or adaptive (picture)."),
+        typer.Option(help="compressive (dark bins count, too), log, none (least RMSE) or adaptive (nearest picture)."),
     ] = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
     accuracy: Annotated[
         float | None,
-        typer.Option(help="Cheapest settings that end so near to the best fit: 1e-3, relative."),
+        typer.Option(help="Choose the fastest settings that are this accurate, such as 1e-2 (relative)."),
     ] = None,
     within: Annotated[
-        str | None, typer.Option("--time", help="Most accurate settings that take no longer a file: 2s, 500ms, 1.5min.")
+        str | None,
+        typer.Option("--time", help="Choose the most accurate settings within this time for each file: 20s, 1.5min."),
     ] = None,
 ) -> None:
-    """Fit each file and write OUT/NAME.json. Exit code 0 if all fits succeeded, 1 if one failed, 2 on bad input."""
+    """Fit each file and write OUT/NAME.json. Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad."""
     from .files import aim_of, fit_files, settings_of, summarise
 
     settings = settings_of(config, preset, index, body, weights, posterior, seed)
@@ -113,10 +118,10 @@ def sample(
     result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
     file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
     max_steps: Annotated[
-        int | None, typer.Option(min=1, help="More steps, at the most \\[default: the fit's own].", show_default=False)
+        int | None, typer.Option(min=1, help="Most steps to add \\[default: as the fit was told].", show_default=False)
     ] = None,
 ) -> None:
-    """Sample the posterior of a fit, or go on with the chain beside it, and write both anew."""
+    """Sample the posterior of a fit, or continue the chain that lies beside it, and update both files."""
     from ..merl_io.atomic import WriteError
     from ..merl_io.binary import MerlError
     from .compilation import use_persistent_cache
@@ -137,7 +142,7 @@ def sample(
     except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
         raise fail(str(error)) from None
     except Stopped as stop:
-        note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` goes on with the chain so far")
+        note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` continues the chain so far")
         raise typer.Exit(stop.code) from None
     print_result(console, found)
     if found.posterior is not None and not found.posterior.sufficient:
@@ -152,11 +157,15 @@ def synth(
         str | None, typer.Option(help="Published table, see `merlfit materials` \\[default: sgd].", show_default=False)
     ] = None,
     loss: Annotated[
-        bool, typer.Option("--with-grazing-loss", help="A fit as MERL's apparatus would have measured it.")
+        bool,
+        typer.Option(
+            "--with-grazing-loss",
+            help="Of a fit: with the light missing that MERL's apparatus loses at grazing angles.",
+        ),
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
 ) -> None:
-    """Write a MERL file from a published parameter set or from a fit (without the acquisition's grazing loss)."""
+    """Write a MERL file from a published parameter set, or from a fit (of the material, without the apparatus)."""
     from ..merl_io.binary import MerlError, write
     from .compilation import use_persistent_cache
     from .export import ResultError
@@ -212,12 +221,12 @@ def cost(
         Path | None, typer.Argument(help="A MERL .binary file to measure on \\[default: synthetic materials].")
     ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for JSON, table and plot.")] = Path("cost"),
-    repeats: Annotated[int, typer.Option(min=1, help="Fits that a time is the median of.")] = 1,
+    repeats: Annotated[int, typer.Option(min=1, help="Fits to measure each time with; their median is taken.")] = 1,
 ) -> None:
-    """Measure on this machine what accuracy costs, evaluated and fitted; `merlfit fit --accuracy, --time` go by it.
+    """Measure on this machine how much time accuracy takes. `merlfit fit --accuracy` and `--time` choose by the result.
 
-    Takes half an hour; if interrupted, the same command goes on from there. Of a FILE it is the calibration of one
-    material: it is written, and no fit goes by it.
+    Takes half an hour; if it is interrupted, the same command continues. With a FILE it measures that material
+    only and writes the result, but `merlfit fit` does not use it.
     """
     from ..merl_io.binary import MerlError
     from .compilation import cache_folder
@@ -238,37 +247,47 @@ def cost(
     except MerlError as error:
         raise fail(str(error)) from None
     except Stopped as stop:
-        note(f"stopped by {stop}; what was measured is kept, the same command goes on from there")
+        note(f"stopped by {stop}; what was measured is kept; the same command continues from there")
         raise typer.Exit(stop.code) from None
     except OSError as error:
-        raise fail(f"{error}; what was measured is kept, the same command goes on from there") from None
+        raise fail(f"{error}; what was measured is kept; the same command continues from there") from None
     except CostError as error:
         fail(str(error))
         raise typer.Exit(FAILED_FIT) from None
     for table in tables(frontier):
         console.print(table)
     console.print(gains(frontier), soft_wrap=True)
-    used = "" if file else f"; fits go by {kept[1]}"
+    used = "" if file else f"; fits will use {kept[1]}"
     console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}", soft_wrap=True)
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")
-def demo(out: Out = Path("demo-out"), seed: Seed = None) -> None:
-    """Synthesise one published material as a MERL file, fit it with its posterior, and show the outcome."""
-    from ..merl_io.binary import write
-    from .files import fit_files, settings_of, summarise
+def demo(
+    out: Out = Path("demo-out"),
+    seed: Seed = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+) -> None:
+    """Make a synthetic material of known parameters as a MERL file, fit it, and show how near the fit comes to them."""
+    from ..merl_io.binary import MerlError
+    from .compilation import use_persistent_cache
+    from .demo import SAID, Occupied, make, settings, truth_table, verdict
+    from .files import fit_files, summarise
     from .inspection import show
-    from .synthesis import DEMO, from_published
 
     start = time.perf_counter()
     writable_folder(out)
-    material, table = DEMO
-    values, said = from_published(material, table)
-    path = out / f"{material}.binary"
-    write(path, values)
-    console.print(f"{path}: {said}", soft_wrap=True)
-    outcomes = fit_files([path], out, settings_of(seed=seed))
-    if outcomes[0].result is not None:
-        show(out / f"{material}.json", outcomes[0].result, path, out)
+    use_persistent_cache()
+    try:
+        path = make(out, force)
+    except (Occupied, MerlError) as error:
+        raise fail(str(error)) from None
+    console.print(f"{path}: {SAID}", soft_wrap=True)
+    outcomes = fit_files([path], out, settings(seed))
+    result = outcomes[0].result
+    if result is not None:
+        show(out / f"{path.stem}.json", result, path, out)
     summarise(outcomes)
-    console.print(f"demo done in {time.perf_counter() - start:.0f} s; results in {out}/")
+    if result is not None and result.model is not None:
+        console.print(truth_table(result))
+        console.print(verdict(result))
+    console.print(f"demo done in {time.perf_counter() - start:.0f} s; results in {out}/", soft_wrap=True)

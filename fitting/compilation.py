@@ -47,7 +47,7 @@ def _tell_of_compilation(folder: Path) -> None:
     def listen(event: str, **_: str | int) -> None:
         if event == NEW and not told:
             told.append(True)
-            note(f"compiling, once: this run is slower by about half a minute; later ones use what is in {folder}")
+            note(f"compiling, once: this can take some minutes; later runs reuse the programs in {folder}")
 
     jax.monitoring.register_event_listener(listen)
 
@@ -68,6 +68,6 @@ def _mend(folder: Path) -> None:
             entry.unlink(missing_ok=True)
         if not told:
             told.append(True)
-            note(f"damaged programs in {folder} were deleted; they are compiled anew, once")
+            note(f"damaged programs in {folder} were deleted and are compiled again, once")
 
     warnings.showwarning = shown

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
 
 from ..model.acquisition import Apparatus
 from ..model.effects import (
@@ -238,7 +239,7 @@ def load(
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # some editors put a byte order mark first
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -263,7 +264,18 @@ def parse(data: dict[str, Any], where: str) -> Config:
                 str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0
             )
             raise ConfigError(f"{where}: unknown key {key!r}; the nearest known one is {near[0]!r}") from None
-        raise ConfigError(f"{where}: {key}: {first['msg']}, not {first.get('input')!r}") from None
+        raise ConfigError(f"{where}: {key}: {_in_words(first)}") from None
+
+
+def _in_words(error: ErrorDetails) -> str:
+    """What is wrong with a value, without the names of our classes."""
+    if error["type"] == "missing":
+        return "is missing"
+    given = "a section" if isinstance(error["input"], dict) else repr(error["input"])
+    if error["type"] in ("model_type", "dict_type"):
+        return f"should be a section with keys of its own, not {given}"
+    said = error["msg"].replace("Input should be", "should be").replace("a valid integer", "an integer")
+    return f"{said.replace('a valid ', 'a ')}, not {given}"
 
 
 def known_keys() -> list[str]:

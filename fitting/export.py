@@ -1,24 +1,30 @@
 """The result of one material as JSON: its schema, written atomically, and the chain beside it."""
 
+import ast
 import codecs
 import json
 import math
 import os
 import platform
+import re
+import sys
 from collections.abc import Sized
+from datetime import UTC, datetime
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path, PurePath
-from typing import IO, Annotated, Any, Literal, Self, get_args
+from typing import IO, Annotated, Any, Literal, Self, get_args, get_type_hints
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from ..merl_io.atomic import write_atomically
+from ..model.acquisition import Apparatus
 from ..model.effects import Effects
 from ..model.parameters import CHANNELS, parameters
 from .choice import Choice
 
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
 
@@ -60,22 +66,36 @@ class Source(_Part):
     """Where the data came from."""
 
     path: Text
+    """File that was fitted, as it was named; relative to where the fit ran, unless it is absolute."""
     material: FileName
+    """Name of the file without its folder and its ending."""
     sha1: str
+    """SHA-1 of the file."""
     git_blob_sha1: str
+    """SHA-1 of the file as git computes it for a blob."""
     genuine_merl: str | None
+    """Name of the MERL material whose published file this is, bit by bit; null for any other file."""
     fraction_valid: float
+    """Share of the bins that hold a datum in every channel."""
     outliers: int
+    """Number of valid bins that are very much brighter than their neighbours."""
 
 
 class Model(_Part):
     """What was fitted."""
 
     name: Literal["two-scale"] = "two-scale"
+    """Name of the model."""
     effects: Effects
+    """Which physical effects it simulates."""
     grazing_exponent: float
+    """Exponent of the light that the apparatus lost at grazing angles; 0 where no loss was simulated."""
     channels: list[str]
+    """Names of the colour channels; lists by channel have this order."""
+    colour_space: Literal["linear RGB of MERL, as stored"] = "linear RGB of MERL, as stored"
+    """Colour space of channels and albedos. The files have no white point of their own; nothing is converted."""
     wavelengths_um: list[float]
+    """Wavelength that stands for each channel (micrometres)."""
 
     @model_validator(mode="after")
     def _of_a_fit(self) -> Self:
@@ -95,31 +115,44 @@ class Quantiles(_Part):
     """Posterior quantiles."""
 
     q05: float
+    """5 % of the posterior lie below it."""
     q50: float
+    """Median of the posterior."""
     q95: float
+    """95 % of the posterior lie below it."""
 
 
 class ParameterResult(_Part):
-    """One fitted number.
-
-    ``standard_error`` is the Laplace approximation's, null at a bound, where there is no normal distribution;
-    quantiles are null without a posterior.
-    """
+    """One fitted number."""
 
     name: str
+    """Unique name: that of the parameter, followed by the channel if there is one per channel (``eta_R``)."""
     parameter: str
+    """Name of the parameter, as the model takes it (``eta``)."""
     symbol: str
+    """Symbol in the papers (TeX)."""
     channel: str | None
+    """Colour channel; null where all channels share the parameter."""
     meaning: str
+    """What it is, in words."""
     unit: str
+    """Unit of the numbers; "um" is micrometres, "1" no unit."""
     value: float
+    """Fitted value."""
     standard_error: float | None
+    """By the Laplace approximation; null at a bound, where there is no normal distribution."""
     quantiles: Quantiles | None
+    """Of the posterior; null without a posterior that is good enough."""
     lower: float
+    """Lower bound of the fit."""
     upper: float
+    """Upper bound of the fit."""
     at_bound: Literal["no", "lower", "upper"]
+    """At which bound the value is."""
     prior: str
+    """Prior in words; `identifiability.priors` has it for programs."""
     source: str
+    """Where the papers define the parameter."""
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
@@ -130,130 +163,190 @@ class ParameterResult(_Part):
 
 
 class Direction(_Part):
-    """A direction in free coordinates that the data do not determine.
-
-    ``curvature`` of the likelihood along it, in units of the prior's; its larger ``components``, by coordinate.
-    """
+    """A direction in free coordinates that the data do not determine."""
 
     curvature: float
+    """Curvature of the likelihood along it, in units of the prior's; below 1."""
     components: dict[str, float]
+    """Larger components of the unit vector, by coordinate."""
+
+
+class Prior(_Part):
+    """Prior of one parameter, for programs: cut at the bounds of the parameter."""
+
+    parameter: str
+    """Name in `parameters`."""
+    quantity: str
+    """What the distribution is of: the parameter itself, or ``half_width`` = beta (ln 2)^(1/(2 p)), ``sigma_rel`` =
+    sigma_s times the root of the share of diffracted light above the horizon, ``odds`` = albedo / (1 - albedo),
+    ``dispersion`` = eta - 1 over that of the middle channel."""
+    distribution: Literal["log-normal", "uniform"]
+    """Of the quantity less `offset`."""
+    offset: float
+    """Subtracted from the quantity before the logarithm is taken."""
+    median: float | None
+    """Of the log-normal distribution before it is cut; null of a uniform one."""
+    factor: float | None
+    """By which one standard deviation multiplies or divides the median; null of a uniform distribution."""
+    lower: float
+    """Lower bound of the parameter."""
+    upper: float
+    """Upper bound of the parameter."""
 
 
 class Identifiability(_Part):
-    """What the data determine, by the Gaussian approximation at the fit.
-
-    ``correlation`` of the parameters ``names``. In the free ``coordinates`` the prior is standard normal:
-    ``contraction`` is one minus the standard deviation that is left of it, ``determined`` the number of directions in
-    which the likelihood is at least as curved as the prior, ``undetermined`` the others.
-    """
+    """What the data determine, by the Gaussian approximation at the fit (Laplace)."""
 
     names: list[str]
+    """Parameters, in the order of `parameters`."""
+    covariance: list[list[float]] | None = None
+    """Covariance of the parameters, in units of theirs; from the normal equations of the fit with the prior. Of a
+    parameter at a bound it is that of the approximation, which does not hold there. Null before version 1.4."""
     correlation: list[list[float]]
+    """The same as correlations."""
     coordinates: list[str]
+    """Free coordinates, in which the prior is standard normal: the quantity that each prior is of."""
+    priors: list[Prior] | None = None
+    """Prior of each coordinate. Null before version 1.4."""
     contraction: list[float]
+    """By coordinate: one minus the standard deviation that the data leave, of which the prior's is one."""
     determined: int
+    """Number of directions in which the likelihood is at least as curved as the prior."""
     undetermined: list[Direction]
+    """The other directions: there the prior decides."""
 
     @model_validator(mode="after")
     def _lists_agree(self) -> Self:
         size = len(self.names)
-        _same_length("names", size, correlation=self.correlation)
-        for row in self.correlation:
-            _same_length("names", size, correlation=row)
+        _same_length("names", size, correlation=self.correlation, covariance=self.covariance or self.names)
+        for row in [*self.correlation, *(self.covariance or [])]:
+            _same_length("names", size, covariance_or_correlation=row)
         _same_length("coordinates", len(self.coordinates), contraction=self.contraction)
+        _same_length("coordinates", len(self.coordinates), priors=self.priors or self.coordinates)
         return self
 
 
 class Candidate(_Part):
-    """Interface and body on the coarse grid; ``converged`` is false of one too far behind to be followed.
-
-    ``objective``: cost with the prior; ``cube_root``: error of cube roots on that grid; ``score``: what the choice goes
-    by, from these two (``fitting/selection.py``). ``bic`` is of results before version 1.3.
-    """
+    """One kind of material that was compared on the coarse grid."""
 
     index: str = "usual"
+    """Interface: ``complex`` (a metal), ``real`` (a dielectric); ``usual`` before version 1.3."""
     body: str
+    """What lies under the interface."""
     cost: float | None
+    """Cost on the coarse grid, as in `fit.cost`."""
     bic: float | None = None
+    """What results before version 1.3 chose by."""
     objective: float | None = None
+    """Cost with the prior."""
     cube_root: float | None = None
+    """Error of cube roots on the coarse grid."""
     score: float | None = None
+    """What the choice goes by, the lowest is best (``fitting/selection.py``)."""
     converged: bool = True
+    """False of a kind that was too far behind to be followed to the end."""
 
 
 class Fit(_Part):
-    """How the fit ended. Costs are Eq. 56 relative to the measurement's weighted energy.
-
-    ``weights``: exponent of the compressive weight that the fit was made with, or ``log``. ``cautions``: what a user of
-    the parameters should know, in words.
-    """
+    """How the fit ended."""
 
     status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "UNEXPLAINED", "NON_FINITE", "NO_DATA"]
+    """How it ended, as a word for programs."""
     message: str
+    """The same in a sentence, with what is wrong with the file."""
     succeeded: bool
+    """Whether it converged, at a bound or not."""
     cost: float | None
+    """HP17 Eq. 56, relative to the measurement's weighted energy."""
     cost_per_channel: list[float] | None
+    """The cost by channel."""
     folding_scatter: float | None
+    """Part of the cost by which bins at phi_d and pi - phi_d differ, which should be equal; no model can lower it."""
     steps: int
+    """Steps on the last grid."""
     relative_offset: float | None
+    """How far from the minimum the fit stopped, as Bates and Watts measure it."""
     bins: int
+    """Bins with a weight."""
     candidates: list[Candidate]
+    """Kinds of material that were compared."""
     weights: float | Literal["log"] | None = None
+    """Exponent of the compressive weight that the fit was made with, or ``log``."""
     cautions: list[str] = []
+    """What a user of the parameters should know, in words."""
 
 
 class Metrics(_Part):
-    """Errors over all valid bins with both directions at theta < ``fit.theta_max``; prediction with the grazing loss.
-
-    ``rmse`` (1/sr) and ``smape``; ``cube_root`` and ``log``: RMS differences of cube roots of BRDF times cos_i and of
-    log(1 + BRDF cos_i); ``highlight``: fitted over measured peak; ``picture``: mean CIELAB distance of spheres.
-    """
+    """Errors over all valid bins with light and viewer at theta < ``fit.theta_max``, of a prediction with the loss."""
 
     rmse: float | None
+    """Root of the mean squared error (1/sr)."""
     smape: float | None
+    """Symmetric mean absolute percentage error, as a share."""
     cube_root: float | None = None
+    """RMS difference of the cube roots of BRDF times cos_i."""
     log: float | None = None
+    """RMS difference of log(1 + BRDF cos_i)."""
     highlight: float | None = None
+    """Fitted over measured peak."""
     picture: float | None = None
+    """Mean CIELAB distance of rendered spheres."""
 
 
 class DerivedResult(_Part):
-    """One derived quantity, of the material without the apparatus; quantiles are null without a posterior to trust."""
+    """One derived quantity, of the material without the apparatus."""
 
     name: str
+    """Unique name: that of the quantity, followed by the channel if there is one per channel."""
     quantity: str
+    """Name of the quantity."""
     channel: str | None
+    """Colour channel; null where all channels share the quantity."""
     meaning: str
+    """What it is, in words."""
     unit: str
+    """Unit of the numbers; "1" is no unit."""
     value: float
+    """At the fit."""
     quantiles: Quantiles | None
+    """Of the posterior; null without a posterior that is good enough."""
 
 
 class PosteriorResult(_Part):
-    """How the sampling went (docs/statistics.md). Not ``sufficient``, there are no quantiles, and ``message`` says why.
-
-    ``effective_bins``: how many independent residuals those of the fit are worth. ``draws`` from the chain were weighed
-    by the likelihood of all bins; ``pareto_k`` is the shape of the largest weights. Lists are by ``coordinates``:
-    ``r_hat``, ``bulk_size``, ``tail_size`` of the chain, ``effective_size`` of the weighted draws, ``contraction`` one
-    minus the posterior's standard deviation, of which the prior's is one.
-    """
+    """How the sampling went (docs/statistics.md)."""
 
     sufficient: bool
+    """Whether the chain is good enough for intervals; if not, there are no quantiles."""
     message: str
+    """Why it is good enough, or why not."""
     steps: int
+    """Steps of every walker after tuning."""
     walkers: int
+    """Number of walkers."""
     acceptance: float
+    """Share of proposals that were accepted."""
     effective_bins: float
+    """How many independent residuals those of the fit count as."""
     draws: int
+    """Draws from the chain that were weighted by the likelihood of all bins."""
     pareto_k: float | None
+    """Shape of the largest weights; above 0.7 they cannot be trusted."""
     coordinates: list[str]
+    """Free coordinates; the following lists are by coordinate."""
     autocorrelation_steps: list[float | None]
+    """Autocorrelation time of the chain, in steps."""
     r_hat: list[float | None]
+    """Split R-hat of the chain."""
     bulk_size: list[float | None]
+    """Effective sample size of the chain in the bulk."""
     tail_size: list[float | None]
+    """Effective sample size of the chain in the tails."""
     effective_size: list[float | None]
+    """Effective sample size of the weighted draws."""
     contraction: list[float | None]
+    """One minus the posterior's standard deviation, of which the prior's is one."""
     chain_file: FileName
+    """File beside this one with the chain and the draws (docs/result.md)."""
 
     @model_validator(mode="after")
     def _lists_agree(self) -> Self:
@@ -266,51 +359,98 @@ class PosteriorResult(_Part):
 
 
 class Tried(_Part):
-    """Settings that a fit was taken to, and the error that was estimated there."""
+    """Settings that a fit was taken to, and what was estimated there."""
 
     settings: Choice
+    """The settings."""
     estimated: float | None
+    """Error there, as in `accuracy.estimated`."""
+    floor: bool = False
+    """As in `accuracy.floor`."""
 
 
 class Accuracy(_Part):
     """What ``--accuracy`` or ``--time`` asked for, what was chosen, and what came of it.
 
-    ``config`` is what the fit began with; it was taken on through the settings ``tried`` and is that of ``settings``.
-
     Errors are distances from the prediction of the reference fit, over all bins, relative to the measurement, with the
-    weights of Eq. 56. ``expected`` and ``expected_seconds`` are those of the first settings, what 95 % of the
-    calibration's fits keep to; null with effects or limits of steps that are not those calibrated. ``estimated`` is the
-    error at ``settings``; ``met`` is null for a time.
+    weights of Eq. 56. `config` is what the fit began with; it was carried on through the settings ``tried``.
     """
 
     asked: float | None
+    """Error that was asked for; null if a time was."""
     asked_seconds: float | None
+    """Seconds that were asked for; null if an error was."""
     calibration: str
+    """Which calibration the settings were chosen by, in words."""
     expected: float | None
+    """What 95 % of the calibration's fits with the first settings keep to; null for effects or limits of steps that
+    were not calibrated."""
     expected_seconds: float | None
+    """The same of the seconds."""
     tried: list[Tried]
+    """Settings that the fit was taken to, one after the other."""
     settings: Choice
+    """Those of the result."""
     estimated: float | None
+    """Error of the result; null where there was no time to estimate it."""
+    floor: bool = False
+    """True where ``estimated`` is what 95 % of the calibration's fits with these settings keep to, because the estimate
+    of this fit alone was lower."""
     met: bool | None
+    """Whether the error that was asked for is kept to; null for a time."""
+
+
+class Run(_Part):
+    """When and how a result was computed."""
+
+    finished: str
+    """When it was computed: date and time in UTC (ISO 8601)."""
+    command: list[Text]
+    """Command line; empty where Python called merlfit as a library."""
+
+
+def this_run() -> Run:
+    """Now, and the command line of this process if it is merlfit's."""
+    program = PurePath(sys.argv[0] if sys.argv else "")
+    ours = program.stem == "merlfit" or (program.name == "__main__.py" and program.parent.name in ("merlfit", "main"))
+    command = ["merlfit", *(str(_readable(word)) for word in sys.argv[1:])] if ours else []
+    return Run(finished=datetime.now(UTC).isoformat(timespec="seconds"), command=command)
 
 
 class Result(_Part):
-    """One material; version 1.0 had no ``accuracy``, 1.1 no ``identifiability`` and no ``derived``, 1.2 no pictures."""
+    """What merlfit found out about one material."""
 
-    schema_version: Literal["1.0", "1.1", "1.2", "1.3"] = SCHEMA_VERSION
+    schema_version: Literal["1.0", "1.1", "1.2", "1.3", "1.4"] = SCHEMA_VERSION
+    """Version of this format. 1.0 had no `accuracy`; 1.1 no `identifiability` and no `derived`; 1.2 no errors of
+    pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`."""
+    run: Run | None = Field(default_factory=this_run)
+    """When and how it was computed; null before version 1.4."""
     source: Source
+    """The file that was fitted, and what it holds."""
     model: Model | None
+    """What was fitted; null if nothing could be fitted."""
     parameters: list[ParameterResult]
+    """Fitted numbers."""
     fit: Fit
+    """How the fit ended, and what it chose."""
     metrics: Metrics
+    """Errors of the fit."""
     identifiability: Identifiability | None = None
+    """What the data determine."""
     derived: list[DerivedResult] = []
+    """Quantities that follow from the parameters; empty without a posterior."""
     posterior: PosteriorResult | None
+    """How the posterior was sampled; null if it was not."""
     accuracy: Accuracy | None = None
+    """What was asked for by ``--accuracy`` or ``--time``; null if nothing was."""
     seconds: dict[str, float]
+    """Seconds by stage, and in total."""
     seed: int
+    """Of the sampler's random numbers."""
     versions: dict[str, str]
+    """Versions of Python and of the packages that computed it."""
     config: dict[str, Any]
+    """All settings (``configs/default.toml``)."""
 
     @model_validator(mode="after")
     def _parameters_are_the_models(self) -> Self:
@@ -388,11 +528,14 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     try:
         text = path.read_bytes().removeprefix(codecs.BOM_UTF8)
         _check_version(path, _Versioned.model_validate_json(text).schema_version)
-        return Result.model_validate_json(text)
+        result = Result.model_validate_json(text)
     except OSError as error:
         raise ResultError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValidationError as error:
         raise ResultError(f"{path}: is not a merlfit result: {_in_words(error)}") from None
+    if "run" not in result.model_fields_set:  # of an older version: it is not known, and not that of this process
+        result.run = None
+    return result
 
 
 def _check_version(path: Path, version: str) -> None:
@@ -428,11 +571,42 @@ def _in_words(error: ValidationError) -> str:
 
 def schema() -> dict[str, Any]:
     """JSON Schema of a result; the package ships it as ``fitting/result.schema.json``."""
+    found = Result.model_json_schema(mode="serialization")
+    told = _below_fields() | {kind.__name__: _attributes(kind) for kind in (Effects, Apparatus, Choice)}
+    for kind, part in {**found["$defs"], Result.__name__: found}.items():
+        for name, field in part["properties"].items():
+            field["description"] = told[kind][name]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"merlfit/result-{SCHEMA_VERSION}",
-        **Result.model_json_schema(mode="serialization"),
+        **found,
     }
+
+
+def _below_fields() -> dict[str, dict[str, str]]:
+    """Descriptions by class and field from the strings below the fields of this file.
+
+    Pydantic would read them, too (``use_attribute_docstrings``), but at every import, which takes a tenth of a second.
+    """
+    found: dict[str, dict[str, str]] = {}
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    for kind in (node for node in tree.body if isinstance(node, ast.ClassDef)):
+        for field, below in pairwise(kind.body):
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(below, ast.Expr)
+                and isinstance(below.value, ast.Constant)
+            ):
+                said = " ".join(str(below.value.value).split())
+                found.setdefault(kind.name, {})[ast.unparse(field.target)] = said
+    return found
+
+
+def _attributes(kind: type) -> dict[str, str]:
+    """Descriptions by attribute from the docstring of a class."""
+    text = re.sub(r":[a-z]+:`([^`]+)`", r"\1", " ".join((kind.__doc__ or "").partition("Attributes:")[2].split()))
+    parts = re.split(rf"\b({'|'.join(get_type_hints(kind))}): ", text)
+    return dict(zip(parts[1::2], map(str.strip, parts[2::2]), strict=True))
 
 
 if __name__ == "__main__":  # `make schema`

@@ -62,12 +62,16 @@ def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = 
     writable_folder(out)
     twice = [name for name, count in Counter(path.stem for path in files).items() if count > 1]
     if twice:
-        raise fail(f"several files are named {twice[0]}, and each result is named after its file: fit them apart")
+        raise fail(
+            f"several files are named {twice[0]}, and a result is named after its file: fit them into different folders"
+        )
     taken, finish = (aim.settings, aim.finish) if aim else (settings, None)
     outcomes = []
     with claimed(out) as alone, progress_display() as progress:
         if not alone:
-            note(f"{out}: another merlfit is writing there; of results of the same name the last one stays")
+            note(
+                f"{out}: another merlfit is writing there; if both write a result of the same name, the later one stays"
+            )
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name)
             label = f"[{k}/{len(files)}] {path.stem}"
@@ -110,7 +114,7 @@ def kept(path: Path, place: Place | None) -> str:
     found = Complete.NOTHING if place is None else completeness(place.path)
     if place is None or found == Complete.NOTHING:
         return f"{path.stem} was not fitted"
-    more = "goes on with it" if found == Complete.CHAIN else "samples it"
+    more = "continues it" if found == Complete.CHAIN else "samples it"
     return f"{place.path} holds {found.words}; `merlfit sample {place.path}` {more}"
 
 

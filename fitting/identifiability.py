@@ -26,6 +26,8 @@ def identifiability(layout: Layout, normal: np.ndarray, count: float, covariance
     names, left = layout.coordinates, np.sqrt(np.diag(laplace_covariance(normal, count)))
     return export.Identifiability(
         names=list(layout.names),
+        covariance=covariance.tolist(),
+        priors=priors(layout),
         correlation=np.clip(covariance / spread / spread[:, None], -1, 1).round(3).tolist(),
         coordinates=list(names),
         contraction=(1 - left).round(3).tolist(),
@@ -41,13 +43,31 @@ def identifiability(layout: Layout, normal: np.ndarray, count: float, covariance
     )
 
 
+def priors(layout: Layout) -> list[export.Prior]:
+    """The prior of every coordinate, as `transforms` has it."""
+    found, middle = [], layout.channels[len(layout.channels) // 2]
+    for name, q in zip(layout.names, layout.entries, strict=True):
+        quantity, offset = q.quantity or q.name, q.offset
+        if q.name == "eta" and not name.endswith(f"_{middle}"):
+            quantity, offset = "dispersion", 0.0
+        uniform = q.scale == "linear" and q.quantity is None
+        given = None if uniform else getattr(layout.priors, quantity)
+        if q.name == "sigma_s" and not layout.effects.renormalised:
+            quantity = q.name
+        found.append(export.Prior(
+            parameter=name, quantity=quantity, distribution="log-normal" if given else "uniform", offset=offset,
+            median=given and given.median, factor=given and given.factor, lower=q.lower, upper=q.upper,
+        ))  # fmt: skip
+    return found
+
+
 def in_words(found: export.Identifiability) -> list[str]:
     """Sentences of it."""
     size = len(found.names)
-    said = [f"the data determine {found.determined} of {size} directions of parameter space"]
+    said = [f"the data determine {found.determined} of {size} independent combinations of the parameters"]
     for direction in found.undetermined:
         together = ", ".join(f"{name} {value:+.1f}" for name, value in direction.components.items())
-        said.append(f"not determined (the data know {direction.curvature:.2g} of what the prior does): {together}")
+        said.append(f"not determined (the data say {direction.curvature:.2g} times as much as the prior): {together}")
     pairs = [
         (found.correlation[i][j], found.names[i], found.names[j])
         for i in range(size)

@@ -15,9 +15,10 @@ from .posterior import LEAST_SIZE, Chain, Diagnosis, diagnose, spread_over
 
 LARGEST_K = 0.7  # of the Pareto shape: above it the weights cannot be trusted
 DRAWS, MOST_DRAWS = 600, 2400  # on all bins: to begin with, and to come to the least size
-GO_ON = "go on with the chain by `merlfit sample`"
+GO_ON = "continue the chain with `merlfit sample`"
 TOO_FAR = (
-    "the few bins of the chain are too far from all: Pareto k of the weights is {k:.2f}, at most {most} is accepted"
+    "the chain, which uses few bins, is too far from the posterior of all bins: Pareto k of its weights is {k:.2f}, "
+    "at most {most} is accepted"
 )
 
 

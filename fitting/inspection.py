@@ -57,8 +57,10 @@ def show(path: Path, result: Result, file: Path, out: Path, needs_file: bool = F
 
     chain = None
     try:
-        chain = plots.chain_file(result, path.parent)
-        save("corner", plots.corner_figure(result, chain))
+        drawn_from = plots.chain_file(result, path.parent)
+        save("corner", plots.corner_figure(result, drawn_from))
+        if result.posterior is not None and result.posterior.sufficient:  # of no other the lobe plot has a band
+            chain = drawn_from
     except plots.NoPicture as error:
         note(f"no corner plot: {error}")
     try:

@@ -1,5 +1,6 @@
-"""Pictures of a fit: lobes in the plane of incidence, and the corner plot of the posterior. They return figures."""
+"""Pictures of a fit: its lobes beside the file's, and the corner plot of the posterior. They return figures."""
 
+import textwrap
 from pathlib import Path
 
 import corner
@@ -7,7 +8,11 @@ import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
+from jax.typing import ArrayLike
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter, NullLocator
 from scipy.interpolate import RegularGridInterpolator
 
 from ..merl_io.atomic import write_atomically
@@ -15,13 +20,21 @@ from ..merl_io.binary import Measurement
 from ..merl_io.grid import MerlGrid, merl_grid
 from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
-from .export import Model, Result
-from .report import in_words_of
+from .export import Model, ParameterResult, Result
+from .report import in_words_of, number
 from .tables import UNSOUND
 
 matplotlib.use("Agg")
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
 BAND_DRAWS = 100  # of the posterior, for the bands of the lobe plot
+PEAK_DIFFERENCE_DEG = 5.0  # theta_d of the peak's panel
+RATIO_AZIMUTHS = 7  # of 180, of the panels of residuals
+LEAST_RATIO, MOST_RATIO = 1.3, 12.0  # of fit and file: how far these panels reach
+RATIO_TICKS = 1.1, 1.25, 1.5, 2, 3, 5, 10
+CORNER_INCHES = 1.35  # of a panel
+WIDE_AXIS = 8.0  # times its lower end, from which on a logarithmic axis has ticks at 1, 3 or 10
+WATERMARK = "CHAIN TOO SHORT"
+UNITS = {"1": "", "um": "µm"}
 CHANNEL_COLOURS = {"R": "#c0392b", "G": "#2e8b57", "B": "#2f5fb3"}
 
 
@@ -66,12 +79,10 @@ def chain_file(result: Result, folder: Path) -> dict[str, np.ndarray]:
     """Names, weighted draws (physical values) and weights of the posterior, from the chain beside the result.
 
     Raises:
-        NoPicture: it was not sampled, is not to be trusted, or its chain is missing or of another fit.
+        NoPicture: it was not sampled, or its chain is missing or of another fit.
     """
     if result.posterior is None:
         raise NoPicture("the posterior was not sampled")
-    if not result.posterior.sufficient:
-        raise NoPicture(result.posterior.message)
     path = folder / Path(result.posterior.chain_file).name
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as chain:
@@ -100,59 +111,260 @@ def band(result: Result, chain: dict[str, np.ndarray], i: np.ndarray, o: np.ndar
 
 
 def lobe_figure(result: Result, measurement: Measurement, chain: dict[str, np.ndarray] | None = None) -> Figure:
-    """Measured against fitted lobes in the plane of incidence, one panel an incidence, cube root scale.
+    """File and fit: lobes in the plane of incidence, their peak, and the ratio of fit and file over all angles.
+
+    Lobes have one panel an incidence, above with a cube root scale, below with a logarithmic one for shiny materials.
+    The fit is drawn with the grazing loss of the apparatus and, dashed, without it.
 
     Args:
         chain: draws from the posterior (`chain_file`), of whose predictions 5 to 95 % are shaded.
     """
     assert result.model is not None
-    grid, values = merl_grid(), result.values()
-    theta_o = np.radians(np.linspace(-89, 89, 357))
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    for axis, degrees in zip(figure.subplots(1, len(INCIDENCES_DEG), sharey=True), INCIDENCES_DEG, strict=True):
+    figure = Figure(figsize=(15, 12), layout="constrained")
+    rows = figure.add_gridspec(3, 1)
+    specs = [rows[k].subgridspec(1, count) for k, count in enumerate((len(INCIDENCES_DEG), len(INCIDENCES_DEG), 3))]
+    cubic, logarithmic = [], []
+    for axes, spec in ((cubic, specs[0]), (logarithmic, specs[1])):
+        for k in range(len(INCIDENCES_DEG)):
+            axes.append(figure.add_subplot(spec[k], sharey=axes[0] if axes else None))
+            axes[k].tick_params(labelleft=k == 0)
+    _lobes(cubic, logarithmic, result, measurement, chain)
+    peak, by_half, by_difference = (figure.add_subplot(specs[2][k]) for k in range(3))
+    _peak(peak, result, measurement)
+    _ratios(by_half, by_difference, result, measurement)
+    body = in_words_of(result.model.effects)
+    origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
+    figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}")
+    return figure
+
+
+def _without_loss(model: Model) -> Model | None:
+    """The material alone; None where no loss was fitted."""
+    lossless = model.effects.acquisition == "off"
+    return None if lossless else model.model_copy(update={"effects": model.effects.material})
+
+
+def _lobes(
+    cubic: list[Axes], logarithmic: list[Axes], result: Result, measurement: Measurement,
+    chain: dict[str, np.ndarray] | None,
+) -> None:  # fmt: skip
+    """File and fit in the plane of incidence, on two scales."""
+    assert result.model is not None
+    grid, values, theta_o = merl_grid(), result.values(), np.radians(np.linspace(-89, 89, 357))
+    lossless, degrees_o = _without_loss(result.model), np.degrees(theta_o)
+    brightest, darkest = 0.0, np.inf
+    for k, degrees in enumerate(INCIDENCES_DEG):
         i, o = plane_of_incidence(np.radians(degrees), theta_o)
         measured = measured_lobe(measurement, grid, *half_difference(i, o))
         fitted = predicted_lobe(result.model, values, i, o)
-        shaded = None if chain is None else np.cbrt(band(result, chain, i, o))
-        for k, (name, m, f) in enumerate(zip(result.model.channels, measured, fitted, strict=True)):
-            style = {"color": CHANNEL_COLOURS.get(name, "black")}
-            axis.plot(np.degrees(theta_o), np.cbrt(f), "-", linewidth=1.0, label=f"{name} fitted", **style)
-            if shaded is not None:
-                axis.fill_between(np.degrees(theta_o), *shaded[:, k], alpha=0.2, linewidth=0, color=style["color"])
-            seen = slice(2 * k, None, 2 * len(measured))  # channels take turns: one does not hide another
-            axis.plot(np.degrees(theta_o[seen]), np.cbrt(m[seen]), "o", markersize=3.2, fillstyle="none", **style)
-        axis.axvline(degrees, color="gray", linewidth=0.6, linestyle=":")
-        axis.set(title=rf"$\theta_i = {degrees}^\circ$", xlabel=r"$\theta_o$ (deg), mirror side positive")
-        axis.set_xticks([-60, -30, 0, 30, 60])
-        axis.grid(alpha=0.2)
-    first = figure.axes[0]
-    first.set_ylabel(r"cube root of BRDF (sr$^{-1/3}$)")
-    first.plot([], [], "o", color="gray", fillstyle="none", markersize=3.2, label="file")
+        alone = fitted if lossless is None else predicted_lobe(lossless, values, i, o)
+        shaded = None if chain is None else band(result, chain, i, o)
+        for c, name in enumerate(result.model.channels):
+            colour, m = CHANNEL_COLOURS.get(name, "black"), measured[c]
+            seen = slice(2 * c, None, 2 * len(measured))  # channels take turns: one does not hide another
+            for axis, scale in ((cubic[k], np.cbrt), (logarithmic[k], np.asarray)):
+                axis.plot(degrees_o, scale(fitted[c]), "-", linewidth=1.0, color=colour, label=f"{name} fitted")
+                if lossless is not None:
+                    axis.plot(degrees_o, scale(alone[c]), "--", linewidth=0.8, color=colour, alpha=0.7)
+                if shaded is not None:
+                    axis.fill_between(degrees_o, *scale(shaded[:, c]), alpha=0.2, linewidth=0, color=colour)
+                axis.plot(degrees_o[seen], scale(m[seen]), "o", markersize=3.2, fillstyle="none", color=colour)
+        brightest = np.nanmax([brightest, np.nanmax(np.where(np.isfinite(measured), fitted, 0)), np.nanmax(measured)])
+        darkest = np.nanmin([darkest, np.nanmin(np.where(measured > 0, measured, np.nan))])
+        for axis in (cubic[k], logarithmic[k]):
+            axis.axvline(degrees, color="gray", linewidth=0.6, linestyle=":")
+            axis.set_xticks([-60, -30, 0, 30, 60])
+            axis.grid(alpha=0.2)
+        cubic[k].set(title=rf"$\theta_i = {degrees}^\circ$")
+        logarithmic[k].set(xlabel=r"$\theta_o$ (deg), mirror side positive", yscale="log")
+    cubic[0].set_ylabel(r"cube root of BRDF (sr$^{-1/3}$)")
+    logarithmic[0].set_ylabel(r"BRDF (1/sr), logarithmic")
+    cubic[0].set_ylim(0, 1.1 * np.cbrt(brightest))  # without the loss a fit is far brighter at grazing angles
+    logarithmic[0].set_ylim(max(darkest, brightest / 1e6) / 2, 3 * brightest)
+    cubic[0].plot([], [], "o", color="gray", fillstyle="none", markersize=3.2, label="file")
+    if lossless is not None:
+        cubic[0].plot([], [], "--", color="gray", linewidth=0.8, label="fitted, without the grazing loss")
     if chain is not None:
-        first.fill_between([], [], [], color="gray", alpha=0.3, linewidth=0, label="5 to 95 % of the posterior")
-    first.legend(fontsize=7)
-    body = in_words_of(result.model.effects)
-    origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
-    figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}, with the acquisition's grazing loss")
-    return figure
+        cubic[0].fill_between([], [], [], color="gray", alpha=0.3, linewidth=0, label="5 to 95 % of the posterior")
+    cubic[0].legend(fontsize=7)
+
+
+def _peak(axis: Axes, result: Result, measurement: Measurement) -> None:
+    """Every datum of the highlight, at one theta_d and phi_d, against theta_h on a logarithmic scale."""
+    assert result.model is not None
+    grid = merl_grid()
+    d, p = int(np.argmin(np.abs(np.degrees(grid.theta_d) - PEAK_DIFFERENCE_DEG))), len(grid.phi_d) // 2
+    seen = grid.theta_h < np.pi / 2 - grid.theta_d[d]
+    theta_h = np.geomspace(grid.theta_h[0] / 1.5, grid.theta_h[seen][-1], 200)
+    fitted = _predicted(result.model, result.values(), theta_h, grid.theta_d[d], grid.phi_d[p])
+    for k, name in enumerate(result.model.channels):
+        colour = CHANNEL_COLOURS.get(name, "black")
+        axis.plot(np.degrees(theta_h), fitted[k], "-", linewidth=1.0, color=colour)
+        data = measurement.values[k, seen, d, p]
+        axis.plot(np.degrees(grid.theta_h[seen]), data, "os^"[k % 3], markersize=3.5, fillstyle="none", color=colour)
+    axis.set(
+        xscale="log", yscale="log", xlabel=r"$\theta_h$ (deg), logarithmic", ylabel="BRDF (1/sr)",
+        title=rf"peak: every datum at $\theta_d = {np.degrees(grid.theta_d[d]):.1f}^\circ$, "
+        rf"$\phi_d = {np.degrees(grid.phi_d[p]):.0f}^\circ$",
+    )  # fmt: skip
+    axis.grid(alpha=0.2, which="both")
+
+
+def _predicted(model: Model, values: dict, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> np.ndarray:
+    """The fit's BRDF by half and difference angles, (3, ...)."""
+    geometry = Geometry.from_half_difference(jnp.asarray(theta_h), jnp.asarray(theta_d), jnp.asarray(phi_d))
+    return np.asarray(two_scale(values, geometry, model.effects, model.wavelengths_um))
+
+
+def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Measurement) -> None:
+    """Fit over file: median over the other angles, with the middle 80 % shaded; dashed without the grazing loss."""
+    assert result.model is not None
+    grid = merl_grid()
+    d, p = np.arange(0, len(grid.theta_d), 2), np.linspace(0, len(grid.phi_d) - 1, RATIO_AZIMUTHS).astype(int)
+    where = grid.theta_h[:, None, None], grid.theta_d[d][None, :, None], grid.phi_d[p][None, None, :]
+    here = np.ix_(np.arange(len(grid.theta_h)), d, p)
+    inside = measurement.valid[here] & grid.above[here]
+    widest = LEAST_RATIO
+    models = [m for m in (result.model, _without_loss(result.model)) if m is not None]
+    for model, line in zip(models, ("-", "--"), strict=False):
+        fitted = _predicted(model, result.values(), *where)
+        for k, name in enumerate(model.channels):
+            file = measurement.values[k][here]
+            ratio = np.where(inside & (file > 0), fitted[k] / np.where(inside & (file > 0), file, 1.0), np.nan)
+            for axis, angle, others in ((by_half, grid.theta_h, (1, 2)), (by_difference, grid.theta_d[d], (0, 2))):
+                some = np.isfinite(ratio).any(others)
+                kept = ratio[some] if axis is by_half else ratio[:, some]
+                low, middle, high = np.nanquantile(kept, [0.1, 0.5, 0.9], axis=others)
+                colour = CHANNEL_COLOURS.get(name, "black")
+                axis.plot(np.degrees(angle[some]), middle, line, linewidth=1.0, color=colour)
+                if line == "-":
+                    edges = np.concatenate([low, high])
+                    widest = max(widest, float(np.quantile(np.maximum(edges, 1 / edges), 0.95)))
+                    axis.fill_between(np.degrees(angle[some]), low, high, alpha=0.12, linewidth=0, color=colour)
+    by_half.set(xscale="log", xlabel=r"$\theta_h$ (deg), logarithmic", ylabel="fit over file",
+                title=r"residuals: fit over file, by $\theta_h$")  # fmt: skip
+    by_difference.set(xlabel=r"$\theta_d$ (deg)", title=r"residuals: fit over file, by $\theta_d$")
+    for axis in (by_half, by_difference):
+        axis.axhline(1.0, color="gray", linewidth=0.8)
+        widest = min(widest, MOST_RATIO)
+        axis.set(yscale="log", ylim=(1 / widest, widest))
+        ticks = {1 / x: f"1/{x:g}" for x in RATIO_TICKS if x < widest} | {
+            x: f"{x:g}" for x in RATIO_TICKS if x < widest
+        }
+        axis.set_yticks([1.0, *ticks], ["1", *ticks.values()])
+        axis.set_yticks([], minor=True)
+        axis.grid(alpha=0.2)
+    by_difference.plot([], [], "-", color="gray", label="median (shaded: 10 to 90 %)")
+    if len(models) > 1:
+        by_difference.plot([], [], "--", color="gray", label="median without the grazing loss")
+    by_difference.legend(fontsize=7)
 
 
 def corner_figure(result: Result, chain: dict[str, np.ndarray]) -> Figure:
-    """Corner plot of the posterior's draws (`chain_file`)."""
-    values, names = chain["values"], result.parameters
-    best = [q.value for q in result.parameters]
-    labels = [f"${q.symbol}$" if q.channel is None else f"${q.symbol}$ {q.channel}" for q in result.parameters]
-    figure = Figure(figsize=(1.1 * len(names), 1.1 * len(names)))
+    """Corner plot of the posterior's draws (`chain_file`); a chain that is too short gets a watermark.
+
+    Parameters with log-normal priors have logarithmic axes. Over the diagonal are the fitted values and the quantiles
+    of 5 and 95 % of the draws.
+    """
+    names, weights = result.parameters, chain["weights"].ravel()
+    spread = [_interval(chain["values"][:, k], weights) for k in range(len(names))]
+    scales = [
+        "log" if "log-normal" in q.prior and low > 0 else "linear" for q, (low, *_) in zip(names, spread, strict=True)
+    ]
+    ranges = [
+        _range(low, high, q.value, scale) for q, (low, _, _, high), scale in zip(names, spread, scales, strict=True)
+    ]
+    size = CORNER_INCHES * len(names) + 1
+    figure = Figure(figsize=(size, size))
     corner.corner(
-        values, weights=chain["weights"], labels=labels, truths=best, quantiles=[0.05, 0.5, 0.95], fig=figure,
-        range=[0.995] * len(names), smooth=1.0, plot_datapoints=False, label_kwargs={"fontsize": 9},
-        truth_color="#c0392b", truth_kwargs={"markersize": 3, "linewidth": 0.8}, max_n_ticks=3, labelpad=0.25,
+        chain["values"], weights=weights, truths=[q.value for q in names], fig=figure, range=ranges,
+        axes_scale=scales,  # pyright: ignore[reportArgumentType] - a list is taken, too: its docstring
+        smooth=1.0, plot_datapoints=False, truth_color="#c0392b", truth_kwargs={"markersize": 4, "linewidth": 0.9},
+        fill_contours=True,
     )  # fmt: skip
-    for axis in figure.axes:
-        axis.tick_params(labelsize=6)
-    figure.subplots_adjust(left=0.08, bottom=0.08)
-    figure.suptitle(f"{result.source.material}: posterior (lines: fitted value, 5/50/95 % quantiles)")
+    axes = np.array(figure.axes).reshape(len(names), len(names))
+    for k, (q, (_, low, high, _)) in enumerate(zip(names, spread, strict=True)):
+        label = _label(q)
+        axes[-1, k].set_xlabel(label, fontsize=11)
+        if k:
+            axes[k, 0].set_ylabel(label, fontsize=11)
+        axes[k, k].set_title(f"{q.name}\n{number(q.value, 3)}\n[{number(low, 3)}, {number(high, 3)}]", fontsize=9)
+        for x in (low, high):
+            axes[k, k].axvline(x, color="black", linewidth=0.8, linestyle="--")
+        ticks = _ticks(*ranges[k], scales[k])
+        said = [f"{x:g}" for x in ticks]
+        for j in range(len(names)):
+            if j >= k:
+                _mark(axes[j, k].xaxis, ticks, said if j == len(names) - 1 else [])
+            if j < k:
+                _mark(axes[k, j].yaxis, ticks, said if j == 0 else [])
+        axes[-1, k].tick_params(axis="x", labelsize=8, labelrotation=45)
+        axes[k, 0].tick_params(axis="y", labelsize=8)
+    figure.subplots_adjust(left=0.9 / size, bottom=0.9 / size, right=1 - 0.2 / size, top=1 - 1.1 / size,
+                           wspace=0.08, hspace=0.08)  # fmt: skip
+    figure.suptitle(
+        f"{result.source.material}: posterior\nover the diagonal and red: fitted value; "
+        "in brackets and dashed: 5 and 95 %", fontsize=11, x=0.98, ha="right",
+    )  # fmt: skip
+    if result.posterior is not None and not result.posterior.sufficient:
+        _watermark(figure, result.posterior.message)
     return figure
+
+
+def _label(q: ParameterResult) -> str:
+    """Symbol, channel and unit."""
+    unit = UNITS.get(q.unit, q.unit)
+    return f"${q.symbol}$" + (f" {q.channel}" if q.channel else "") + (f" ({unit})" if unit else "")
+
+
+def _interval(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Quantiles of weighted draws: 0.5, 5, 95 and 99.5 %."""
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order]) / weights.sum()
+    found = np.searchsorted(reached, [0.005, 0.05, 0.95, 0.995]).clip(max=len(values) - 1)
+    return values[order][found]
+
+
+def _range(low: float, high: float, value: float, scale: str) -> tuple[float, float]:
+    """What an axis shows: nearly all draws and the fitted value, with a margin."""
+    forward, back = (np.log, np.exp) if scale == "log" else (np.asarray, np.asarray)
+    a, b = (float(forward(x)) for x in (min(low, value), max(high, value)))
+    margin = 0.05 * (b - a) or 0.05 * abs(a) or 1e-3
+    return float(back(a - margin)), float(back(b + margin))
+
+
+def _ticks(low: float, high: float, scale: str) -> list[float]:
+    """Two to four round numbers."""
+    if scale == "log" and high / low > WIDE_AXIS:
+        decades = range(int(np.ceil(np.log10(low))), int(np.floor(np.log10(high))) + 1)
+        found = [10.0**k for k in decades]
+        if len(found) < 2:
+            found = [x for k in range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high)))) for m in (1, 3)
+                     if low <= (x := m * 10.0**k) <= high]  # fmt: skip
+        return found[:: -(-len(found) // 4)] if found else [float(np.sqrt(low * high))]
+    inner = (high - low) / 20
+    found: list[float] = []
+    for count in range(3, 9):
+        steps = MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        found = [float(np.round(x, 12)) for x in steps if low + inner < x < high - inner]
+        if len(found) > 1:
+            break
+    return found
+
+
+def _mark(axis: Axis, ticks: list[float], said: list[str]) -> None:
+    """Ticks of an axis, with or without words."""
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter(FixedFormatter(said) if said else NullFormatter())
+    axis.set_minor_locator(NullLocator())
+
+
+def _watermark(figure: Figure, message: str) -> None:
+    """Across the picture, and why."""
+    size = 4.5 * figure.get_figwidth()
+    figure.text(0.5, 0.45, WATERMARK, fontsize=size, color="gray", alpha=0.4, rotation=35, ha="center", va="center")
+    said = "\n".join(textwrap.wrap(message, 45))
+    figure.text(0.98, 0.8, said, fontsize=11, color="#c0392b", ha="right", va="top")
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:

@@ -246,9 +246,9 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
             )  # fmt: skip
     except UNSOUND as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no chain"
-        raise ChainError(f"{path}: cannot be gone on with ({why}); delete it to begin anew") from None
+        raise ChainError(f"{path}: cannot be continued ({why}); delete it to start a new chain") from None
     if chain.fit.shape != fit.shape or not np.allclose(chain.fit, fit, atol=1e-6):
-        raise ChainError(f"{path}: is the chain of another fit; delete it to begin anew")
+        raise ChainError(f"{path}: is the chain of another fit; delete it to start a new chain")
     return chain
 
 

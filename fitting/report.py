@@ -39,8 +39,8 @@ def check_table(reports: Sequence[FileReport]) -> Table:
     """What `merlfit check` prints."""
     bins = "x".join(map(str, DIMS))
     table = Table(
-        title=f"MERL files of {bins} bins (inf: or above {BRIGHTEST:g}/sr; outliers: over {OUTLIER:g} times what is "
-        "beside them; max: largest value, 1/sr; genuine: by SHA-1)",
+        title=f"MERL files of {bins} bins (inf: infinite, or above {BRIGHTEST:g}/sr; outliers: over {OUTLIER:g} times "
+        "as bright as their neighbours; max: largest value, 1/sr; genuine: by SHA-1)",
         title_justify="left",
     )
     left = ("file", "genuine MERL")
@@ -128,7 +128,7 @@ def print_result(console: Console, result: Result) -> None:
     console.print(parameter_table(result, console.width))
     console.print(f"{f.status}: {f.message}")
     console.print(
-        f"cost {number(f.cost)} of the weighted energy, RMSE {number(result.metrics.rmse)} 1/sr, "
+        f"cost {number(f.cost)} (share of the weighted energy), RMSE {number(result.metrics.rmse)} 1/sr, "
         f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} bins, {f.steps} steps on the last grid"
     )
     e = result.metrics
@@ -140,7 +140,7 @@ def print_result(console: Console, result: Result) -> None:
         console.print(f"caution: {caution}")
     if len(f.candidates) > 1:
         console.print(
-            "interfaces and bodies on the coarse grid (score, the lowest is best): "
+            "kinds of material compared on the coarse grid, with their scores (the lowest is best): "
             + ", ".join(f"{c.index} {c.body} {number(c.score, 3)}" for c in f.candidates)
         )
     if result.identifiability is not None:
@@ -158,8 +158,8 @@ def print_result(console: Console, result: Result) -> None:
     p = result.posterior
     least = min((x or 0.0 for x in p.effective_size), default=0.0)
     console.print(
-        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}; {p.draws} draws weighed by all "
-        f"bins, smallest effective size {number(least, 3)}; residuals worth "
+        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}; {p.draws} draws, weighted by the "
+        f"likelihood of all bins; smallest effective sample size {number(least, 3)}; the residuals count as "
         f"{number(p.effective_bins, 3)} independent ones",
         markup=False,
     )
@@ -167,7 +167,7 @@ def print_result(console: Console, result: Result) -> None:
 
 def derived_table(result: Result) -> Table:
     """Derived quantities with intervals."""
-    table = Table(title="derived quantities, of the material without the apparatus", title_justify="left")
+    table = Table(title="derived quantities of the material (without the loss of the apparatus)", title_justify="left")
     for head in ("quantity", "value", "5 .. 95 %", "unit", "meaning"):
         table.add_column(head, justify="right" if head in ("value", "5 .. 95 %") else "left")
     for q in result.derived:
@@ -177,10 +177,13 @@ def derived_table(result: Result) -> Table:
 
 def accuracy_line(found: Accuracy) -> str:
     """What a fit that was asked for an accuracy or a time came to."""
-    said = f"accuracy: within {number(found.estimated, 2)} of the reference fit, as estimated"
+    if found.estimated is None and found.asked is None:
+        return "accuracy: not estimated, which would have taken longer than the time that was asked for"
+    said = f"accuracy: within {number(found.estimated, 2)} of the reference fit, "
+    said += "a floor: what 95 % of the calibration's fits keep to" if found.floor else "as estimated"
     if found.settings != found.tried[0].settings:
-        said += f"; taken on to {found.settings}, as {found.tried[0].settings} came to "
-        said += number(found.tried[0].estimated, 2)
+        said += f"; carried on with {found.settings}, because {found.tried[0].settings} only came "
+        said += f"within {number(found.tried[0].estimated, 2)}"
     if found.met is not None:
         said += f"; {number(found.asked)} was asked for, " + ("which is met" if found.met else "which is NOT met")
     return said

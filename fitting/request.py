@@ -3,12 +3,14 @@
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from .choice import default_choice
 from .config import Config
 from .frontier import Point
 
 MARGIN = 1.2  # seconds of the same fit differ by so much from run to run
+ALIKE = 1.1  # times an error: no more is no difference worth waiting for
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -21,26 +23,55 @@ def usable(points: Sequence[Point], config: Config) -> list[Point]:
     return [q for q in points if config.effects.diffraction == "quadrature" or q.choice.diffraction == "quadrature"]
 
 
-def needed(point: Point) -> float:
-    """Seconds to allow for a fit and the estimate of its error, once compiled."""
-    return MARGIN * (point.seconds.p95 + point.estimate_seconds.p95)
+def needed(point: Point, estimate: bool = True) -> float:
+    """Seconds to allow for a fit, with or without the estimate of its error, once compiled."""
+    return MARGIN * (point.seconds.p95 + (point.estimate_seconds.p95 if estimate else 0.0))
+
+
+def idle(point: Point, default: Point | None) -> bool:
+    """Whether the calibration itself says that a fit without any request is more accurate and no slower.
+
+    Such a fit does not wait for an estimate of its error; one that was asked for something does.
+    """
+    if default is None or point.promised.p95 <= default.promised.p95:
+        return False
+    usual = point.seconds.median + point.estimate_seconds.median >= default.seconds.median
+    return usual and needed(point) >= needed(default, estimate=False)
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a fit is to reach: an ``accuracy`` (error of :mod:`.frontier`) or a time (``seconds`` a file)."""
+    """What a fit is to reach: an ``accuracy`` (error of :mod:`.frontier`) or a time (``seconds`` a file).
+
+    Attributes:
+        text: the time as it was typed.
+    """
 
     accuracy: float | None = None
     seconds: float | None = None
+    text: str = field(default="", compare=False)
+
+    def __str__(self) -> str:
+        """As it is typed."""
+        if self.accuracy is not None:
+            return f"--accuracy {self.accuracy:g}"
+        return f"--time {self.text or f'{self.seconds:g}s'}"
+
+    def has_time_to_estimate(self, point: Point) -> bool:
+        """Whether the error of a fit can be estimated, too, without exceeding the time that was asked for."""
+        return self.seconds is None or needed(point) <= self.seconds
 
     def choose(self, points: Sequence[Point]) -> Point:
-        """The cheapest point that is accurate enough, or the most accurate that is fast enough.
+        """The fastest point that is accurate enough, or the most accurate one that is fast enough.
 
-        Where an accuracy is promised for half of the fits only, the most accurate point: the others are carried on.
+        Where an accuracy is promised for half of the fits only: the fastest of the most accurate points that do so; the
+        other fits are carried on. Points that are worse than the defaults and no faster are never chosen (`idle`).
 
         Raises:
             Unreachable: not even that, or nothing is so fast.
         """
+        default = next((q for q in points if q.choice == default_choice()), None)
+        points = [q for q in points if not idle(q, default)]
         if self.accuracy is not None:
             enough = [q for q in points if q.promised.p95 <= self.accuracy]
             if enough:
@@ -48,17 +79,21 @@ class Request:
             best = min(points, key=lambda q: (q.promised.p95, q.promised.median))
             if best.promised.median > self.accuracy:
                 raise Unreachable(
-                    f"--accuracy {self.accuracy:g} is out of reach: the most accurate settings ({best.choice}) come "
+                    f"{self} is out of reach: the most accurate settings ({best.choice}) come "
                     f"within {best.promised.median:.2g} in half of the calibration's fits"
                 )
-            return best
+            alike = [
+                q for q in points
+                if q.promised.median <= self.accuracy and q.promised.p95 <= ALIKE * best.promised.p95
+            ]  # fmt: skip
+            return min(alike, key=lambda q: q.seconds.median)
         assert self.seconds is not None
-        quick = [q for q in points if needed(q) <= self.seconds]
+        quick = [q for q in points if needed(q, estimate=q is not default) <= self.seconds]
         if not quick:
             best = min(points, key=needed)
             raise Unreachable(
-                f"--time {self.seconds:g}s is out of reach: the cheapest settings ({best.choice}) take up to "
-                f"{needed(best):.2g} s a file, compiled"
+                f"{self} is out of reach: the fastest settings ({best.choice}) take up to {needed(best):.2g} s for "
+                "each file, once compiled"
             )
         return min(quick, key=lambda q: (q.promised.p95, q.seconds.median))
 
@@ -73,7 +108,7 @@ def request(accuracy: float | None, time: str | None) -> Request:
         raise ValueError("--accuracy and --time are two ways of choosing: give one of them")
     if accuracy is not None and not 0 < accuracy < 1:
         raise ValueError(f"--accuracy {accuracy:g}: should be a relative error between 0 and 1, such as 1e-3")
-    return Request(accuracy, None if time is None else seconds_of(time))
+    return Request(accuracy) if time is None else Request(seconds=seconds_of(time), text=time.strip())
 
 
 def seconds_of(text: str) -> float:

@@ -44,7 +44,7 @@ Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, export.Accuracy 
 
 def fit_file(
     path: str | os.PathLike[str],
-    out: Path,
+    out: str | os.PathLike[str],
     config: Config,
     report: Report = silent,
     finish: Finish | None = None,
@@ -71,6 +71,7 @@ def fit_file(
             report("accuracy")
             fitted, accuracy = finish(fitted, measurement, samples)
     result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
+    out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     target = out / f"{measurement.name}.json"
     export.write_result(target, result)  # before the sampling, which may be interrupted

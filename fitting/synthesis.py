@@ -12,11 +12,10 @@ from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
 from .export import ResultError, read_result
 
-DEMO = ("nickel", "abc_microfacet")  # published lobe that the two-scale model can meet: cost 0.011
 ROWS = 10  # of theta_h evaluated at a time
 
 
-def _tabulate(evaluate: object) -> np.ndarray:
+def tabulate(evaluate: object) -> np.ndarray:
     """BRDF on MERL's grid, (3, 90, 90, 180), 1/sr; NaN below the horizon."""
     grid = merl_grid()
     compiled = jax.jit(evaluate)  # type: ignore[arg-type]
@@ -34,7 +33,7 @@ def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
     Raises:
         KeyError: unknown material or source; the message names the nearest known one.
     """
-    values = _tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g, rescaled=True), -1, 0))
+    values = tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g, rescaled=True), -1, 0))
     table = published.SOURCES[source]
     rescaled = f", albedos times {table.channel_scale} (R, G, B)" if set(table.channel_scale) != {1.0} else ""
     said = f"synthetic MERL file of {material}, from published parameters: {table.citation}{rescaled}"
@@ -56,7 +55,7 @@ def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
     effects = m.effects if grazing_loss else m.effects.material
-    values = _tabulate(lambda g: two_scale(params, g, effects, m.wavelengths_um))
+    values = tabulate(lambda g: two_scale(params, g, effects, m.wavelengths_um))
     said = f"synthetic MERL file from the two-scale fit of {result.source.material}"
     if m.effects.acquisition == "off":
         return values, said

@@ -76,7 +76,7 @@ def test_a_chain_too_short_says_so_and_gives_no_intervals(fitted):
     result = export.read_result(fitted[0] / "out" / "blue-metallic-paint.json")
     assert result.posterior is not None
     assert not result.posterior.sufficient
-    said = r"\d+ steps are \d+ autocorrelation times, 50 are needed; go on with the chain by `merlfit sample`"
+    said = r"\d+ steps are \d+ autocorrelation times, 50 are needed; continue the chain with `merlfit sample`"
     assert re.fullmatch(said, result.posterior.message)
     assert result.derived
     assert all(q.quantiles is None for q in [*result.parameters, *result.derived])
@@ -225,6 +225,11 @@ def test_unknown_material_and_source_name_the_nearest(tmp_path):
         ('[fit]\nweights = "squared"\n', "fit.weights"),
         ("[fit]\ntheta_max = 0.1\n", "fit.theta_max"),
         ("[fit]\nhighlight = 0.2\n", "unknown key 'fit.highlight'"),
+        ("fit = 3\n", "fit: should be a section with keys of its own, not 3"),
+        ("[priors]\nb = 3\n", "priors.b: should be a section with keys of its own, not 3"),
+        ("[priors]\nb = { median = 1.0 }\n", "priors.b.factor: is missing"),
+        ("[fit]\nstarts = 2.5\n", "fit.starts: should be an integer, not 2.5"),
+        ("seed = {}\n", "seed: should be an integer, not a section"),
     ],
 )
 def test_bad_settings_are_one_line_errors(tmp_path, text, words):
@@ -234,8 +239,15 @@ def test_bad_settings_are_one_line_errors(tmp_path, text, words):
         load(path)
     assert words in str(error.value)
     assert "\n" not in str(error.value).replace(text, "")
+    assert "Section" not in str(error.value)
     shown = call("fit", "x.binary", "--config", path)
     assert shown.exit_code == 2
+
+
+def test_settings_may_begin_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "windows.toml"
+    path.write_bytes(b"\xef\xbb\xbfseed = 7\r\n")
+    assert load(path).seed == 7
 
 
 def test_a_backend_that_is_not_installed_is_a_bad_setting(monkeypatch):

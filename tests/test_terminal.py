@@ -153,7 +153,7 @@ def test_a_damaged_program_is_deleted_and_told_once(tmp_path, told, monkeypatch)
         for name in ("jit_first", "jit_second"):
             warnings.warn(f"Error reading persistent compilation cache entry for '{name}': ZstdError: x", stacklevel=1)
     assert [p.name for p in tmp_path.iterdir()] == names[2:]
-    assert told == [f"damaged programs in {tmp_path} were deleted; they are compiled anew, once"]
+    assert told == [f"damaged programs in {tmp_path} were deleted and are compiled again, once"]
 
 
 def test_jax_is_told_to_compile_once_and_repairs_what_is_damaged(tmp_path):

@@ -35,7 +35,13 @@ def test_what_was_asked_and_reached_is_in_the_result():
     kept = Accuracy.model_validate_json(found.model_dump_json())
     assert kept == found
     assert "0.001 was asked for, which is met" in accuracy_line(found)
-    assert "taken on to quadrature 32, fine" in accuracy_line(found)
+    assert "carried on with quadrature 32, fine" in accuracy_line(found)
+    assert "as estimated" in accuracy_line(found)
+    floor = accuracy_line(found.model_copy(update={"floor": True}))
+    assert "a floor: what 95 % of the calibration's fits keep to" in floor
+    assert "estimated" not in floor
+    unseen = found.model_copy(update={"asked": None, "asked_seconds": 4.0, "estimated": None, "met": None})
+    assert accuracy_line(unseen).startswith("accuracy: not estimated")
     assert "NOT met" in accuracy_line(found.model_copy(update={"met": False}))
     part = {"$defs": schema()["$defs"], **schema()["$defs"]["Accuracy"]}
     jsonschema.validate(json.loads(found.model_dump_json()), part)
@@ -108,7 +114,8 @@ def test_a_fit_that_misses_is_taken_on(one):
     assert alone.met is None
     assert len(alone.tried) == 1
     loose = Aim(Request(accuracy=0.9), point(POINTS[1], 0.5, 1.0, astray=0.4), config, "here")
-    assert loose.finish(rough, measured, samples)[1].estimated == 0.4
+    told = loose.finish(rough, measured, samples)[1]
+    assert (told.estimated, told.floor) == (0.4, True)
 
 
 def test_what_is_not_finite_is_infinitely_far(one):
@@ -118,6 +125,25 @@ def test_what_is_not_finite_is_infinitely_far(one):
     assert remaining((layout, nowhere), problem) == np.inf
     assert distance((layout, nowhere), (layout, z), problem) == np.inf
     assert estimate((layout, nowhere), problem, config) == np.inf
+
+
+def test_no_estimate_is_waited_for_that_takes_longer_than_was_asked_for(one):
+    samples, config, fitted, _ = one
+    measured, *_ = measurement(HELD[0])
+    aim = Aim(Request(seconds=1.3), point(POINTS[10], 0.1, 1.0), config, "here")
+    finished, told = aim.finish(fitted, measured, samples)
+    assert finished is fitted
+    assert (told.estimated, told.met, told.expected_seconds) == (None, None, pytest.approx(1.2))
+
+
+def test_a_floor_is_told_as_a_floor(one, monkeypatch):
+    samples, config, fitted, _ = one
+    measured, *_ = measurement(HELD[0])
+    monkeypatch.setattr(accuracy, "estimate", lambda *_: 1e-3)
+    for astray, found in ((0.4, (0.4, True)), (1e-4, (1e-3, False))):
+        aim = Aim(Request(accuracy=0.9), point(POINTS[1], 0.5, 1.0, astray=astray), config, "here")
+        told = aim.finish(fitted, measured, samples)[1]
+        assert (told.estimated, told.floor) == found == (told.tried[0].estimated, told.tried[0].floor)
 
 
 def test_carrying_on_never_ends_worse(one, monkeypatch):

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 from frontiers import measurement, point, spread
+from matplotlib.text import Text
 from merlfit.fitting import accuracy, calibration, cli, cost, frontier, tiers
 from merlfit.fitting.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.cost_plot import frontier_figure
@@ -41,12 +42,28 @@ def test_tables_and_plot_mark_the_defaults(made, tmp_path):
     assert sum(map(len, (table.rows for table in tables(made)))) == len(POINTS) + len(tiers.TIERS)
     figure = frontier_figure(made)
     assert "invented materials" in figure.get_suptitle()
-    for axis in figure.axes:
+    panels, legends = figure.axes[:4], figure.axes[4:]
+    for axis in panels:
         assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
         assert any(line.get_marker() == "*" for line in axis.lines)
-    drawn = [line for line in figure.axes[1].lines if len(line.get_xdata()) == len(POINTS)]
+    said = [text.get_text() for axis in legends for text in axis.texts]
+    assert sum("(default)" in text for text in said) == 2
+    assert f"{len(POINTS)}: {POINTS[-1]}" in said
+    drawn = [line for line in panels[-1].lines if len(line.get_xdata()) == len(POINTS)]
     assert len(drawn) == 1  # the front, on which all points are
     np.testing.assert_allclose(drawn[0].get_ydata(), [q.error.p95 for q in made.points])
+
+
+def test_nothing_in_the_picture_lies_on_anything_else(made):
+    """Numbers and legends of the shipped calibration, and of points that coincide."""
+    same = made.model_copy(update={"points": [point(q, 0.1, 1.0 + 1e-3 * k) for k, q in enumerate(POINTS)]})
+    for measured in (frontier.shipped(), same):
+        figure = frontier_figure(measured)
+        figure.draw_without_rendering()
+        boxes = [Text.get_window_extent(text) for axis in figure.axes for text in axis.texts]
+        assert len(boxes) > 2 * len(POINTS)
+        assert not [(i, j) for j, b in enumerate(boxes) for i, a in enumerate(boxes[:j]) if a.overlaps(b)]
+        assert all(figure.bbox.padded(1).containsx(box.x1) for box in boxes)
 
 
 def test_an_interrupted_measurement_goes_on_and_another_one_starts_anew(monkeypatch, tmp_path):

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from made_results import made
 from merlfit.fitting import cli, files, keeping, sampling
+from merlfit.fitting.config import Config
 from merlfit.fitting.export import read_result, write_result
 from merlfit.fitting.importance import Posterior
 from merlfit.fitting.keeping import Complete, completeness, place_of
-from merlfit.fitting.run import chain_of
+from merlfit.fitting.run import chain_of, fit_file
 from merlfit.fitting.terminal import Stopped
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.atomic import WriteError
@@ -205,7 +206,7 @@ def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
 
 
 def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monkeypatch):
-    monkeypatch.setattr("merlfit.fitting.synthesis._tabulate", lambda evaluate: evaluate)
+    monkeypatch.setattr("merlfit.fitting.synthesis.tabulate", lambda evaluate: evaluate)
     seen = []
     monkeypatch.setattr("merlfit.fitting.synthesis.two_scale", lambda *words: seen.append(words[2]))
     monkeypatch.setattr("merlfit.merl_io.binary.write", lambda out, values: values(None))
@@ -281,3 +282,10 @@ def test_two_runs_into_one_folder_are_told(tmp_path, stand_in):
     assert shown.exit_code == 0
     assert f"merlfit: {tmp_path}: another merlfit is writing there" in shown.stderr
     assert "another" not in call("fit", "nickel.binary", "-o", tmp_path).stderr
+
+
+def test_names_of_files_and_folders_may_be_text_in_python(tmp_path):
+    write(tmp_path / "dark.binary", np.zeros((3, *DIMS)))
+    found = fit_file(str(tmp_path / "dark.binary"), str(tmp_path / "fits"), Config())
+    assert read_result(tmp_path / "fits" / "dark.json") == found
+    assert found.fit.status == "NO_DATA"

@@ -74,14 +74,14 @@ def test_too_narrow_a_chain_is_not_trusted_and_gives_no_intervals():
     found = corrected(gaussian_chain(0.4), lambda z: gaussian(z, deviation=0.4), gaussian)
     assert found.pareto_k > LARGEST_K
     assert not found.sufficient
-    assert f"Pareto k of the weights is {found.pareto_k:.2f}" in found.message
+    assert f"Pareto k of its weights is {found.pareto_k:.2f}" in found.message
     assert quantiles_of(found) == [None] * SIZE
 
 
 def test_too_short_a_chain_is_not_trusted_however_good_the_weights():
     found = corrected(gaussian_chain(steps=50), gaussian, gaussian)
     assert not found.sufficient
-    assert found.message.startswith("50 steps are 0 autocorrelation times, 50 are needed; go on with the chain by")
+    assert found.message.startswith("50 steps are 0 autocorrelation times, 50 are needed; continue the chain with")
     assert quantiles_of(found) == [None] * SIZE
 
 

@@ -250,11 +250,11 @@ def test_the_chain_of_another_fit_and_files_that_are_none_are_refused(tmp_path):
     spoiled = whole[: len(whole) // 4] + bytes(200) + whole[len(whole) // 4 + 200 :]
     for bad in (whole[: len(whole) // 2], whole[:50], b"not a file of numpy", spoiled):
         path.write_bytes(bad)
-        with pytest.raises(ChainError, match=r"x\.npz: cannot be gone on with \(.*\); delete it to begin anew"):
+        with pytest.raises(ChainError, match=r"x\.npz: cannot be continued \(.*\); delete it to start a new chain"):
             read_chain(path, chain.fit)
     for name in chain.arrays():
         write_chain(path, {k: x for k, x in chain.arrays().items() if k != name})
-        with pytest.raises(ChainError, match="cannot be gone on with"):
+        with pytest.raises(ChainError, match="cannot be continued"):
             read_chain(path, chain.fit)
     with pytest.raises(ChainError, match=r"absent\.npz"):
         read_chain(tmp_path / "absent.npz", chain.fit)

@@ -1,0 +1,70 @@
+"""The demo: a file of known parameters that does not get in the way of others, and what is said of its fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_results import made, quantiles
+from merlfit.fitting import cli, demo, files
+from merlfit.fitting.export import write_result
+from merlfit.merl_io.binary import genuine_names, read, write
+from merlfit.model.parameters import parameters
+from typer.testing import CliRunner
+
+
+@pytest.fixture
+def stand_in(monkeypatch, tmp_path):
+    """A short way to the BRDF and to the fit."""
+    monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(demo, "values", lambda: np.full((3, 90, 90, 180), 0.5))
+
+    def fit(path, out, settings, *_):
+        result = made(path.stem, str(path), effects=demo.EFFECTS)
+        true = [x for q in parameters(demo.EFFECTS) for x in np.ravel(demo.TRUTH[q.name])]
+        for k, (q, x) in enumerate(zip(result.parameters, true, strict=True)):
+            q.value, q.quantiles = float(x), quantiles(float(x) if k else 2 * float(x))
+        write_result(out / f"{path.stem}.json", result)
+        return result
+
+    monkeypatch.setattr(files, "fit_file", fit)
+
+
+def run(*words):
+    return CliRunner().invoke(cli.app, ["demo", *map(str, words)])
+
+
+def test_the_demo_tells_the_truth_and_may_be_repeated(stand_in, tmp_path):
+    out = tmp_path / "demo-out"
+    for _ in range(2):
+        shown = run("-o", out)
+        assert shown.exit_code == 0, shown.output
+        assert "a red plastic, computed from known parameters" in shown.stdout
+        assert "10 of 11 true values lie in their 90 % intervals" in shown.stdout
+        assert "true" in shown.stdout
+    assert not list(out.glob(".merlfit-*"))
+
+
+def test_the_demo_does_not_overwrite_another_file(stand_in, tmp_path):
+    path, mine = tmp_path / f"{demo.NAME}.binary", np.ones((3, 90, 90, 180))
+    write(path, mine)
+    refused = run("-o", tmp_path)
+    assert refused.exit_code == cli.BAD_INPUT
+    assert "was not made by this demo; --force overwrites it" in refused.stderr
+    assert read(path).values.max() == pytest.approx(1.0)
+    assert run("-o", tmp_path, "--force").exit_code == 0
+    assert read(path).values.max() == pytest.approx(0.5)
+
+
+def test_its_name_is_none_of_merl():
+    assert demo.NAME not in genuine_names().values()
+
+
+def test_no_apparatus_is_fitted_to_a_synthetic_material():
+    settings = demo.settings(3)
+    assert settings.seed == 3
+    assert settings.effects_of(demo.EFFECTS.kind) == replace(demo.EFFECTS, acquisition="off")
+    assert settings.kinds == [demo.EFFECTS.kind]
+
+
+def test_without_intervals_the_verdict_says_so():
+    assert "no intervals" in demo.verdict(made(effects=demo.EFFECTS))

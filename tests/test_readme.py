@@ -1,0 +1,55 @@
+"""The README's commands: they can be parsed, and they run."""
+
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+import readme_commands
+import typer.main
+from merlfit.fitting import cli
+from merlfit.model.effects import Effects
+from merlfit.model.parameters import parameters
+
+TEXT = (readme_commands.ROOT / "README.md").read_text()
+FOUND = readme_commands.commands(TEXT)
+
+
+@pytest.mark.parametrize("command", [command for command, _ in FOUND])
+def test_every_command_and_option_of_the_readme_exists(command):
+    _, name, *words = shlex.split(command)
+    known = typer.main.get_command(cli.app).commands
+    known[name].make_context(name, words)
+
+
+def test_the_readme_shows_every_command_but_the_demo():
+    shown = {command.split()[1] for command, _ in FOUND}
+    assert shown == set(typer.main.get_command(cli.app).commands) - {"demo"}
+
+
+def test_the_readme_says_what_every_parameter_means():
+    every = {q.name for e in (Effects("none", acquisition="free"), Effects("lambert")) for q in parameters(e)}
+    assert every == set(re.findall(r"`([a-z_]+)`", "".join(re.findall(r"^(\|[^|]*\|).*Eq\. ", TEXT, re.MULTILINE))))
+
+
+@pytest.mark.parametrize(
+    "page",
+    [readme_commands.ROOT / "README.md", *sorted((readme_commands.ROOT / "docs").glob("*.md"))],
+    ids=lambda page: page.name,
+)
+def test_links_of_the_pages_lead_to_files(page):
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+        assert target.startswith("https://") or (page.parent / target).exists(), target
+
+
+def test_a_command_that_fails_is_named(tmp_path):
+    text = "    merlfit check missing.binary  # fast\n    merlfit materials   # slow\n"
+    failed = readme_commands.run(tmp_path, Path(sys.executable).parent, quick=True, text=text)
+    assert failed == ["merlfit check missing.binary: exit code 2"]
+
+
+@pytest.mark.slow
+def test_the_readme_runs_from_top_to_bottom_in_a_fresh_folder(tmp_path):
+    assert readme_commands.run(tmp_path, Path(sys.executable).parent, quick=True) == []
+    assert (tmp_path / "fits" / "nickel.corner.png").is_file()
