@@ -15,7 +15,7 @@ import typer
 from . import record
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-ON_CPU = ("fit", "cold", "growth", "batch", "solver", "against_scipy", "against_numpy")  # short ones first
+ON_CPU = ("fit", "presets", "cold", "growth", "batch", "solver", "against_scipy", "against_numpy")  # short ones first
 APART = ("convergence", "calibration", "halves", "nickel", "gpu")  # only when they are named
 SECTIONS = (*ON_CPU, *APART)
 
