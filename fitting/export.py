@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from ..merl_io.atomic import write_atomically
 from ..model.acquisition import Apparatus
-from ..model.effects import Effects
+from ..model.effects import ANY, BODIES, Effects
 from ..model.parameters import CHANNELS, parameters
 from .choice import Choice
 
@@ -100,6 +100,8 @@ class Model(_Part):
     @model_validator(mode="after")
     def _of_a_fit(self) -> Self:
         low, high = PLAUSIBLE_UM
+        if self.effects.body == ANY:
+            raise ValueError(f"body should be {', '.join(BODIES)}, not {ANY!r}")
         if self.effects.diffraction == "exact":
             raise ValueError("diffraction 'exact' is a reference that takes hours; no fit uses it")
         if self.channels != list(CHANNELS):
@@ -576,6 +578,7 @@ def schema() -> dict[str, Any]:
     for kind, part in {**found["$defs"], Result.__name__: found}.items():
         for name, field in part["properties"].items():
             field["description"] = told[kind][name]
+    found["$defs"][Effects.__name__]["properties"]["body"]["enum"].remove(ANY)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"merlfit/result-{SCHEMA_VERSION}",

@@ -19,8 +19,8 @@ from .identifiability import identifiability
 from .laplace import laplace_covariance
 from .levenberg_marquardt import Solution, Status
 from .problem import energy
-from .selection import ALIKE, lost
-from .transforms import Layout
+from .selection import alike, lost
+from .transforms import ODDS, Layout
 from .weights import BEND, Bend
 
 if TYPE_CHECKING:  # the sampler's libraries take a second to load
@@ -77,11 +77,17 @@ class Fitted:
 
     @cached_property
     def at_bound(self) -> list[Bound]:
-        """At which bound each entry is: within 1 % of it, and no two standard errors away (a dark albedo is not)."""
+        """At which bound each entry is: within 1 % of it, and no two standard errors away.
+
+        An albedo is at none, which its odds never reach: where 0 or 1 is as good, its standard error says so.
+        """
         entries = self.layout.entries
         place = [float(q.position(x)) for q, x in zip(entries, self.values, strict=True)]
         error = [q.stretch(x) * e for q, x, e in zip(entries, self.values, self.standard_errors, strict=True)]
-        near = [min(x, 1 - x) < EDGE and min(x, 1 - x) <= RESOLVED * e for x, e in zip(place, error, strict=True)]
+        near = [
+            q.quantity != ODDS and min(x, 1 - x) < EDGE and min(x, 1 - x) <= RESOLVED * e
+            for q, x, e in zip(entries, place, error, strict=True)
+        ]
         return ["no" if not at else "lower" if x < EDGE else "upper" for x, at in zip(place, near, strict=True)]
 
     @property
@@ -110,18 +116,26 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
         adaptive = config.fit.weights == "adaptive"
         mend = "no exponent of the weights keeps it" if adaptive else "fit with --weights adaptive"
         found.append(f"the highlight is lost: at its peak the fit has {peak:.2g} times the file's brightness; {mend}")
-    found += alike(fitted)
+    found += others(fitted)
     if fitted.status is Status.STEP_LIMIT:
         found.append("the cost was still falling when the fit stopped: raise fit.max_steps to go on")
     return found
 
 
-def alike(fitted: Fitted) -> list[str]:
+def others(fitted: Fitted) -> list[str]:
     """Which other interfaces and bodies describe the file about as well."""
-    scores = {f"{c.index} {c.body}": c.score for c in fitted.candidates if c.score is not None}
-    own = scores.pop(" ".join(fitted.effects.kind), np.inf)
-    near = [f"{kind} ({score - own:+.1f})" for kind, score in scores.items() if score < own + ALIKE]
-    return [f"as likely within {ALIKE:g} units of score: {', '.join(near)}"] if near and np.isfinite(own) else []
+    known = [(c, c.objective, c.cube_root, c.score) for c in fitted.candidates]
+    full = [(c, j, e, score) for c, j, e, score in known if j is not None and e is not None and score is not None]
+    own = [k for k, (c, *_) in enumerate(full) if (c.index, c.body) == fitted.effects.kind]
+    if not own:
+        return []
+    kinds, *figures = zip(*full, strict=True)
+    near = [
+        f"{c.index} {c.body} ({figures[-1][k] - figures[-1][own[0]]:+.1f})"
+        for k, c in enumerate(kinds)
+        if k != own[0] and alike(k, own[0], *figures)
+    ]
+    return [f"other kinds describe the file about as well (score against this one): {', '.join(near)}"] if near else []
 
 
 def make_result(

@@ -57,8 +57,13 @@ def score(objective: float, cube_root: float, count: float) -> float:
 def choose(objectives: Sequence[float], cube_roots: Sequence[float], scores: Sequence[float]) -> int:
     """Which of some fits to take, listed with the simplest first."""
     best = int(np.argmin(np.nan_to_num(scores, nan=np.inf)))
-    for k, each in enumerate(scores):
-        near = objectives[k] <= MARGIN * objectives[best] and cube_roots[k] <= MARGIN * cube_roots[best]
-        if near and each < scores[best] + ALIKE:
-            return k
-    return best
+    every = range(len(scores))
+    return next(k for k in every if k == best or alike(k, best, objectives, cube_roots, scores))
+
+
+def alike(
+    one: int, other: int, objectives: Sequence[float], cube_roots: Sequence[float], scores: Sequence[float]
+) -> bool:
+    """Whether one fit describes the file about as well as another, or better: by score, and by J and E themselves."""
+    near = objectives[one] <= MARGIN * objectives[other] and cube_roots[one] <= MARGIN * cube_roots[other]
+    return near and scores[one] < scores[other] + ALIKE

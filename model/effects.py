@@ -12,8 +12,9 @@ Diffraction = Literal["off", "lobe", "scaled", "zonal", "quadrature", "exact"]
 Split = Literal["printed", "conserving"]
 Colour = Literal["rayleigh_rice", "fresnel"]
 Index = Literal["usual", "complex", "real"]
-Body = Literal["none", "lambert", "plastic", "subsurface"]
-BODIES: tuple[Body, ...] = get_args(Body)
+Body = Literal["none", "lambert", "plastic", "subsurface", "any"]
+ANY: Body = "any"  # of `Effects.general` alone, of no material
+BODIES: tuple[Body, ...] = tuple(body for body in get_args(Body) if body != ANY)
 Acquisition = Literal["off", "free", "derived"]
 Kind = tuple[Index, Body]
 KINDS: tuple[Kind, ...] = (
@@ -54,11 +55,9 @@ class Effects:
             dielectric), or ``usual``: complex over no body, real over one. A Lambert floor under a complex index is
             stray light and dust on a metal; plastic and subsurface ask how light gets through the interface, and so
             for a real one.
-
-    ``body = "any"`` is for programs that serve all kinds (:attr:`general`).
     """
 
-    body: Body | Literal["any"] = "none"
+    body: Body = "none"
     diffraction: Diffraction = "quadrature"
     order: int = 32
     zonal_order: int = 100
@@ -77,8 +76,6 @@ class Effects:
             value, choices = getattr(self, field.name), get_args(field.type)
             if get_origin(field.type) is Literal and value not in choices:
                 raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
-            if field.name == "body" and value not in (*BODIES, "any"):
-                raise ValueError(f"body {value!r} is none of {', '.join(BODIES)}")
             if field.type in (bool, int, Apparatus) and type(value) is not field.type:
                 raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
         if not 6 <= self.order <= 256:
@@ -105,16 +102,17 @@ class Effects:
     @property
     def kind(self) -> Kind:
         """Interface and body."""
-        return self.index, self.body  # pyright: ignore[reportReturnType] - only `general` has any body
+        return self.index, self.body
 
     @cached_property
     def general(self) -> "Effects":
         """Effects of which these are a special case, whatever the kind, so that all kinds share compiled programs.
 
+        No material has them.
         A dielectric is a conductor with k = 0, and which body it is, is said by a number when the program runs
         (:func:`merlfit.model.two_scale.generalised`). The conserving split treats kinds too differently.
         """
-        return self if self.split == "conserving" else replace(self, index="complex", body="any")
+        return self if self.split == "conserving" else replace(self, index="complex", body=ANY)
 
     @property
     def material(self) -> "Effects":

@@ -29,7 +29,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from . import acquisition, body, convolution, diffraction, energy, exact, scaled, zonal
-from .effects import BODIES, KINDS, Effects
+from .effects import ANY, BODIES, KINDS, Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .ndf import epd
@@ -179,11 +179,11 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
     missing = [q.name for q in parameters(s.effects) if q.name not in params]
     if missing:
         raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
-    if unknown := params.keys() - known() - ({WHICH} if s.effects.body == "any" else set()):
+    if unknown := params.keys() - known() - ({WHICH} if s.effects.body == ANY else set()):
         raise KeyError(f"two_scale has no parameter {', '.join(sorted(unknown))}, whatever the effects")
     precision = jnp.result_type(s.geometry.theta_h)
     given = {name: jnp.asarray(params[name], precision) for name in TABLES if name in params}
-    if s.effects.body == "any":
+    if s.effects.body == ANY:
         given[WHICH] = jnp.asarray(params[WHICH])
     return given | {
         q.name: jnp.asarray(params[q.name], precision).reshape(
@@ -286,17 +286,17 @@ def _under(v: Values, s: Setting) -> Array:
     g, kind = s.geometry, s.effects.body
     if s.effects.split == "conserving":
         return energy.unlit_body(kind, g.cos_i, g.cos_o, v["albedo"], v.get("eta"))
+    if kind == ANY:
+        whole = jnp.broadcast_shapes(v["albedo"].shape, g.cos_i.shape)
+        under = [
+            lambda n, albedo: jnp.zeros_like(albedo),
+            lambda n, albedo: body.lambert(albedo),
+            partial(body.plastic, g.cos_i, g.cos_o),
+            partial(body.subsurface, g.cos_i, g.cos_o),
+        ]  # in the order of BODIES
+        chosen = [lambda n, albedo, f=f: jnp.broadcast_to(f(n, albedo), whole) for f in under]
+        return jax.lax.switch(v[WHICH], chosen, v["n"], v["albedo"])
     match kind:
-        case "any":
-            whole = jnp.broadcast_shapes(v["albedo"].shape, g.cos_i.shape)
-            under = [
-                lambda n, albedo: jnp.zeros_like(albedo),
-                lambda n, albedo: body.lambert(albedo),
-                partial(body.plastic, g.cos_i, g.cos_o),
-                partial(body.subsurface, g.cos_i, g.cos_o),
-            ]  # in the order of BODIES
-            chosen = [lambda n, albedo, f=f: jnp.broadcast_to(f(n, albedo), whole) for f in under]
-            return jax.lax.switch(v[WHICH], chosen, v["n"], v["albedo"])
         case "plastic":
             return body.plastic(g.cos_i, g.cos_o, v["eta"], v["albedo"])
         case "subsurface":
