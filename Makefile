@@ -30,7 +30,7 @@ test-slow: install
 bench: install
 	$(BIN)/python -m tests.bench
 
-# An hour: 12 materials from 100 random starting points each; goes on where it was stopped.
+# Half an hour: 12 materials from 20 random starting points each; goes on where it was stopped.
 bench-convergence: install
 	$(BIN)/python -m tests.bench convergence
 
@@ -41,7 +41,7 @@ bench-posterior: install
 	$(BIN)/python -m tests.bench halves
 	$(BIN)/python -m tests.bench nickel
 
-# Forty minutes: all 100 materials with three objectives, beside published parameters; goes on where it was stopped.
+# Half an hour: all 100 materials with three objectives, beside published parameters; goes on where it was stopped.
 merl100: install
 	$(BIN)/python -m tests.merl100
 

@@ -96,7 +96,7 @@ POINTS = (
 
 Not among them: `scaled`, whose bins cost what those of `lobe` cost and err alike, and `zonal`, which is the dearest
 and the least accurate (``docs/cost.md`` has both, evaluated). What a fit's coarse stage takes, starts apart, is no
-choice: it costs half a second (``run.COARSE``)."""
+choice (``run.COARSE``)."""
 REFERENCE = POINTS[-1]
 """The finest; the reference of a calibration is where it comes to if its last steps are taken once more
 (`accuracy.carry_on`)."""

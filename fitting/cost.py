@@ -20,7 +20,7 @@ from . import calibration, tiers
 from .choice import POINTS, REFERENCE, Choice
 from .compilation import use_persistent_cache
 from .export import versions
-from .frontier import Frontier, Point, Spread, Tier
+from .frontier import OBJECTIVE, Frontier, Point, Spread, Tier
 from .levenberg_marquardt import Status
 from .threads import machine
 
@@ -134,8 +134,8 @@ def assemble(rows: Rows, materials: list[str], data: str) -> Frontier:
     """The calibration of all rows."""
     errors = rows[ERRORS]["all"]
     return Frontier(
-        data=data, directions=tiers.WHAT, materials=materials, machine=machine(), taken=date.today().isoformat(),
-        versions=versions(),
+        objective=OBJECTIVE, data=data, directions=tiers.WHAT, materials=materials, machine=machine(),
+        taken=date.today().isoformat(), versions=versions(),
         tiers=[Tier(name=name, error=errors.get(name), **rows[TIMES][name]) for name in tiers.TIERS],
         points=[_point(choice, [rows[str(choice)][name] for name in materials]) for choice in POINTS],
     )  # fmt: skip

@@ -89,7 +89,9 @@ class Model(_Part):
     effects: Effects
     """Which physical effects it simulates."""
     grazing_exponent: float
-    """Exponent of the light that the apparatus lost at grazing angles; 0 where no loss was simulated."""
+    """Exponent of the specular light that the apparatus lost at grazing angles; 0 where no loss was simulated."""
+    grazing_exponent_diffracted: float | None = None
+    """The same of diffracted light; null in results of schema 1.2 and older, which had one exponent for all light."""
     channels: list[str]
     """Names of the colour channels; lists by channel have this order."""
     colour_space: Literal["linear RGB of MERL, as stored"] = "linear RGB of MERL, as stored"
@@ -246,7 +248,7 @@ class Candidate(_Part):
     score: float | None = None
     """What the choice goes by, the lowest is best (``fitting/selection.py``)."""
     converged: bool = True
-    """False of a kind that was too far behind to be followed to the end."""
+    """False of a kind that was too far behind to be followed to the end, or was still creeping on the coarse grid."""
 
 
 class Fit(_Part):
@@ -257,7 +259,7 @@ class Fit(_Part):
     message: str
     """The same in a sentence, with what is wrong with the file."""
     succeeded: bool
-    """Whether it converged, at a bound or not."""
+    """Whether its parameters may be used: it converged, at a bound or not, or stopped at the step limit."""
     cost: float | None
     """HP17 Eq. 56, relative to the measurement's weighted energy."""
     cost_per_channel: list[float] | None

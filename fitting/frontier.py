@@ -53,7 +53,7 @@ class Point(_Frozen):
         error: as above. promised: the larger of the error and its estimate (:mod:`merlfit.fitting.accuracy`).
         astray: 95th percentile of the errors that exceed their estimate, 0 of the others: fits that ended in another
             minimum than the reference, of which an estimate knows nothing.
-        failed: share of fits that ended neither converged nor at a bound. other_body: share of materials for which it
+        failed: share of fits that ended without usable parameters. other_body: share of materials for which it
             chose another body than the reference.
         rmse: against the file, 1/sr. parameters: the largest difference from the reference among parameters that are
             not at a bound, in the reference's standard errors; None where no material has the same body.
@@ -93,14 +93,21 @@ class Tier(_Frozen):
     fit_gradient_ns: float | None = None
 
 
+OBJECTIVE = 2
+"""Raised when what a fit minimises, or how it looks for starting points, changes: 2 since directions past theta_max are
+left out and each lobe has its own grazing loss."""
+
+
 class Frontier(_Frozen):
     """A calibration: all that ``merlfit cost`` measured, and of what.
 
     Attributes:
+        objective: what the fits minimised, `OBJECTIVE` at the time.
         data: what the calibration materials are. directions: those of the tiers' errors.
     """
 
     schema_version: Literal["1.0"] = "1.0"
+    objective: int = 1
     data: str
     directions: str
     materials: list[str]
@@ -124,7 +131,7 @@ def load() -> tuple[Frontier, str]:
     stale = ""
     try:
         found = Frontier.model_validate_json((cache_folder() / FILE).read_bytes())
-        here = found.machine == machine() and found.versions == versions()
+        here = (found.machine, found.versions, found.objective) == (machine(), versions(), OBJECTIVE)
         if here and [q.choice for q in found.points] == list(POINTS):
             return found, f"calibrated on this machine, {found.taken}, {found.data}"
         stale = "the calibration that was kept is of another machine or of other versions; "
@@ -133,6 +140,8 @@ def load() -> tuple[Frontier, str]:
     except (OSError, ValidationError):
         stale = "the calibration that was kept cannot be read; "
     found = shipped()
+    if found.objective != OBJECTIVE:
+        stale += "measured with what an earlier version minimised, so that errors and seconds are a rough guide; "
     said = f"calibrated on another machine ({found.machine}), {found.data}; {stale}`merlfit cost` calibrates this one"
     return found, said
 

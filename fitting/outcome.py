@@ -12,7 +12,7 @@ from ..merl_io.samples import Samples
 from ..model.derived import quantities
 from ..model.effects import Effects
 from ..model.parameters import WAVELENGTHS_UM
-from ..model.two_scale import grazing_exponent
+from ..model.two_scale import grazing_exponent, grazing_exponent_diffracted
 from . import export, metrics
 from .config import Config
 from .identifiability import identifiability
@@ -28,6 +28,8 @@ if TYPE_CHECKING:  # the sampler's libraries take a second to load
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
+POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
+METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
 OUTLIERS = (
     "{count} bins of the file are outliers, over {times:g} times brighter than what is beside them: they dominate the "
@@ -119,6 +121,21 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
     found += others(fitted)
     if fitted.status is Status.STEP_LIMIT:
         found.append("the cost was still falling when the fit stopped: raise fit.max_steps to go on")
+    if fitted.solution.cost > POOR:
+        found.append(
+            f"the model does not describe this file well: {fitted.solution.cost:.0%} of its weighted energy is left"
+        )
+    names = fitted.layout.names
+    if bound := [f"{n} ({at})" for n, at in zip(names, fitted.at_bound, strict=True) if at != "no"]:
+        found.append(f"at a bound, so that a value beyond it may fit better: {', '.join(bound)}")
+    values = dict(zip(names, fitted.values.tolist(), strict=True))
+    if values.get("sigma_s", 0.0) > min(WAVELENGTHS_UM) / 2:
+        found.append(
+            "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
+        )
+    floor = max((x for name, x in values.items() if name.startswith("albedo")), default=0.0)
+    if fitted.effects.index == "complex" and floor > METAL_FLOOR:
+        found.append("a body this bright lies under no metal: n and k are effective values, not those of a material")
     return found
 
 
@@ -226,9 +243,10 @@ def derived_results(fitted: Fitted, sampled: "Sampled") -> list[export.DerivedRe
 
 
 def _model_part(layout: Layout, z: np.ndarray) -> export.Model:
-    effects = layout.effects
+    effects, values = layout.effects, layout.values(jnp.asarray(z))
     return export.Model(
-        effects=effects, grazing_exponent=float(grazing_exponent(layout.values(jnp.asarray(z)), effects)),
+        effects=effects, grazing_exponent=float(grazing_exponent(values, effects)),
+        grazing_exponent_diffracted=float(grazing_exponent_diffracted(values, effects)),
         channels=list(layout.channels), wavelengths_um=list(WAVELENGTHS_UM),
     )  # fmt: skip
 

@@ -23,6 +23,7 @@ from ..model.two_scale import two_scale
 from .export import Model, ParameterResult, Result
 from .report import in_words_of, number
 from .tables import UNSOUND
+from .weights import THETA_MAX, within
 
 matplotlib.use("Agg")
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
@@ -223,7 +224,8 @@ def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Mea
     d, p = np.arange(0, len(grid.theta_d), 2), np.linspace(0, len(grid.phi_d) - 1, RATIO_AZIMUTHS).astype(int)
     where = grid.theta_h[:, None, None], grid.theta_d[d][None, :, None], grid.phi_d[p][None, None, :]
     here = np.ix_(np.arange(len(grid.theta_h)), d, p)
-    inside = measurement.valid[here] & grid.above[here]
+    limit = float(result.config["fit"].get("theta_max", THETA_MAX))
+    inside = (measurement.valid & grid.above & within(grid, limit))[here]
     widest = LEAST_RATIO
     models = [m for m in (result.model, _without_loss(result.model)) if m is not None]
     for model, line in zip(models, ("-", "--"), strict=False):

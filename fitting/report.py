@@ -123,7 +123,8 @@ def print_result(console: Console, result: Result) -> None:
     e = m.effects
     console.print(
         f"two-scale, {in_words_of(e)}, diffraction by {e.diffraction}, energy split {e.split}, "
-        f"grazing exponent {m.grazing_exponent:.3f} ({e.acquisition})"
+        f"grazing exponent {m.grazing_exponent:.3f}, of diffracted light {number(m.grazing_exponent_diffracted, 3)} "
+        f"({e.acquisition})"
     )
     console.print(parameter_table(result, console.width))
     console.print(f"{f.status}: {f.message}")

@@ -1,5 +1,6 @@
 """The posterior of a fit that is already in a file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -43,7 +44,8 @@ def resample(
     samples = weighted_samples(
         measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
     )
-    layout, chain = config.layout_of(result.model.effects.kind), chain_of(path)
+    layout = replace(config.layout_of(result.model.effects.kind), effects=result.model.effects)  # as it was carried on
+    chain = chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
     normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))
     offset = float("nan") if result.fit.relative_offset is None else result.fit.relative_offset

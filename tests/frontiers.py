@@ -7,7 +7,7 @@ from merlfit.fitting import calibration, run, synthesis, tiers
 from merlfit.fitting.choice import POINTS
 from merlfit.fitting.config import load
 from merlfit.fitting.export import versions
-from merlfit.fitting.frontier import Frontier, Point, Spread, Tier
+from merlfit.fitting.frontier import OBJECTIVE, Frontier, Point, Spread, Tier
 from merlfit.fitting.threads import machine
 from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import Measurement
@@ -33,8 +33,8 @@ def invented():
         for name in tiers.TIERS
     ]  # fmt: skip
     return Frontier(
-        data="invented materials", directions="invented", materials=["a"], machine=machine(), taken="2026-11-22",
-        versions=versions(), tiers=listed, points=points,
+        objective=OBJECTIVE, data="invented materials", directions="invented", materials=["a"],
+        machine=machine(), taken="2026-11-22", versions=versions(), tiers=listed, points=points,
     )  # fmt: skip
 
 
