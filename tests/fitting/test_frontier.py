@@ -163,14 +163,23 @@ def test_this_machines_calibration_goes_before_the_shipped_one(monkeypatch, tmp_
     path = frontier.keep(made, tmp_path / "cache")
     assert frontier.load()[0] == made
     assert "this machine" in frontier.load()[1]
-    others = {"points": made.points[1:], "versions": {"jax": "0"}, "machine": "640 cores"}
+    others = {"points": made.points[1:], "versions": {"jax": "0"}, "machine": "640 cores", "objective": 1}
     for key, value in others.items():
         frontier.keep(made.model_copy(update={key: value}), tmp_path / "cache")
         assert frontier.load()[0] == frontier.shipped()
-        assert "of other versions; `merlfit cost` calibrates" in frontier.load()[1]
+        assert "is of another machine or of other versions; " in frontier.load()[1]
+        assert frontier.load()[1].endswith("`merlfit cost` calibrates this one")
     path.write_text("{}")
     assert frontier.load()[0] == frontier.shipped()
     assert "cannot be read" in frontier.load()[1]
+
+
+def test_a_calibration_of_another_objective_is_a_rough_guide(monkeypatch, tmp_path, made):
+    monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path))
+    for objective, said in ((frontier.OBJECTIVE, False), (frontier.OBJECTIVE - 1, True)):
+        other = made.model_copy(update={"objective": objective})
+        monkeypatch.setattr(frontier, "shipped", lambda other=other: other)
+        assert ("rough guide" in frontier.load()[1]) == said
 
 
 def test_a_fit_that_came_to_nothing_is_kept_as_infinitely_wrong(made, tmp_path):

@@ -1,0 +1,75 @@
+"""What a result says of itself: at which bound it is, and what a user of its parameters should know."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from merlfit.fitting.config import load
+from merlfit.fitting.export import Candidate
+from merlfit.fitting.levenberg_marquardt import Solution, Status
+from merlfit.fitting.metrics import Errors
+from merlfit.fitting.outcome import METAL_FLOOR, POOR, Fitted, cautions
+from merlfit.fitting.selection import ALIKE, MARGIN
+from merlfit.fitting.transforms import layout_of
+from merlfit.model.effects import Effects
+
+LAYOUT = layout_of(Effects("lambert", index="complex", acquisition="free"))
+VALUES = {
+    "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
+    "grazing_exponent_diffracted": 0.2, "n": np.full(3, 1.5), "k": np.full(3, 3.0), "albedo": np.full(3, 0.01),
+}  # fmt: skip
+GOOD = Errors(0.01, 0.02, 0.01, 0.01, 1.0, 0.5)
+
+
+def fitted(values=VALUES, cost=0.01, candidates=(), errors=GOOD, converged=True):
+    """A fit of well determined parameters."""
+    z = LAYOUT.free(values)
+    normal = np.tile(np.diag([*np.full(len(z), 10 * cost), cost / 3]), (3, 1, 1))
+    return Fitted(LAYOUT, Solution(z, cost, normal, 9, 1e-4, converged), 100.0, errors, list(candidates))
+
+
+def said(one, **given):
+    return " ".join(cautions(one, load(**given)))
+
+
+def test_a_good_fit_needs_no_caution():
+    assert fitted().status is Status.CONVERGED
+    assert said(fitted()) == ""
+
+
+@pytest.mark.parametrize(("one", "words"), [
+    (fitted(cost=1.1 * POOR), ["does not describe this file well", "6% of its weighted energy"]),
+    (fitted({**VALUES, "sigma_s": 0.3}), ["sigma_s is more than half a wavelength"]),
+    (fitted({**VALUES, "albedo": np.array([0.0, 2 * METAL_FLOOR, 0.0])}), ["no metal", "effective values"]),
+    (fitted({**VALUES, "p": 0.2}), ["at a bound", "p (lower)"]),
+    (fitted(errors=replace(GOOD, highlight=0.3)), ["0.3 times the file's brightness", "--weights adaptive"]),
+    (fitted(converged=False), ["still falling"]),
+])  # fmt: skip
+def test_what_is_doubtful_is_said(one, words):
+    assert all(word in said(one) for word in words), said(one)
+    assert len(cautions(one, load())) == 1
+
+
+def test_a_lost_highlight_is_no_reason_to_advise_what_was_done():
+    assert "no exponent" in said(fitted(errors=replace(GOOD, highlight=3.0)), weights="adaptive")
+
+
+def test_an_albedo_is_at_no_bound():
+    """Its odds never reach one: a floor of nearly nothing is a value like others."""
+    one = fitted({**VALUES, "albedo": np.full(3, 1e-5)})
+    assert set(one.at_bound) == {"no"}
+    assert np.all(np.isfinite(one.standard_errors))
+
+
+def test_other_kinds_are_named_by_the_rule_that_chooses():
+    """By score, and only if neither of their errors is noticeably larger."""
+    kinds = [("complex", "lambert"), ("complex", "none"), ("real", "lambert"), ("real", "plastic")]
+    figures = [(0.01, 0.02, 0.0), (0.0101, 0.0201, 0.9 * ALIKE), (0.0099, 0.0199, 1.1 * ALIKE)]
+    figures.append((0.01 * 1.1 * MARGIN, 0.02, 0.5 * ALIKE))
+    candidates = [
+        Candidate(index=index, body=body, cost=j, objective=j, cube_root=e, score=score)
+        for (index, body), (j, e, score) in zip(kinds, figures, strict=True)
+    ]
+    words = said(fitted(candidates=candidates))
+    assert "complex none (+5.4)" in words
+    assert words.count("(") == 2, "neither the one too far by score nor that with the larger error"
