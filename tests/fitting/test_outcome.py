@@ -22,9 +22,9 @@ GOOD = Errors(0.01, 0.02, 0.01, 0.01, 1.0, 0.5)
 
 
 def fitted(values=VALUES, cost=0.01, candidates=(), errors=GOOD, converged=True):
-    """A fit of well determined parameters."""
+    """A fit of parameters that the data determine a little better than the prior does."""
     z = LAYOUT.free(values)
-    normal = np.tile(np.diag([*np.full(len(z), 10 * cost), cost / 3]), (3, 1, 1))
+    normal = np.tile(np.diag([*np.full(len(z), 0.1 * cost), cost / 3]), (3, 1, 1))
     return Fitted(LAYOUT, Solution(z, cost, normal, 9, 1e-4, converged), 100.0, errors, list(candidates))
 
 
@@ -41,7 +41,7 @@ def test_a_good_fit_needs_no_caution():
     (fitted(cost=1.1 * POOR), ["does not describe this file well", "6% of its weighted energy"]),
     (fitted({**VALUES, "sigma_s": 0.3}), ["sigma_s is more than half a wavelength"]),
     (fitted({**VALUES, "albedo": np.array([0.0, 2 * METAL_FLOOR, 0.0])}), ["no metal", "effective values"]),
-    (fitted({**VALUES, "p": 0.2}), ["at a bound", "p (lower)"]),
+    (fitted({**VALUES, "p": 0.2005}), ["at a bound", "p (lower)"]),
     (fitted(errors=replace(GOOD, highlight=0.3)), ["0.3 times the file's brightness", "--weights adaptive"]),
     (fitted(converged=False), ["still falling"]),
 ])  # fmt: skip
