@@ -250,9 +250,8 @@ def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Mea
         axis.axhline(1.0, color="gray", linewidth=0.8)
         widest = min(widest, MOST_RATIO)
         axis.set(yscale="log", ylim=(1 / widest, widest))
-        ticks = {1 / x: f"1/{x:g}" for x in RATIO_TICKS if x < widest} | {
-            x: f"{x:g}" for x in RATIO_TICKS if x < widest
-        }
+        shown = [x for x in RATIO_TICKS if widest**0.1 < x < widest]  # neither beyond the axis nor upon each other
+        ticks = {1 / x: f"1/{x:g}" for x in shown} | {x: f"{x:g}" for x in shown}
         axis.set_yticks([1.0, *ticks], ["1", *ticks.values()])
         axis.set_yticks([], minor=True)
         axis.grid(alpha=0.2)
