@@ -288,19 +288,6 @@ def test_short_steps_before_a_wall_are_no_convergence(edge, converged):
     np.testing.assert_allclose(found.z[0], min(edge, 5.0), rtol=2e-2)  # the prior
 
 
-def test_a_dark_albedo_is_not_at_a_bound_and_an_open_one_is(coarse):
-    problem = coarse[1]
-    layout = layout_of(Effects("lambert", "off"))
-    z = layout.free({"beta": 0.1, "p": 1.0, "eta": np.full(3, 1.5), "albedo": np.array([0.005, 0.005, 0.2])})
-    normal = np.zeros((3, 9, 9))
-    normal[:, 8, 8] = 1.0
-    normal[:, 5, 5] = 1e3  # the first albedo is well determined, the second is not
-    solution = dataclasses.replace(solve(layout, z, problem, 1), z=z, normal=normal, cost=0.3, converged=True)
-    fitted = Fitted(layout, solution, 60.0, Errors(*(0.0,) * 6), [])
-    assert fitted.at_bound == ["no"] * 6 + ["lower", "no"]
-    assert fitted.status is Status.AT_BOUND
-
-
 def test_statuses_are_sentences_that_say_what_to_do():
     for status in Status:
         assert len(status.value.split()) > 5

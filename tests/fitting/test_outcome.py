@@ -54,6 +54,14 @@ def test_a_lost_highlight_is_no_reason_to_advise_what_was_done():
     assert "no exponent" in said(fitted(errors=replace(GOOD, highlight=3.0)), weights="adaptive")
 
 
+def test_what_is_well_determined_beside_a_bound_is_not_at_it():
+    one = fitted({**VALUES, "p": 0.2005})
+    sharp = replace(
+        one.solution, normal=one.solution.normal * np.where(np.arange(one.layout.size + 1) < one.layout.size, 1e7, 1.0)
+    )
+    assert set(Fitted(LAYOUT, sharp, 100.0, GOOD, []).at_bound) == {"no"}
+
+
 def test_an_albedo_is_at_no_bound():
     """Its odds never reach one: a floor of nearly nothing is a value like others."""
     one = fitted({**VALUES, "albedo": np.full(3, 1e-5)})
