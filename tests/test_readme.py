@@ -47,9 +47,3 @@ def test_a_command_that_fails_is_named(tmp_path):
     text = "    merlfit check missing.binary  # fast\n    merlfit materials   # slow\n"
     failed = readme_commands.run(tmp_path, Path(sys.executable).parent, quick=True, text=text)
     assert failed == ["merlfit check missing.binary: exit code 2"]
-
-
-@pytest.mark.slow
-def test_the_readme_runs_from_top_to_bottom_in_a_fresh_folder(tmp_path):
-    assert readme_commands.run(tmp_path, Path(sys.executable).parent, quick=True) == []
-    assert (tmp_path / "fits" / "nickel.corner.png").is_file()
