@@ -33,7 +33,7 @@ def use_persistent_cache() -> Path:
     folder = cache / "xla"
     tables.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small ones take 15 s together
     _tell_of_compilation(folder)
     _mend(folder)
     return folder

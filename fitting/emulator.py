@@ -36,12 +36,14 @@ def coordinates_of(layout: Layout, z: np.ndarray) -> list[np.ndarray]:
     return found
 
 
+@jax.jit
 def _tail(x: Array) -> Array:
     """Monomials up to degree two, (N, 1 + d + d (d + 1) / 2)."""
     pairs = [x[:, i] * x[:, j] for i, j in combinations_with_replacement(range(x.shape[1]), 2)]
     return jnp.stack([jnp.ones(len(x)), *x.T, *pairs], 1)
 
 
+@jax.jit
 def _kernel(x: Array, centres: Array) -> Array:
     """Cubes of distances, (N, M)."""
     squares = jnp.sum(x * x, 1)[:, None] + jnp.sum(centres * centres, 1) - 2 * x @ centres.T

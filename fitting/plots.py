@@ -1,6 +1,7 @@
 """Pictures of a fit: its lobes beside the file's, and the corner plot of the posterior. They return figures."""
 
 import textwrap
+from functools import partial
 from pathlib import Path
 
 import corner
@@ -8,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -18,6 +20,7 @@ from scipy.interpolate import RegularGridInterpolator
 from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement
 from ..merl_io.grid import MerlGrid, merl_grid
+from ..model.effects import Effects
 from ..model.geometry import Geometry
 from ..model.two_scale import two_scale
 from .export import Model, ParameterResult, Result
@@ -72,8 +75,21 @@ def measured_lobe(
 
 def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray) -> np.ndarray:
     """What the apparatus would have measured of the fitted material, (3, N)."""
-    geometry = Geometry.from_vectors(i, o)
-    return np.asarray(two_scale(values, geometry, model.effects, model.wavelengths_um))
+    return _brdf(model, values, Geometry.from_vectors(i, o))
+
+
+def _brdf(model: Model, values: dict, geometry: Geometry) -> np.ndarray:
+    return np.asarray(_compiled(model.effects, values, geometry, jnp.asarray(model.wavelengths_um)))
+
+
+@partial(jax.jit, static_argnums=0)
+def _compiled(effects: Effects, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+    return two_scale(values, geometry, effects, wavelengths_um)
+
+
+@partial(jax.jit, static_argnums=0)
+def _compiled_of_many(effects: Effects, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+    return jax.lax.map(lambda v: two_scale(v, geometry, effects, wavelengths_um), values)
 
 
 def chain_file(result: Result, folder: Path) -> dict[str, np.ndarray]:
@@ -106,8 +122,8 @@ def band(result: Result, chain: dict[str, np.ndarray], i: np.ndarray, o: np.ndar
     drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
     values = [result.values(chain["values"][k]) for k in drawn]
     stacked = {name: jnp.asarray([each[name] for each in values]) for name in values[0]}
-    geometry, effects, wavelengths = Geometry.from_vectors(i, o), result.model.effects, result.model.wavelengths_um
-    lobes = jax.jit(lambda all_: jax.lax.map(lambda v: two_scale(v, geometry, effects, wavelengths), all_))(stacked)
+    geometry, wavelengths = Geometry.from_vectors(i, o), jnp.asarray(result.model.wavelengths_um)
+    lobes = _compiled_of_many(result.model.effects, stacked, geometry, wavelengths)
     return np.quantile(np.asarray(lobes), [0.05, 0.95], axis=0)
 
 
@@ -214,7 +230,7 @@ def _peak(axis: Axes, result: Result, measurement: Measurement) -> None:
 def _predicted(model: Model, values: dict, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> np.ndarray:
     """The fit's BRDF by half and difference angles, (3, ...)."""
     geometry = Geometry.from_half_difference(jnp.asarray(theta_h), jnp.asarray(theta_d), jnp.asarray(phi_d))
-    return np.asarray(two_scale(values, geometry, model.effects, model.wavelengths_um))
+    return _brdf(model, values, geometry)
 
 
 def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Measurement) -> None:
