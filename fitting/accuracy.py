@@ -29,7 +29,7 @@ from .outcome import Fitted
 from .problem import Problem, make_problem
 from .request import Request, needed, usable
 from .residuals import normal_equations, predict
-from .run import GRIDS, judge
+from .run import GRIDS, assess
 from .transforms import Layout
 
 Model = tuple[Layout, np.ndarray]  # and its free coordinates
@@ -78,7 +78,7 @@ def reference_problem(samples: Samples) -> Problem:
     return make_problem(samples, REFERENCE.azimuths, REFERENCE.precision)
 
 
-def carry_on(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
+def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
     layout = settings.layout_of(model[0].effects.kind)
     problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
@@ -121,7 +121,7 @@ class Aim:
         return self.config.model_copy(update={**free, "effects": effects}) == Config()
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """What was asked, what is chosen for it, and what to expect."""
         asked, point = self.request, self.point
         longest = needed(point, asked.has_time_to_estimate(point))
@@ -149,30 +149,30 @@ class Aim:
         """The error that a fit is estimated to have, and the fit carried on until it is what was asked for."""
         if not self.request.has_time_to_estimate(self.point):
             only = _Try(self.point.choice.applied(self.config), fitted.layout, fitted.solution, np.inf)
-            return fitted, self._told([only], only)
+            return fitted, self._summary([only], only)
         problem, wanted = reference_problem(samples), self.request.accuracy
-        best = self._judged(self.point.choice, (fitted.layout, fitted.solution), problem)
+        best = self._assessed(self.point.choice, (fitted.layout, fitted.solution), problem)
         tried = [best]
         for choice in self.finer:
             if wanted is None or best.error <= wanted:
                 break
-            found = carry_on((best.layout, best.solution.z), choice.settings(self.config), samples)
-            tried.append(self._judged(choice, found, problem))
+            found = resume_fit((best.layout, best.solution.z), choice.settings(self.config), samples)
+            tried.append(self._assessed(choice, found, problem))
             best = min(tried, key=lambda t: t.error)
         if best.solution is not fitted.solution:
             fitted = replace(
-                judge(best.layout, best.solution, measurement, samples, self.config.fit.theta_max),
+                assess(best.layout, best.solution, measurement, samples, self.config.fit.theta_max),
                 candidates=fitted.candidates,
                 bend=fitted.bend,
             )
-        return fitted, self._told(tried, best)
+        return fitted, self._summary(tried, best)
 
-    def _judged(self, choice: Choice, found: tuple[Layout, Solution], problem: Problem) -> _Try:
+    def _assessed(self, choice: Choice, found: tuple[Layout, Solution], problem: Problem) -> _Try:
         layout, solution = found
         error, floor = estimate((layout, solution.z), problem, self.config), self.point.astray
         return _Try(choice.applied(self.config), layout, solution, max(error, floor), floor > error)
 
-    def _told(self, tried: list[_Try], best: _Try) -> export.Accuracy:
+    def _summary(self, tried: list[_Try], best: _Try) -> export.Accuracy:
         asked, point = self.request.accuracy, self.point
         return export.Accuracy(
             asked=asked, asked_seconds=self.request.seconds, calibration=self.calibration,

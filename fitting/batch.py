@@ -160,7 +160,7 @@ def _stack(problems: Sequence[Problem]) -> Problem:
 def _equations(layout: Layout, z: Array, stacked: Problem) -> Array:
     """Normal equations of all materials, (M, C, P+1, P+1)."""
     by_material: Any = Part(directions=None, root=0, target=0)  # type: ignore
-    mapped = jax.vmap(partial(_normal_equations, layout.effects), in_axes=(0, by_material))
+    mapped = jax.vmap(partial(_normal_equations, layout.model), in_axes=(0, by_material))
     values, slopes = jax.vmap(layout.values_and_slopes)(z)
     compact = reduce(add, side_by_side(lambda part: mapped(values, part), stacked.parts))
     return jax.vmap(partial(spread_out, layout))(slopes, compact, stacked.rest)

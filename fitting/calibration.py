@@ -20,15 +20,14 @@ import numpy as np
 from ..merl_io.binary import Measurement, write
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples
-from ..model.effects import KINDS, Effects
-from ..model.parameters import parameters
-from .accuracy import carry_on, distance, estimate, reference_problem
+from ..model.two_scale import KINDS, TwoScale
+from .accuracy import resume_fit, distance, estimate, reference_problem
 from .choice import REFERENCE, Choice
 from .config import Config, load
 from .outcome import Fitted
 from .problem import Problem, directions
 from .residuals import predict
-from .run import fit_file, judge
+from .run import fit_file, assess
 from .synthesis import from_published
 
 PLAUSIBLE = {
@@ -52,13 +51,13 @@ COMPILATION = "/jax/core/compile/backend_compile_duration"
 ATTEMPTS = 3  # fits that may compile something
 
 
-def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[Effects, dict[str, jax.Array]]:
-    """Effects and parameters of a random material."""
+def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[TwoScale, dict[str, jax.Array]]:
+    """TwoScale and parameters of a random material."""
     rng = rng or _generator(seed)
     index, body = KINDS[seed % len(KINDS)]
-    effects = Effects(body, index=index, acquisition="free")
+    effects = TwoScale(body, index=index, acquisition="free")
     values = {}
-    for q in parameters(effects):
+    for q in effects.parameters:
         low, high = PLAUSIBLE[q.name]
         values[q.name] = jnp.asarray(low * (high / low) ** rng.uniform(size=3 if q.per_channel else ()))
     return effects, values
@@ -119,8 +118,8 @@ class _Probe:
         error = estimate((fitted.layout, fitted.solution.z), problem, self.config)
         seconds, further = time.perf_counter() - start, None
         if self.choice == REFERENCE:
-            found = carry_on((fitted.layout, fitted.solution.z), self.choice.settings(self.config), samples)
-            further = judge(*found, measurement, samples)
+            found = resume_fit((fitted.layout, fitted.solution.z), self.choice.settings(self.config), samples)
+            further = assess(*found, measurement, samples)
         self.seen = _Seen(fitted, problem, error, seconds, further)
         return fitted, None
 

@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from ..model.effects import Diffraction
+from ..model.two_scale import Diffraction
 from .config import Config
 from .problem import Precision
 
@@ -99,7 +99,7 @@ and the least accurate (``docs/cost.md`` has both, evaluated). What a fit's coar
 choice (``run.COARSE``)."""
 REFERENCE = POINTS[-1]
 """The finest; the reference of a calibration is where it comes to if its last steps are taken once more
-(`accuracy.carry_on`)."""
+(`accuracy.resume_fit`)."""
 
 
 def default_choice() -> Choice:

@@ -195,6 +195,14 @@ def materials() -> None:
     console.print(describe_sources(), soft_wrap=True)
 
 
+@app.command(epilog="Example: merlfit models")
+def models() -> None:
+    """List the reflectance models: their parameters, and where they are from."""
+    from .report import models_table
+
+    console.print(models_table())
+
+
 @app.command(epilog="Example: merlfit inspect fits/nickel.json")
 def inspect(
     result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],

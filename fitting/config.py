@@ -4,6 +4,7 @@ import difflib
 import importlib.util
 import os
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,19 +13,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import ErrorDetails
 
 from ..model.acquisition import Apparatus
-from ..model.effects import (
+from ..model.parameters import PRIORS, LogNormal, Priors
+from ..model.two_scale import (
     KINDS,
     PRESETS,
     Acquisition,
     Colour,
     Diffraction,
-    Effects,
     Fresnel,
     Kind,
     Masking,
     Split,
+    TwoScale,
 )
-from ..model.parameters import PRIORS, LogNormal, Priors
 from .levenberg_marquardt import Backend
 from .problem import AZIMUTHS, Precision
 from .transforms import Layout, layout_of
@@ -40,25 +41,25 @@ class _Section(BaseModel):
 
 
 class EffectsSection(_Section):
-    """[effects]: which effects are simulated, as :class:`merlfit.model.effects.Effects` describes them.
+    """[effects]: which effects are simulated, as :class:`merlfit.model.two_scale.TwoScale` describes them.
 
     Attributes:
-        preset: effects by name (``merlfit.model.effects.PRESETS``); keys given beside it replace its own.
-        index, body: ``auto`` compares those of ``model.effects.KINDS`` that agree with what is given here.
+        preset: effects by name (``merlfit.model.two_scale.PRESETS``); keys given beside it replace its own.
+        index, body: ``auto`` compares those of ``model.two_scale.KINDS`` that agree with what is given here.
         acquisition: MERL's loss at grazing angles; unlike a material, a fit has it by default.
     """
 
     preset: Literal["hp17", "conserving", "microfacet", "preview", "fast"] = "hp17"
     index: Literal["auto", "complex", "real"] = "auto"
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
-    diffraction: Diffraction = Effects.diffraction
-    order: Annotated[int, Field(ge=6, le=256)] = Effects.order
-    zonal_order: Annotated[int, Field(ge=1, le=1000)] = Effects.zonal_order
-    fresnel: Fresnel = Effects.fresnel
-    masking: Masking = Effects.masking
-    renormalised: bool = Effects.renormalised
-    split: Split = Effects.split
-    colour: Colour = Effects.colour
+    diffraction: Diffraction = TwoScale.diffraction
+    order: Annotated[int, Field(ge=6, le=256)] = TwoScale.order
+    zonal_order: Annotated[int, Field(ge=1, le=1000)] = TwoScale.zonal_order
+    fresnel: Fresnel = TwoScale.fresnel
+    masking: Masking = TwoScale.masking
+    renormalised: bool = TwoScale.renormalised
+    split: Split = TwoScale.split
+    colour: Colour = TwoScale.colour
     acquisition: Acquisition | Annotated[float, Field(ge=0, le=1)] = "free"
 
     @model_validator(mode="before")
@@ -188,17 +189,17 @@ class Config(_Section):
         """Interfaces and bodies to compare, the simplest first."""
         given = self.effects.index, self.effects.body
         found = [kind for kind in KINDS if all(g in ("auto", k) for g, k in zip(given, kind, strict=True))]
-        return found or [("real", "none")]  # the only other one that `Effects` allows
+        return found or [("real", "none")]  # the only other one that `TwoScale` allows
 
     @property
     def rungs(self) -> tuple[Bend, ...]:
         """Weights of the last grid, one after the other."""
         return RUNGS[self.fit.weights]
 
-    def effects_of(self, kind: Kind) -> Effects:
+    def effects_of(self, kind: Kind) -> TwoScale:
         """The effects to fit with one interface and body."""
         chosen = self.effects.model_copy(update=dict(zip(("index", "body"), kind, strict=True)))
-        return Effects(**chosen.model_dump(exclude={"preset"}), apparatus=Apparatus(**self.apparatus.model_dump()))
+        return TwoScale(**chosen.model_dump(exclude={"preset"}), apparatus=Apparatus(**self.apparatus.model_dump()))
 
     def layout_of(self, kind: Kind) -> Layout:
         """The parameters to fit with one interface and body, in the coordinates that the priors make."""
@@ -207,7 +208,7 @@ class Config(_Section):
 
 
 def load(
-    path: str | os.PathLike[str] | None = None,
+    path: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     *,
     preset: str | None = None,
     index: str | None = None,
@@ -216,7 +217,7 @@ def load(
     posterior: bool | None = None,
     seed: int | None = None,
 ) -> Config:
-    """Settings of a TOML file, or the defaults; keys left out keep their defaults.
+    """Settings of a TOML file or of a mapping like it, or the defaults; keys left out keep their defaults.
 
     What is given beside the file, by the command line, replaces the file's own: a preset its ``effects.preset``, while
     keys that stand beside that in the file go on replacing those of the preset.
@@ -224,7 +225,7 @@ def load(
     Raises:
         ConfigError: missing file, bad TOML, unknown key (the nearest known one is named), value out of range.
     """
-    data = {} if path is None else _read(Path(path))
+    data = _copied(path) if isinstance(path, Mapping) else {} if path is None else _read(Path(path))
     given = {
         ("effects", "preset"): preset, ("effects", "index"): index, ("effects", "body"): body,
         ("fit", "weights"): weights, ("posterior", "enabled"): posterior,
@@ -234,7 +235,11 @@ def load(
             data[section][key] = value
     if seed is not None:
         data["seed"] = seed
-    return parse(data, "command line" if path is None else str(path))
+    return parse(data, "command line" if path is None else "settings" if isinstance(path, Mapping) else str(path))
+
+
+def _copied(data: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -33,7 +33,7 @@ def _predicted(layout: Layout, points: Array, part: Part) -> Array:
 
     Not to be made float64 in here: jaxlib 0.10 then compiles wrong sums for a CPU (`tests/fitting/test_likelihood.py`).
     """
-    return jax.vmap(lambda z: weighted_prediction(layout.effects, layout.values(z), part).ravel())(points)
+    return jax.vmap(lambda z: weighted_prediction(layout.model, layout.values(z), part).ravel())(points)
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,15 @@ from rich.table import Table
 from scipy.ndimage import gaussian_filter
 
 from ..merl_io.binary import write
-from ..model.effects import Effects
 from ..model.parameters import CHANNELS
-from ..model.two_scale import two_scale
+from ..model.two_scale import TwoScale, two_scale
 from .config import Config, parse
 from .export import Result
 from .report import interval, number
 from .synthesis import tabulate
 
 NAME = "synthetic-red-plastic"  # none of MERL's names: no measurement of that name is in the way
-EFFECTS = Effects("lambert", index="real")
+EFFECTS = TwoScale("lambert", index="real")
 TRUTH = {
     "beta": 0.06, "p": 0.9, "b": 2.0, "c": 2.2, "sigma_s": 0.04,
     "eta": np.array([1.50, 1.51, 1.52]), "albedo": np.array([0.45, 0.08, 0.06]),

@@ -20,8 +20,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from ..merl_io.atomic import write_atomically
 from ..model.acquisition import Apparatus
-from ..model.effects import ANY, BODIES, Effects
-from ..model.parameters import CHANNELS, parameters
+from ..model.parameters import CHANNELS
+from ..model.two_scale import ANY, BODIES, TwoScale
 from .choice import Choice
 
 SCHEMA_VERSION = "1.4"
@@ -86,7 +86,7 @@ class Model(_Part):
 
     name: Literal["two-scale"] = "two-scale"
     """Name of the model."""
-    effects: Effects
+    effects: TwoScale
     """Which physical effects it simulates."""
     grazing_exponent: float
     """Exponent of the specular light that the apparatus lost at grazing angles; 0 where no loss was simulated."""
@@ -488,7 +488,7 @@ def _expected_parameters(model: Model) -> list[tuple[str, str, str | None]]:
     """Name, parameter and channel of every number that these effects have."""
     return [
         (f"{q.name}_{channel}" if channel else q.name, q.name, channel)
-        for q in parameters(model.effects)
+        for q in model.effects.parameters
         for channel in (model.channels if q.per_channel else [None])
     ]
 
@@ -576,11 +576,11 @@ def _in_words(error: ValidationError) -> str:
 def schema() -> dict[str, Any]:
     """JSON Schema of a result; the package ships it as ``fitting/result.schema.json``."""
     found = Result.model_json_schema(mode="serialization")
-    told = _below_fields() | {kind.__name__: _attributes(kind) for kind in (Effects, Apparatus, Choice)}
+    told = _below_fields() | {kind.__name__: _attributes(kind) for kind in (TwoScale, Apparatus, Choice)}
     for kind, part in {**found["$defs"], Result.__name__: found}.items():
         for name, field in part["properties"].items():
             field["description"] = told[kind][name]
-    found["$defs"][Effects.__name__]["properties"]["body"]["enum"].remove(ANY)
+    found["$defs"][TwoScale.__name__]["properties"]["body"]["enum"].remove(ANY)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"merlfit/result-{SCHEMA_VERSION}",

@@ -52,7 +52,7 @@ def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim 
         chosen = aim(request(accuracy, within), settings)
     except ValueError as error:
         raise fail(str(error)) from None
-    console.print(chosen.told, soft_wrap=True)
+    console.print(chosen.summary, soft_wrap=True)
     return chosen
 
 

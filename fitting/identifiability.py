@@ -51,8 +51,8 @@ def priors(layout: Layout) -> list[export.Prior]:
         if q.name == "eta" and not name.endswith(f"_{middle}"):
             quantity, offset = "dispersion", 0.0
         uniform = q.scale == "linear" and q.quantity is None
-        given = None if uniform else getattr(layout.priors, quantity)
-        if q.name == "sigma_s" and not layout.effects.renormalised:
+        given = None if uniform else layout.priors.dispersion if quantity == "dispersion" else layout.log_normal(q)
+        if q.quantity == "sigma_rel" and q.name not in layout.model.conditional:
             quantity = q.name
         found.append(export.Prior(
             parameter=name, quantity=quantity, distribution="log-normal" if given else "uniform", offset=offset,

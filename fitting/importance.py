@@ -80,7 +80,7 @@ def correct(
     names: tuple[str, ...],
     progress: Callable[[int, int], None] = lambda done, most: None,
 ) -> Posterior:
-    """Weigh draws from the chain, as many as make `LEAST_SIZE` if that is possible, and judge all.
+    """Weigh draws from the chain, as many as make `LEAST_SIZE` if that is possible, and assess all.
 
     Args:
         log_few: log L of the chain at points (N, P). log_likelihood: on all bins, of a point (P,).

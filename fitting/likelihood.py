@@ -32,7 +32,7 @@ def log_likelihood(layout: Layout, z: np.ndarray, problem: Problem, count: float
     Args:
         count: effective sample count N. lowest: S at the fit.
     """
-    found = -count / 2 * float(jnp.sum(cost(layout.effects, layout.values(jnp.asarray(z)), problem))) / lowest
+    found = -count / 2 * float(jnp.sum(cost(layout.model, layout.values(jnp.asarray(z)), problem))) / lowest
     return found if np.isfinite(found) else -np.inf
 
 
@@ -68,11 +68,8 @@ def stand_in(layout: Layout, samples: Samples, solution: Solution, count: float)
     target + J a, a = (J^T J + S_0/N)^-1 (g - J^T r), g the gradient J^T r of all bins. So the noise of the few bins,
     which the others average out, does not move the maximum.
     """
-    quick = replace(layout.effects, order=min(ORDER, layout.effects.order))
-    if quick.diffraction in ("scaled", "zonal", "exact"):
-        quick = replace(quick, diffraction="quadrature", order=ORDER)
     least = solution.cost / count
-    rows = few_rows(replace(layout, effects=quick), samples, solution.z, least)
+    rows = few_rows(replace(layout, model=layout.model.stand_in(ORDER)), samples, solution.z, least)
     at, jacobian = rows.tangent(solution.z)
     lacking = solution.normal.sum(0)[:-1, -1] - jacobian.T @ (rows.target - at)
     moved = np.linalg.solve(jacobian.T @ jacobian + least * np.eye(len(solution.z)), lacking)

@@ -10,9 +10,9 @@ import numpy as np
 from ..merl_io.binary import OUTLIER, Measurement
 from ..merl_io.samples import Samples
 from ..model.derived import quantities
-from ..model.effects import Effects
 from ..model.parameters import WAVELENGTHS_UM
-from ..model.two_scale import grazing_exponent, grazing_exponent_diffracted
+from ..model.terms import grazing_exponent, grazing_exponent_diffracted
+from ..model.two_scale import TwoScale
 from . import export, metrics
 from .config import Config
 from .identifiability import identifiability
@@ -57,7 +57,7 @@ class Fitted:
     bend: Bend = BEND
 
     @property
-    def effects(self) -> Effects:
+    def effects(self) -> TwoScale:
         """What was fitted."""
         return self.layout.effects
 

@@ -20,9 +20,8 @@ from scipy.interpolate import RegularGridInterpolator
 from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement
 from ..merl_io.grid import MerlGrid, merl_grid
-from ..model.effects import Effects
 from ..model.geometry import Geometry
-from ..model.two_scale import two_scale
+from ..model.two_scale import TwoScale, two_scale
 from .export import Model, ParameterResult, Result
 from .report import in_words_of, number
 from .tables import UNSOUND
@@ -83,12 +82,12 @@ def _brdf(model: Model, values: dict, geometry: Geometry) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnums=0)
-def _compiled(effects: Effects, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+def _compiled(effects: TwoScale, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
     return two_scale(values, geometry, effects, wavelengths_um)
 
 
 @partial(jax.jit, static_argnums=0)
-def _compiled_of_many(effects: Effects, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+def _compiled_of_many(effects: TwoScale, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
     return jax.lax.map(lambda v: two_scale(v, geometry, effects, wavelengths_um), values)
 
 

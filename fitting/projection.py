@@ -22,9 +22,8 @@ import numpy as np
 from jax import Array
 
 from ..model import body as bodies
-from ..model import two_scale
-from ..model.effects import Effects
 from ..model.fresnel import fresnel, schlick
+from ..model.two_scale import TwoScale
 from .problem import Part, Problem
 from .residuals import _evaluate, _weigh, with_tables
 
@@ -54,7 +53,7 @@ class Sums(NamedTuple):
 
 
 def project(
-    kinds: Sequence[Effects], shared: Mapping[str, np.ndarray], problem: Problem, over: Callable[..., Iterable] = map
+    kinds: Sequence[TwoScale], shared: Mapping[str, np.ndarray], problem: Problem, over: Callable[..., Iterable] = map
 ) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Costs, about, and values of all parameters with the best of the optical constants that are tried.
 
@@ -90,7 +89,7 @@ def _added(parts: Sequence[T]) -> T:
     return jax.tree.map(lambda *x: np.sum(x, 0), *parts)
 
 
-def _project(effects: Effects, problem: Problem, sums: Sums) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _project(effects: TwoScale, problem: Problem, sums: Sums) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Of one kind and batch, and only what is per channel."""
     squares, products, energy = sums[:3]
     cos_d = tuple(np.cos(np.asarray(problem.parts[0].directions.geometry.theta_d[0, 0, :, 0])).tolist())
@@ -113,7 +112,7 @@ def _project(effects: Effects, problem: Problem, sums: Sums) -> tuple[np.ndarray
 
 
 @cache
-def _reflectances(effects: Effects, tried: tuple[tuple[float, float], ...], cos_d: tuple[float, ...]) -> np.ndarray:
+def _reflectances(effects: TwoScale, tried: tuple[tuple[float, float], ...], cos_d: tuple[float, ...]) -> np.ndarray:
     """F of every index that is tried at every theta_d."""
     n, k = np.array(tried).T[:, :, None]
     return np.asarray(jax.jit(fresnel if effects.fresnel == "exact" else schlick)(np.array(cos_d), n, k))
@@ -149,7 +148,7 @@ def _under(names: tuple[str, ...], part: Part) -> tuple[Bodies, Bodies]:
 
 
 @partial(jax.jit, static_argnums=0)
-def _sums(mirror: Effects, shared: Mapping[str, Array], part: Part, under: Bodies) -> tuple[Array, Array, Bodies]:
+def _sums(mirror: TwoScale, shared: Mapping[str, Array], part: Part, under: Bodies) -> tuple[Array, Array, Bodies]:
     """|RT|^2, q.RT and RT.RB of one part, for all candidates."""
 
     def of_one(shared: Mapping[str, Array]) -> tuple[Array, Array, Bodies]:
@@ -157,8 +156,7 @@ def _sums(mirror: Effects, shared: Mapping[str, Array], part: Part, under: Bodie
 
         def block(given: tuple[Part, Bodies]) -> tuple[Array, Array, Bodies]:
             b, below = given
-            s, at, _ = _evaluate(mirror, values, b.directions)
-            lobes = _weigh(b.root, two_scale.assemble(at, s))  # (C, h, D, K)
+            lobes = _weigh(b.root, _evaluate(mirror, values, b.directions))  # (C, h, D, K)
             crossed = {name: jnp.einsum("chdk,chdkea->cead", lobes, x) for name, x in below.items()}
             return jnp.sum(lobes**2, (1, 3)), jnp.sum(lobes * b.target, (1, 3)), crossed
 

@@ -11,7 +11,8 @@ from rich.table import Table
 
 from ..merl_io.binary import BRIGHTEST, DIMS, OUTLIER
 from ..merl_io.check import FileReport
-from ..model.effects import Effects
+from ..model.registry import models
+from ..model.two_scale import KINDS, TwoScale
 from .export import Accuracy, DerivedResult, ParameterResult, Result
 from .identifiability import in_words
 
@@ -83,6 +84,25 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
+def models_table() -> Table:
+    """What `merlfit models` prints."""
+    table = Table(
+        title="reflectance models; RGB: one value per channel. `merlfit fit` fits the two-scale model, in the variants "
+        "that --body and --index name; the others are fitted from Python (docs/architecture.md)",
+        title_justify="left", box=box.SIMPLE_HEAD,
+    )  # fmt: skip
+    for head in ("model", "parameter", "unit", "meaning"):
+        table.add_column(head, overflow="fold", min_width=9 if head == "parameter" else None)
+    for name, kind in models().items():
+        variants = [TwoScale(body, index=index) for index, body in KINDS] if kind is TwoScale else [kind()]
+        declared = {q.name: q for model in variants for q in model.parameters}
+        table.add_row(name, "", "", kind.citation)
+        for q in declared.values():
+            unit = "-" if q.unit == "1" else q.unit
+            table.add_row("", f"{q.name} (RGB)" if q.per_channel else q.name, unit, q.meaning)
+    return table
+
+
 def interval(q: ParameterResult | DerivedResult) -> str:
     """The 90 % interval, or the reason why there is none."""
     if q.quantiles is None:
@@ -90,7 +110,7 @@ def interval(q: ParameterResult | DerivedResult) -> str:
     return f"{number(q.quantiles.q05)} .. {number(q.quantiles.q95)}"
 
 
-def in_words_of(effects: Effects) -> str:
+def in_words_of(effects: TwoScale) -> str:
     """Interface and body."""
     interface = "conductor" if effects.index == "complex" else "dielectric"
     return interface if effects.body == "none" else f"{interface} over {effects.body}"

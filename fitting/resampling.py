@@ -14,7 +14,7 @@ from .levenberg_marquardt import Solution
 from .outcome import posterior_parts
 from .problem import make_problem
 from .residuals import normal_equations
-from .run import chain_of, judge
+from .run import chain_of, assess
 from .sampling import sample
 from .weights import weighted_samples
 
@@ -44,13 +44,13 @@ def resample(
     samples = weighted_samples(
         measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
     )
-    layout = replace(config.layout_of(result.model.effects.kind), effects=result.model.effects)  # as it was carried on
+    layout = replace(config.layout_of(result.model.effects.kind), model=result.model.effects)  # as it was carried on
     chain = chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
     normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))
     offset = float("nan") if result.fit.relative_offset is None else result.fit.relative_offset
     solution = Solution(z, float(normal[:, -1, -1].sum()), normal, result.fit.steps, offset, converged=True)
-    fitted = judge(layout, solution, measurement, samples, config.fit.theta_max)
+    fitted = assess(layout, solution, measurement, samples, config.fit.theta_max)
     with clock.stage("posterior"):
         steps = config.posterior.max_steps if max_steps is None else max_steps
         sampled = sample(fitted, samples, steps, result.seed, chain, chain.is_file(), report)

@@ -15,10 +15,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from ..model import two_scale
-from ..model.effects import Effects
-from ..model.parameters import WAVELENGTHS_UM, parameters
-from ..model.two_scale import Factor, Setting, Values
+from ..model import reflectance
+from ..model.parameters import WAVELENGTHS_UM
+from ..model.reflectance import Reflectance, Setting, reads
 from .problem import Directions, Part, Problem, shares
 from .threads import side_by_side
 from .transforms import Layout
@@ -27,49 +26,46 @@ Numbers = np.ndarray | Array
 T = TypeVar("T")
 
 
-def predict(effects: Effects, values: Mapping[str, Array], where: Directions) -> np.ndarray:
+def predict(model: Reflectance, values: Mapping[str, Array], where: Directions) -> np.ndarray:
     """What the apparatus would have measured, (C, H, D, K)."""
-    parts, given = shares(where, where.log_base.size), two_scale.generalised(effects, values)
-    found = side_by_side(lambda part: np.asarray(_predict(effects.general, given, part)), parts)
+    parts, given = shares(where, where.log_base.size), model.generalised(values)
+    found = side_by_side(lambda part: np.asarray(_predict(model.general, given, part)), parts)
     blocks = np.moveaxis(np.concatenate(found), 1, 0)
     return blocks.reshape(len(blocks), -1, *blocks.shape[3:])
 
 
 @partial(jax.jit, static_argnums=0)
-def _predict(effects: Effects, values: Mapping[str, Array], part: Directions) -> Array:
-    values = with_tables(effects, values, part)
+def _predict(model: Reflectance, values: Mapping[str, Array], part: Directions) -> Array:
+    values = with_tables(model, values, part)
 
     def block(b: Directions) -> Array:
-        s, at, _ = _evaluate(effects, values, b)
-        return two_scale.assemble(at, s)
+        return _evaluate(model, values, b)
 
     return jax.lax.map(block, part)
 
 
-def cost(effects: Effects, values: Mapping[str, Array], problem: Problem) -> Array:
+def cost(model: Reflectance, values: Mapping[str, Array], problem: Problem) -> Array:
     """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
-    return reduce(add, side_by_side(lambda part: _cost(effects, values, part), problem.parts), problem.rest)
+    return reduce(add, side_by_side(lambda part: _cost(model, values, part), problem.parts), problem.rest)
 
 
 @partial(jax.jit, static_argnums=0)
-def _cost(effects: Effects, values: Mapping[str, Array], part: Part) -> Array:
-    values = with_tables(effects, values, part.directions)
+def _cost(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
+    values = with_tables(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
-        s, at, _ = _evaluate(effects, values, b.directions)
-        residual = b.target - _weigh(b.root, two_scale.assemble(at, s))
+        residual = b.target - _weigh(b.root, _evaluate(model, values, b.directions))
         return total + jnp.sum(residual**2, (1, 2, 3), dtype=jnp.float64), None
 
     return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
 
 
-def weighted_prediction(effects: Effects, values: Mapping[str, Array], part: Part) -> Array:
+def weighted_prediction(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     """What is compared with the target of ``part``, of its shape: for few bins, all blocks at once."""
-    values = with_tables(effects, values, part.directions)
+    values = with_tables(model, values, part.directions)
 
     def block(b: Part) -> Array:
-        s, at, _ = _evaluate(effects, values, b.directions)
-        return _weigh(b.root, two_scale.assemble(at, s))
+        return _weigh(b.root, _evaluate(model, values, b.directions))
 
     return jax.vmap(block)(part)
 
@@ -84,35 +80,35 @@ def normal_equations(layout: Layout, z: ArrayLike, problem: Problem) -> np.ndarr
 
     Its last diagonal entry is :func:`cost`. Sums are taken of derivatives by physical values. A channel's rows and
     columns of other channels' parameters are zero, which is why one tangent a parameter, applied to all channels at
-    once, gives the whole Jacobian. One program does for all kinds (`Effects.general`).
+    once, gives the whole Jacobian. One program does for all kinds (`TwoScale.general`).
     """
-    effects = layout.effects
+    model = layout.model
     values, slopes = layout.values_and_slopes(z)
-    given = two_scale.generalised(effects, values)
-    found = side_by_side(lambda part: np.asarray(_normal_equations(effects.general, given, part)), problem.parts)
-    kept = _rows(effects)
+    given = model.generalised(values)
+    found = side_by_side(lambda part: np.asarray(_normal_equations(model.general, given, part)), problem.parts)
+    kept = _rows(model)
     compact = reduce(add, found)[:, kept[:, None], kept]
     return spread_out(layout, np.asarray(slopes), compact, np.asarray(problem.rest))
 
 
 @cache
-def _rows(effects: Effects) -> np.ndarray:
-    """Of the general program's rows those of the parameters of these effects, and that of the residual."""
-    rows = [q.name for q in parameters(effects.general)]
-    own = [q.name if q.name in rows else "n" for q in parameters(effects)]  # a dielectric's eta is n
+def _rows(model: Reflectance) -> np.ndarray:
+    """Of the general program's rows those of the parameters of these model, and that of the residual."""
+    rows = [q.name for q in model.general.parameters]
+    own = [model.in_general(q.name) for q in model.parameters]
     return np.array([*map(rows.index, own), len(rows)])
 
 
 # XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
 @partial(jax.jit, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False})
-def _normal_equations(effects: Effects, values: Mapping[str, Array], part: Part) -> Array:
+def _normal_equations(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     """The same by physical values, with one row and column a parameter, whether it is per channel or not."""
-    moving = _rates(effects, values, part.directions)
+    moving = _rates(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
-        return total + _block_gram(effects, *moving, b), None
+        return total + _block_gram(model, *moving, b), None
 
-    groups, channels = len(parameters(effects)) + 1, part.target.shape[1]
+    groups, channels = len(model.parameters) + 1, part.target.shape[1]
     return jax.lax.scan(step, jnp.zeros((channels, groups, groups)), part)[0]
 
 
@@ -137,21 +133,14 @@ def _places(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     return np.eye(layout.size + 1)[np.array([*where, [layout.size] * channels]).T], last
 
 
-def _evaluate(
-    effects: Effects, values: Mapping[str, Array], b: Directions
-) -> tuple[Setting, dict[str, Array], dict[str, Factor]]:
-    """Setting, factor values and factors of one block."""
-    s, shaped, table = _parts(effects, values, b)
-    return s, {name: f.evaluate(shaped, s) for name, f in table.items()}, table
+def _evaluate(model: Reflectance, values: Mapping[str, Array], b: Directions) -> Array:
+    """BRDF of one block (1/sr), with tables if given."""
+    s = _setting(model, b)
+    return reflectance.assembled(reflectance.shaped(values, s), s)
 
 
-def _parts(effects: Effects, values: Mapping[str, Array], b: Directions) -> tuple[Setting, Values, dict[str, Factor]]:
-    s = _setting(effects, b)
-    return s, two_scale.shaped(values, s), two_scale.factors(effects)
-
-
-def _setting(effects: Effects, b: Directions) -> Setting:
-    return two_scale.setting(b.geometry, effects, WAVELENGTHS_UM, b.log_base)
+def _setting(model: Reflectance, b: Directions) -> Setting:
+    return reflectance.setting(b.geometry, model, WAVELENGTHS_UM, b.log_base)
 
 
 def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
@@ -164,24 +153,24 @@ def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
     return jax.lax.cond(always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)
 
 
-def with_tables(effects: Effects, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
+def with_tables(model: Reflectance, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
     """Values and what all blocks look up."""
-    s = _setting(effects, jax.tree.map(lambda x: x[0], where))
-    return {**values, **{name: table.compute(values, s) for name, table in two_scale.tables(effects).items()}}
+    s = _setting(model, jax.tree.map(lambda x: x[0], where))
+    return {**values, **{name: table(values, s) for name, table in model.tables().items()}}
 
 
 def _rates(
-    effects: Effects, values: Mapping[str, Array], where: Directions
+    model: Reflectance, values: Mapping[str, Array], where: Directions
 ) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
     """Values with tables, and by parameter the rates at which they change when it moves, in all channels at once."""
-    s = _setting(effects, jax.tree.map(lambda x: x[0], where))
-    rates = {q.name: {q.name: jnp.ones_like(values[q.name])} for q in parameters(effects)}
+    s = _setting(model, jax.tree.map(lambda x: x[0], where))
+    rates = {q.name: {q.name: jnp.ones_like(values[q.name])} for q in model.parameters}
     found = {}
-    for name, table in two_scale.tables(effects).items():
-        own = [q for q in rates if q in table.names]
+    for name, table in model.tables().items():
+        own = reads(model).parameters[name]
         still = {q: jnp.zeros_like(values[q]) for q in own}
         tangents = [{**still, q: rates[q][q]} for q in own]
-        compute = lambda own, table=table: table.compute({**values, **own}, s)  # noqa: E731
+        compute = lambda own, table=table: table({**values, **own}, s)  # noqa: E731
         found[name], slope = jax.linearize(compute, {q: values[q] for q in own})
         slopes = jax.vmap(slope)(jax.tree.map(lambda *x: jnp.stack(x), *tangents))
         for q in rates:
@@ -190,30 +179,32 @@ def _rates(
 
 
 def _block_gram(
-    effects: Effects, values: Mapping[str, Array], rates: Mapping[str, Mapping[str, Array]], b: Part
+    model: Reflectance, values: Mapping[str, Array], rates: Mapping[str, Mapping[str, Array]], b: Part
 ) -> Array:
     """Normal equations of one block, one row and column a parameter group and one for the residual."""
 
     def factor_derivatives(values: Mapping[str, Array], b: Directions) -> tuple[dict[str, Array], dict[str, Array]]:
-        s, shaped, table = _parts(effects, values, b)
+        s, read = _setting(model, b), reads(model)
+        shaped = reflectance.shaped(values, s)
         at, slopes = {}, {}
-        for name, factor in table.items():
-            own = {q: shaped[q] for q in (*factor.names, *factor.tables)}
-            at[name], slope = jax.linearize(lambda own, factor=factor: factor.evaluate({**shaped, **own}, s), own)
+        for name, factor in model.factors().items():
+            names, tables = read.parameters[name], read.tables[name]
+            own = {q: shaped[q] for q in (*names, *tables)}
+            at[name], slope = jax.linearize(lambda own, factor=factor: factor({**shaped, **own}, s), own)
             still = jax.tree.map(jnp.zeros_like, own)
-            for q in factor.names:
-                moved = {k: rates[q][k].reshape(own[k].shape).astype(own[k].dtype) for k in (q, *factor.tables)}
+            for q in names:
+                moved = {k: rates[q][k].reshape(own[k].shape).astype(own[k].dtype) for k in (q, *tables)}
                 slopes[f"{name}/{q}"] = slope({**still, **moved})
         return at, slopes
 
     def columns(at: dict[str, Array], slopes: dict[str, Array], b: Part) -> list[Array]:
-        s = _setting(effects, b.directions)
+        s = _setting(model, b.directions)
         result = []
-        for q in parameters(effects):
+        for q in model.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
-            change = lambda part: two_scale.assemble({**at, **part}, s)  # noqa: E731
+            change = lambda part: model.assemble({**at, **part}, s)  # noqa: E731
             result.append(_weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
-        return [*result, b.target - _weigh(b.root, two_scale.assemble(at, s))]
+        return [*result, b.target - _weigh(b.root, model.assemble(at, s))]
 
     always = jnp.isfinite(b.target[0, 0, 0, 0])
     at, slopes = _materialised(factor_derivatives, always, values, b.directions)

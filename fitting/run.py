@@ -114,7 +114,7 @@ def fit(
         coarse, seen = thin(samples, COARSE), read_off(samples)
         seen = seen._replace(first=first or seen.first)
         cheap = [cheaper(config.layout_of(kind), COARSE_ORDER) for kind in kinds]
-        printed = [replace(each, effects=replace(each.effects, split="printed")) for each in cheap]
+        printed = [replace(each, model=replace(each.effects, split="printed")) for each in cheap]
         problem, roughly = make_coarse(samples)
         found = fit_coarse(printed, seen, problem, roughly, config)
         candidates, chosen = compare(printed, found, coarse)
@@ -147,7 +147,7 @@ def descend(
             z = solution.z
         if settings.weights == "adaptive" or k == len(config.rungs) - 1:
             with clock.stage("metrics"):
-                found.append(replace(judge(layout, solution, measurement, own, settings.theta_max), bend=bend))
+                found.append(replace(assess(layout, solution, measurement, own, settings.theta_max), bend=bend))
     return found
 
 
@@ -182,7 +182,7 @@ def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> t
     return candidates, choose(objectives, roots, scores)
 
 
-def judge(
+def assess(
     layout: Layout, solution: Solution, measurement: Measurement, samples: Samples, theta_max: float = THETA_MAX
 ) -> Fitted:
     """A solution with its cost on all bins, its errors and the effective count of its residuals."""
@@ -261,13 +261,13 @@ def _leaders(found: list[Solution], most: int) -> list[Solution]:
 
 def cheaper(layout: Layout, order: int) -> Layout:
     """The same with a convolution of no more than this order."""
-    return replace(layout, effects=replace(layout.effects, order=min(order, layout.effects.order)))
+    return replace(layout, model=layout.model.coarse(order))
 
 
 def predict_samples(layout: Layout, z: np.ndarray, samples: Samples) -> np.ndarray:
     """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
     where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
-    return predict(layout.effects, layout.values(jnp.asarray(z)), where)
+    return predict(layout.model, layout.values(jnp.asarray(z)), where)
 
 
 def count_of(samples: Samples, predicted: np.ndarray) -> float:

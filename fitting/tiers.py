@@ -19,10 +19,9 @@ from jax.experimental.compilation_cache import compilation_cache
 from ..merl_io.binary import read
 from ..merl_io.grid import merl_grid
 from ..model import scaled
-from ..model.effects import Effects
 from ..model.geometry import Geometry
-from ..model.parameters import WAVELENGTHS_UM, parameters
-from ..model.two_scale import two_scale
+from ..model.parameters import WAVELENGTHS_UM
+from ..model.two_scale import TwoScale, two_scale
 from .frontier import Spread
 from .problem import make_problem
 from .residuals import cost, normal_equations
@@ -32,16 +31,16 @@ from .weights import weighted_samples
 SEED, SETS, DIRECTIONS = 20261122, 40, 64
 WHAT = f"synthetic: {SETS} conductors drawn from the priors of the fit, {DIRECTIONS} directions of MERL's grid each"
 TIERS = {
-    "off": Effects(diffraction="off"),
-    "lobe": Effects(diffraction="lobe"),
-    "scaled": Effects(diffraction="scaled"),
-    "zonal 25": Effects(diffraction="zonal", zonal_order=25),
-    "zonal 100": Effects(diffraction="zonal"),
-    "quadrature 8": Effects(order=8),
-    "quadrature 16": Effects(order=16),
-    "quadrature 32": Effects(),
-    "quadrature 64": Effects(order=64),
-    "exact": Effects(diffraction="exact"),
+    "off": TwoScale(diffraction="off"),
+    "lobe": TwoScale(diffraction="lobe"),
+    "scaled": TwoScale(diffraction="scaled"),
+    "zonal 25": TwoScale(diffraction="zonal", zonal_order=25),
+    "zonal 100": TwoScale(diffraction="zonal"),
+    "quadrature 8": TwoScale(order=8),
+    "quadrature 16": TwoScale(order=16),
+    "quadrature 32": TwoScale(),
+    "quadrature 64": TwoScale(order=64),
+    "exact": TwoScale(diffraction="exact"),
 }
 LISTED = 2048  # directions of the list that is timed: beyond what is made once for all of them
 LISTED_EXACT = 16
@@ -62,7 +61,7 @@ def errors() -> dict[str, dict[str, float]]:
 def _draws() -> tuple[dict[str, Array], np.ndarray, Geometry]:
     """Parameters (S,) each, wavelengths (S,), directions (S, N)."""
     rng = np.random.default_rng(SEED)
-    values = {q.name: q.between(jnp.asarray(rng.uniform(size=SETS))) for q in parameters(Effects())}
+    values = {q.name: q.between(jnp.asarray(rng.uniform(size=SETS))) for q in TwoScale().parameters}
     return values, rng.choice(WAVELENGTHS_UM, SETS), _directions(rng, (SETS, DIRECTIONS))
 
 
@@ -73,7 +72,7 @@ def _directions(rng: np.random.Generator, shape: tuple[int, ...]) -> Geometry:
     return Geometry.from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
 
 
-def _evaluate(effects: Effects, values: dict[str, Array], wavelength: np.ndarray, geometry: Geometry) -> np.ndarray:
+def _evaluate(effects: TwoScale, values: dict[str, Array], wavelength: np.ndarray, geometry: Geometry) -> np.ndarray:
     """BRDF of every set in its directions at its wavelength, (S, N)."""
 
     def one(case: tuple[dict[str, Array], Array, Geometry]) -> Array:
@@ -111,10 +110,10 @@ def _with_derivatives(evaluate: Callable[[dict[str, Array]], Array], values: dic
     return at, jax.vmap(slope)(jax.tree.map(lambda *x: jnp.stack(x), *moving))
 
 
-def _fit_times(effects: Effects, file: Path) -> dict[str, float]:
+def _fit_times(effects: TwoScale, file: Path) -> dict[str, float]:
     """Cost and normal equations of all bins as a fit evaluates them."""
     problem, bins = make_problem(weighted_samples(read(file))), merl_grid().above.size
-    fitted = Effects(effects.body, effects.diffraction, effects.order, effects.zonal_order, acquisition="free")
+    fitted = TwoScale(effects.body, effects.diffraction, effects.order, effects.zonal_order, acquisition="free")
     layout = layout_of(fitted)
     z = jnp.asarray(layout.free({**TYPICAL, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3}))
     _, value = _clock(lambda z: cost(fitted, layout.values(z), problem), z)

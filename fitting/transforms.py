@@ -22,14 +22,12 @@ from jax import Array
 from jax.scipy.special import expit, ndtr, ndtri
 from jax.typing import ArrayLike
 
-from ..model.diffraction import renormalisation
-from ..model.effects import Effects
-from ..model.parameters import CHANNELS, PRIORS, WAVELENGTHS_UM, LogNormal, Parameter, Priors, parameters
+from ..model.parameters import CHANNELS, PRIORS, WAVELENGTHS_UM, LogNormal, Parameter, Priors
+from ..model.reflectance import Reflectance
+from ..model.two_scale import TwoScale
 
 INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved
-HALF = float(np.log(np.log(2.0))) / 2
 MIDDLE_UM = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
-LAST = ("beta", "sigma_s")  # given others
 MIDDLE = "eta of the middle channel"  # given which the others are
 LEAST = 1e-300
 ODDS = "odds"  # quantity of what lies between 0 and 1 and may be a few thousandths
@@ -41,20 +39,31 @@ class Layout:
     """Where each parameter sits in the flat vector: shared ones first, then per-channel ones, channel by channel.
 
     Attributes:
-        effects: what is fitted. priors: of its parameters. channels: names of the colour channels.
+        model: what is fitted. priors: of its parameters. channels: names of the colour channels.
     """
 
-    effects: Effects
+    model: Reflectance
     priors: Priors = PRIORS
     channels: tuple[str, ...] = CHANNELS
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The declarations, shared before per-channel."""
-        return parameters(self.effects)
+        return self.model.parameters
 
     def _width(self, parameter: Parameter) -> int:
         return len(self.channels) if parameter.per_channel else 1
+
+    @property
+    def effects(self) -> TwoScale:
+        """The model, where only a two-scale one will do.
+
+        Raises:
+            TypeError: it is another.
+        """
+        if not isinstance(self.model, TwoScale):
+            raise TypeError(f"{self.model.name} is not the two-scale model")
+        return self.model
 
     @property
     def slices(self) -> dict[str, slice]:
@@ -88,12 +97,8 @@ class Layout:
 
     @cached_property
     def chart(self) -> "Layout":
-        """The same for all effects with the same parameters: programs are compiled for this."""
-        e = self.effects
-        body, diffraction = "none" if e.body == "none" else "lambert", "off" if e.diffraction == "off" else "quadrature"
-        acquisition = "free" if e.acquisition == "free" else "off"
-        same = Effects(body, diffraction, renormalised=e.renormalised, acquisition=acquisition, index=e.index)
-        return replace(self, effects=same)
+        """The same for all models with the same parameters: programs are compiled for this."""
+        return replace(self, model=self.model.chart)
 
     def values(self, z: Array) -> dict[str, Array]:
         """Physical values by name: scalars, and ``(C,)`` for parameters per channel."""
@@ -117,7 +122,7 @@ class Layout:
 
     def _values(self, z: Array) -> dict[str, Array]:
         where, found = self.slices, {}
-        for q in sorted(self.parameters, key=lambda q: q.name in LAST):
+        for q in sorted(self.parameters, key=lambda q: q.name in self.model.conditional):
             place = z[where[q.name]] if q.per_channel else z[where[q.name]][0]
             if q.name == "eta":
                 found[MIDDLE] = self._value(q, place[len(self.channels) // 2], found)
@@ -142,6 +147,10 @@ class Layout:
         found = self.values(jnp.asarray(z))
         return np.concatenate([np.ravel(q.position(found[q.name])) for q in self.parameters])
 
+    def log_normal(self, parameter: Parameter) -> LogNormal:
+        """Its log-normal prior, before the shift."""
+        return parameter.prior or getattr(self.priors, parameter.quantity or parameter.name)
+
     def prior(self, parameter: Parameter) -> str:
         """The prior in words."""
         bounds = f"in [{parameter.lower:g}, {parameter.upper:g}]"
@@ -150,7 +159,7 @@ class Layout:
             return f"{parameter.name}/(1 - {parameter.name}) log-normal, {odds.median:g} times or over {odds.factor:g}"
         if parameter.scale == "linear":
             return f"uniform {bounds}"
-        given: LogNormal = getattr(self.priors, parameter.quantity or parameter.name)
+        given = self.log_normal(parameter)
         of = parameter.quantity or parameter.name
         said = f"{of} - {parameter.offset:g}" if parameter.offset else of
         said += f" log-normal, {given.median:g} times or over {given.factor:g}"
@@ -160,13 +169,10 @@ class Layout:
 
     def _expected(self, q: Parameter, values: Mapping[str, Array]) -> tuple[ArrayLike, ArrayLike]:
         """Median and standard deviation of log(value - offset), given other values."""
-        given: LogNormal = getattr(self.priors, q.quantity or q.name)
+        given = self.log_normal(q)
         median, deviation = np.log(given.median), np.log(given.factor)
-        if q.name == "beta":
-            return median - HALF / values["p"], deviation
-        if q.name == "sigma_s" and self.effects.renormalised:
-            share = renormalisation(jnp.zeros(()), values["b"] / MIDDLE_UM, values["c"])
-            return median - jnp.log(share) / 2, deviation
+        if q.name in self.model.conditional:
+            return median + self.model.shift(q.name, values), deviation
         if MIDDLE in values and q.name == "eta":
             outer, ratio = np.arange(len(self.channels)) != len(self.channels) // 2, self.priors.dispersion
             around = jnp.log(values[MIDDLE] - q.offset) + np.log(ratio.median)
@@ -235,6 +241,6 @@ def _free(chart: Layout, values: Mapping[str, Array]) -> Array:
 
 
 @cache
-def layout_of(effects: Effects, priors: Priors = PRIORS) -> Layout:
-    """The flat vector of everything that these effects leave to be fitted."""
-    return Layout(effects, priors)
+def layout_of(model: Reflectance, priors: Priors = PRIORS) -> Layout:
+    """The flat vector of everything that this model leaves to be fitted."""
+    return Layout(model, priors)

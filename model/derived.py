@@ -10,10 +10,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from . import diffraction, energy
-from .effects import Effects
 from .fresnel import fresnel
 from .parameters import WAVELENGTHS_UM
-from .two_scale import two_scale
+from .two_scale import TwoScale, two_scale
 
 ALBEDO_INCIDENCES_DEG = (0, 60)
 ORDER = 16  # of the convolution in the albedos
@@ -38,12 +37,12 @@ ALBEDOS = tuple(
 )
 
 
-def quantities(effects: Effects) -> tuple[Quantity, ...]:
+def quantities(effects: TwoScale) -> tuple[Quantity, ...]:
     """Those that a material with these effects has."""
     return (LOBE, *((DIFFRACTED,) if effects.diffraction != "off" else ()), F0, *ALBEDOS)
 
 
-def derived(values: Mapping[str, ArrayLike], effects: Effects) -> dict[str, Array]:
+def derived(values: Mapping[str, ArrayLike], effects: TwoScale) -> dict[str, Array]:
     """Derived quantities by name, scalars and (C,) for those per channel; of the material, without the apparatus.
 
     - lobe_half_width (degrees): arctan(beta (ln 2)^(1 / 2p)), where exp(-(tan/beta)^(2p)) of HP17 Eq. 35 is a half.
@@ -71,7 +70,7 @@ def derived(values: Mapping[str, ArrayLike], effects: Effects) -> dict[str, Arra
     return found | dict(zip((q.name for q in ALBEDOS), directional_albedo(v, effects, incidences).T, strict=True))
 
 
-def directional_albedo(values: Mapping[str, Array], effects: Effects, theta_i: Array) -> Array:
+def directional_albedo(values: Mapping[str, Array], effects: TwoScale, theta_i: Array) -> Array:
     """Int of the BRDF times cos_o over all viewers for light at ``theta_i`` (rad), (A,): shape (C, A).
 
     Accuracy: 5e-3, relative, for incidences up to 60 degrees (``tests/model/test_derived.py``).

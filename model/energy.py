@@ -1,4 +1,4 @@
-"""A split of the energy that never gives back more than it receives (``Effects.split = "conserving"``).
+"""A split of the energy that never gives back more than it receives (``TwoScale.split = "conserving"``).
 
 HP17 Eq. 25 dims the mirror term by A_spec(theta_d), but A depends on the direction of the viewer: towards grazing
 incidence the diffraction lobe takes more light than the mirror term gives up. Three remedies, all reciprocal:

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from jax.typing import ArrayLike
 
-from .effects import Effects
 from .numerics import Real
 
 CHANNELS = ("R", "G", "B")
@@ -72,6 +71,7 @@ class Parameter:
         per_channel: one value per colour channel.
         quantity: field of :class:`Priors` with its prior, if that is not of its own name.
         source: where the parameter is defined.
+        prior: log-normal one of the parameter itself, if it has none in :class:`Priors`.
     """
 
     name: str
@@ -86,6 +86,7 @@ class Parameter:
     per_channel: bool = False
     source: str = "HP17"
     quantity: str | None = None
+    prior: LogNormal | None = None
 
     def between(self, u: Real) -> Real:
         """Value at the position u in [0, 1] between the bounds, in the parameter's own scale."""
@@ -136,12 +137,3 @@ GRAZING = Parameter("grazing_exponent", "k_g", "exponent of the acquisition's lo
                     "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
 GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "k_d", "the same of diffracted light", "1", 0.2, 0.0, 1.0,
                                "linear", source="HP17 Eq. 60")  # fmt: skip
-
-
-def parameters(effects: Effects) -> tuple[Parameter, ...]:
-    """The parameters of these effects, shared ones first, per-channel ones last."""
-    diffracts, free = effects.diffraction != "off", effects.acquisition == "free"
-    shared = SURFACE + (DIFFRACTION if diffracts else ())
-    apparatus = ((GRAZING, GRAZING_DIFFRACTED) if diffracts else (GRAZING,)) if free else ()
-    interface = CONDUCTOR if effects.index == "complex" else INTERFACE
-    return shared + apparatus + interface + (() if effects.body == "none" else (ALBEDO,))

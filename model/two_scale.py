@@ -5,425 +5,317 @@
     rho_CTD = (Q/2) G (1 - A_spec) (S * D)(theta_h)                                         (Eq. 33, Q/2 for Q)
     A_spec = exp(-(4 pi sigma_rel cos_d / lambda)^2)                                        (Eq. 25)
 
-It is written as a few factors, each a function of a part of the directions and of a part of the parameters:
+It is evaluated as factors, each a function of a part of the directions and of a part of the parameters (`terms`):
 
-    rho = toll shadow (mirror / (cos_i cos_o) + hue spread) + pass under;
+    rho = masking (p_s specular / (cos_i cos_o) + p_d colour diffracted) + body,
 
-what the apparatus sees of it has ``mirror_loss`` beside mirror and ``spread_loss`` beside spread.
-
-On a grid ``mirror`` and ``spread`` live on (theta_h, theta_d) alone, ``shadow`` is a one-dimensional table, and whoever
-differentiates needs each factor's derivative only in the parameters it names. ``toll`` and ``pass`` belong to the
-conserving split (:mod:`merlfit.model.energy`), the losses to the acquisition, not to the material: a blurred footprint
-dims what is sharp, each lobe as its width has it, and leaves the body as it is (docs/physics.md).
+specular being A_spec F D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). The two losses p(i, o) belong to the
+acquisition, not to the material: a blurred footprint dims what is sharp, each lobe as its width has it, and leaves the
+body as it is (docs/physics.md). On a grid specular and diffracted live on (theta_h, theta_d) alone and masking is a
+one-dimensional table. The conserving split (:mod:`merlfit.model.energy`) multiplies lobes and body once more.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import cache, partial
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import ClassVar, Literal, get_args, get_origin
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from . import acquisition, body, convolution, diffraction, energy, exact, scaled, zonal
-from .effects import ANY, BODIES, KINDS, Effects
-from .fresnel import diffraction_colour, fresnel, schlick
+from . import parameters as declared
+from . import terms
+from .acquisition import APPARATUS, Apparatus
+from .diffraction import renormalisation
 from .geometry import Geometry
-from .ndf import epd
-from .numerics import safe_divide
-from .parameters import GRAZING, GRAZING_DIFFRACTED, WAVELENGTHS_UM, parameters
-from .shadowing import height_correlated, masking, masking_table
+from .parameters import WAVELENGTHS_UM, Parameter
+from .reflectance import Factor, Reflectance, Setting, Values, evaluate
+from .shadowing import masking_table
+from .terms import ANY, BODIES, WHICH
 
-LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
-RING_ORDER = 32  # of the convolution whose width gives the loss of diffracted light
-WHICH = "which_body"  # number of the body in `BODIES`, where the effects leave it open
-Values = Mapping[str, Array]
-
-
-class Setting(NamedTuple):
-    """What does not depend on parameters: directions, wavelengths (leading axis) and effects."""
-
-    geometry: Geometry  # with cosines of directions below the horizon replaced by 1
-    above: Array
-    wavelength_um: Array  # shape (C, 1, ..., 1)
-    effects: Effects
-    log_base: Array | None  # of the acquisition's loss (acquisition.grazing_log_base); None where that is off
-
-
-class Factor(NamedTuple):
-    """One factor of the BRDF, the parameters it depends on, and the tables (`TABLES`) that it looks up if given."""
-
-    names: tuple[str, ...]
-    evaluate: Callable[[Values, Setting], Array]
-    tables: tuple[str, ...] = ()
+HALF = float(np.log(np.log(2.0))) / 2  # tan(theta_h) is beta exp(HALF / p) where D has fallen to half
+Fresnel = Literal["exact", "schlick"]
+Masking = Literal["smith", "height_correlated", "none"]
+Diffraction = Literal["off", "lobe", "scaled", "zonal", "quadrature", "exact"]
+Split = Literal["printed", "conserving"]
+Colour = Literal["rayleigh_rice", "fresnel"]
+Index = Literal["usual", "complex", "real"]
+Body = Literal["none", "lambert", "plastic", "subsurface", "any"]
+Acquisition = Literal["off", "free", "derived"]
+Kind = tuple[Index, Body]
+KINDS: tuple[Kind, ...] = (
+    ("complex", "none"), ("real", "lambert"), ("real", "plastic"), ("real", "subsurface"), ("complex", "lambert"),
+)  # fmt: skip
+"""Interfaces and bodies that a fit compares, the simplest first: by the number of parameters, then of effects."""
 
 
-def setting(
-    geometry: Geometry,
-    effects: Effects,
-    wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
-    log_base: Array | None = None,
-) -> Setting:
-    """Directions made safe to compute with, and wavelengths with a leading axis.
+@dataclass(frozen=True)
+class TwoScale(Reflectance):
+    """A two-scale material by the effects it has; what is not chosen is absent from the compiled program.
 
-    Args:
-        log_base: :func:`merlfit.model.acquisition.grazing_log_base` of the directions, if it is known already.
+    Options of what is not chosen take their defaults, so that equal programs are equal values and compile once.
+
+    Attributes:
+        body: what lies under the interface, with an albedo per channel, or ``none``.
+        diffraction: how the facets' diffraction lobe is blurred by the distribution of their normals, cheapest first:
+            ``off``; ``lobe`` (normals taken as all alike); ``scaled`` (a lobe of another width and height, HP17
+            Eq. 39-41: good for most lobes while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics,
+            Appendix A: good for zonal_order >= 24 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33);
+            ``exact`` (Eq. 27, the reference: milliseconds a direction).
+        order: radial nodes of ``quadrature``, and of ``scaled`` outside its table; accuracy in
+            :func:`merlfit.model.convolution.convolve`.
+        zonal_order: highest degree of ``zonal``.
+        fresnel: of the mirror term: ``exact`` (HP17 Eq. 3-4), or Schlick's polynomial.
+        masking: ``smith`` (masking and shadowing independent, HP15 Eq. 6), ``height_correlated`` (Smith's joint form,
+            Heitz 2014), ``none`` (1).
+        renormalised: sigma_rel for sigma_s and the lobe's amplitude over the directions that exist (HP17 Eq. 17-19).
+        split: of the energy, between mirror term, diffraction lobe and what lies below: ``printed`` (HP17 Eq. 25), or
+            ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives.
+        colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
+            formula chosen for the mirror term).
+        acquisition: MERL's loss at grazing angles (HP17 Eq. 59-60), no part of the material. It acts on the lobes,
+            not on the body, and on each with an exponent of its own (docs/physics.md): ``off``; both exponents ``free``
+            (parameters); both ``derived`` from the widths of D and of (S * D); or a number in [0, 1] for both.
+        apparatus: the sphere, pixel and lamp that ``derived`` assumes.
+        index: of refraction of the interface, per channel: ``complex`` (n + i k, a conductor), ``real`` (a
+            dielectric), or ``usual``: complex over no body, real over one. A Lambert floor under a complex index is
+            stray light and dust on a metal; plastic and subsurface ask how light gets through the interface, and so
+            for a real one.
     """
-    above = (geometry.cos_i > 0) & (geometry.cos_o > 0)
-    cos_i, cos_o = jnp.where(above, geometry.cos_i, 1.0), jnp.where(above, geometry.cos_o, 1.0)
-    theta_h, theta_d = jnp.asarray(geometry.theta_h), jnp.asarray(geometry.theta_d)
-    rank = len(jnp.broadcast_shapes(theta_h.shape, theta_d.shape, above.shape))
-    wavelength = jnp.asarray(wavelengths_um, jnp.result_type(theta_h)).reshape((-1,) + (1,) * rank)
-    safe = Geometry(theta_h, theta_d, cos_i, cos_o)
-    if effects.acquisition != "off" and log_base is None:
-        log_base = acquisition.grazing_log_base(safe)
-    return Setting(safe, above, wavelength, effects, log_base)
+
+    name: ClassVar[str] = "two-scale"
+    citation: ClassVar[str] = (
+        "Holzschuch & Pacanowski 2017, A two-scale microfacet reflectance model combining reflection and diffraction, "
+        "doi:10.1145/3072959.3073621"
+    )
+    body: Body = "none"
+    diffraction: Diffraction = "quadrature"
+    order: int = 32
+    zonal_order: int = 100
+    fresnel: Fresnel = "exact"
+    masking: Masking = "smith"
+    renormalised: bool = True
+    split: Split = "printed"
+    colour: Colour = "rayleigh_rice"
+    acquisition: Acquisition | float = "off"
+    apparatus: Apparatus = APPARATUS
+    index: Index = "usual"
+
+    def __post_init__(self) -> None:
+        """Refuse names that are not effects, and numbers out of range; forget options that nothing asks for."""
+        for field in fields(self):
+            value, choices = getattr(self, field.name), get_args(field.type)
+            if get_origin(field.type) is Literal and value not in choices:
+                raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
+            if field.type in (bool, int, Apparatus) and type(value) is not field.type:
+                raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
+        if not 6 <= self.order <= 256:
+            raise ValueError(f"order {self.order} of the convolution is outside 6..256")
+        if not 1 <= self.zonal_order <= 1000:
+            raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
+        number = type(self.acquisition) in (int, float)
+        if not (0 <= float(self.acquisition) <= 1 if number else self.acquisition in get_args(Acquisition)):
+            raise ValueError(f"acquisition {self.acquisition!r} is neither off, free, derived nor a number in [0, 1]")
+        used = {
+            "order": self.diffraction in ("quadrature", "scaled"),
+            "zonal_order": self.diffraction == "zonal",
+            "renormalised": self.diffraction != "off",
+            "colour": self.diffraction != "off",
+            "apparatus": self.acquisition == "derived",
+        }
+        for name in (name for name, asked in used.items() if not asked):
+            object.__setattr__(self, name, getattr(type(self), name))
+        if self.index == "usual":
+            object.__setattr__(self, "index", "complex" if self.body == "none" else "real")
+        if self.index == "complex" and self.body in ("plastic", "subsurface"):
+            raise ValueError(f"body {self.body!r} lies under a clear interface: its index is real, not complex")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
+        return _parameters(self)
+
+    def factors(self) -> dict[str, Factor]:  # noqa: D102
+        diffracts = self.diffraction != "off"
+        table: dict[str, Factor] = {} if self.masking == "none" else {"masking": terms.masking_G}
+        table["specular"] = terms.undiffracted if diffracts else terms.specular
+        if diffracts:
+            exact = self.diffraction == "exact"
+            table["diffracted"] = terms.exact_diffracted if exact else terms.diffracted
+            if not exact or self.colour == "fresnel":
+                table["colour"] = terms.diffraction_colour_Q
+        if self.body != "none":
+            table["body"] = terms.body_term
+        if self._renormalises:
+            table["conservation"] = terms.conservation
+        if self.acquisition not in ("off", 0.0):
+            table["specular_loss"] = terms.specular_loss
+            if diffracts:
+                table["diffracted_loss"] = terms.diffracted_loss
+        return table
+
+    def tables(self) -> dict[str, Factor]:  # noqa: D102
+        diffracts, found = self.diffraction != "off", {}
+        if self.masking != "none":
+            found["masking_curve"] = lambda v, s: masking_table(v["p"])
+        if diffracts and self.renormalised:
+            found["relative_variance"] = terms.relative_variance
+        if self._renormalises:
+            found["surface_albedo"] = terms.surface_albedo
+        if diffracts and self.acquisition == "derived":
+            found["diffracted_exponent"] = lambda v, s: terms.derived_diffracted_exponent(v, self)
+        return found
+
+    def assemble(self, at: Values, s: Setting) -> Array:  # noqa: D102
+        rho = at["specular"] / (s.geometry.cos_i * s.geometry.cos_o)
+        if "specular_loss" in at:
+            rho = at["specular_loss"] * rho
+        if "diffracted" in at:
+            diffracted = at["colour"] * at["diffracted"] if "colour" in at else at["diffracted"]
+            rho = rho + (at["diffracted_loss"] * diffracted if "diffracted_loss" in at else diffracted)
+        if "masking" in at:
+            rho = at["masking"] * rho
+        body = at.get("body")
+        if "conservation" in at:
+            rho = at["conservation"][0] * rho
+            body = None if body is None else at["conservation"][1] * body
+        if body is not None:
+            rho = rho + body
+        rho = jnp.where(s.above, rho, 0.0)
+        return rho.astype(jnp.result_type(s.geometry.theta_h))  # reference and conserving split work in float64
+
+    @property
+    def _renormalises(self) -> bool:
+        """Whether the conserving split needs the surface's albedo; Cook-Torrance with masking conserves by itself."""
+        by_itself = self.body == "none" and self.diffraction == "off" and self.masking != "none"
+        return self.split == "conserving" and not by_itself
+
+    def coarse(self, order: int) -> "TwoScale":  # noqa: D102
+        return replace(self, order=min(order, self.order))
+
+    def stand_in(self, order: int) -> "TwoScale":  # noqa: D102
+        if self.diffraction in ("scaled", "zonal", "exact"):
+            return replace(self, diffraction="quadrature", order=order)
+        return self.coarse(order)
+
+    @property
+    def kind(self) -> Kind:
+        """Interface and body."""
+        return self.index, self.body
+
+    @property
+    def conditional(self) -> tuple[str, ...]:  # noqa: D102
+        return ("beta", "sigma_s") if self.diffraction != "off" and self.renormalised else ("beta",)
+
+    def shift(self, name: str, values: Values) -> Array:
+        """Of beta, whose prior is that of the half width, and of sigma_s, whose prior is that of sigma_rel."""
+        if name == "beta":
+            return -HALF / values["p"]
+        middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
+        return -jnp.log(renormalisation(jnp.zeros(()), values["b"] / middle, values["c"])) / 2
+
+    @property
+    def chart(self) -> "TwoScale":  # noqa: D102
+        body, diffraction = "none" if self.body == "none" else "lambert", "off" if self.diffraction == "off" else None
+        acquisition = "free" if self.acquisition == "free" else "off"
+        return TwoScale(
+            body, diffraction or "quadrature", renormalised=self.renormalised, acquisition=acquisition, index=self.index
+        )
+
+    @property
+    def general(self) -> "TwoScale":
+        """Effects of which these are a special case, whatever the kind; no material has them.
+
+        A dielectric is a conductor with k = 0, and which body it is, is said by a number when the program runs
+        (:meth:`generalised`). The conserving split treats kinds too differently.
+        """
+        return _general(self)
+
+    def generalised(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:  # noqa: D102
+        given = dict(values)
+        if self.general == self:
+            return given
+        if self.index == "real":
+            given["n"] = given.pop("eta")
+            given["k"] = np.zeros_like(given["n"])
+        if self.body == "none":
+            given["albedo"] = np.zeros_like(given["n"])
+        return given | {WHICH: np.int32(BODIES.index(self.body))}
+
+    def in_general(self, name: str) -> str:  # noqa: D102
+        return "n" if name == "eta" and self.general != self else name
+
+    @property
+    def switches(self) -> dict[str, int]:  # noqa: D102
+        return {WHICH: 0} if self.body == ANY else {}
+
+    def ignored(self) -> frozenset[str]:  # noqa: D102
+        return _names_of_all()
+
+    @property
+    def material(self) -> "TwoScale":
+        """The same without what the apparatus adds."""
+        return replace(self, acquisition="off")
 
 
-def factors(effects: Effects) -> dict[str, Factor]:
-    """The factors of a material with these effects."""
-    surface, optics = ("beta", "p"), (("n", "k") if effects.index == "complex" else ("eta",))
-    nano = ("b", "c", "sigma_s")
-    table = {} if effects.masking == "none" else {"shadow": Factor(surface, _shadow, ("masking",))}
-    if effects.diffraction == "off":
-        table["mirror"] = Factor(surface + optics, _mirror)
-    else:
-        dimming = nano if effects.renormalised or effects.split == "conserving" else ("sigma_s",)
-        share = ("share",) if effects.renormalised else ()
-        table["mirror"] = Factor((*dimming, *surface, *optics), _dimmed_mirror, share)
-        if effects.diffraction == "exact":
-            coloured = optics if effects.colour == "rayleigh_rice" else ()
-            table["spread"] = Factor((*nano, *surface, *coloured), _exact_spread, share)
-        else:
-            table["spread"] = Factor((*nano, *(() if effects.diffraction == "lobe" else surface)), _spread, share)
-        if effects.diffraction != "exact" or effects.colour == "fresnel":
-            table["hue"] = Factor(optics, _hue)
-    every = tuple(q.name for q in parameters(effects.material) if q.name != "albedo")
-    if effects.body != "none":
-        table["under"] = Factor(("albedo",) if effects.body == "lambert" else (optics[0], "albedo"), _under)
-    if _pays_toll(effects):
-        table["toll"] = Factor(every, _toll, ("surface_albedo",))
-    if effects.acquisition not in ("off", 0.0):
-        by_mode = {"free": (GRAZING.name,), "derived": surface}
-        table["mirror_loss"] = Factor(by_mode.get(str(effects.acquisition), ()), _mirror_loss)
-        if effects.diffraction != "off":
-            derived = effects.acquisition == "derived"
-            names = (GRAZING_DIFFRACTED.name,) if effects.acquisition == "free" else ()
-            names = (*surface, "b", "c") if derived else names
-            table["spread_loss"] = Factor(names, _spread_loss, ("diffracted_exponent",) if derived else ())
-    return table
+@cache
+def _general(model: TwoScale) -> TwoScale:
+    return model if model.split == "conserving" else replace(model, index="complex", body=ANY)
 
 
-def assemble(at: Values, s: Setting) -> Array:
-    """The BRDF (1/sr), shape ``(C, ...)``, from the values of its factors."""
-    rho = at["mirror"] / (s.geometry.cos_i * s.geometry.cos_o)
-    if "mirror_loss" in at:
-        rho = at["mirror_loss"] * rho
-    if "spread" in at:
-        spread = at["hue"] * at["spread"] if "hue" in at else at["spread"]
-        rho = rho + (at["spread_loss"] * spread if "spread_loss" in at else spread)
-    if "shadow" in at:
-        rho = at["shadow"] * rho
-    under = at.get("under")
-    if "toll" in at:
-        rho = at["toll"][0] * rho
-        under = None if under is None else at["toll"][1] * under
-    if under is not None:
-        rho = rho + under
-    rho = jnp.where(s.above, rho, 0.0)
-    return rho.astype(jnp.result_type(s.geometry.theta_h))  # the reference and the conserving split work in float64
+@cache
+def _parameters(model: TwoScale) -> tuple[Parameter, ...]:
+    diffracts, free = model.diffraction != "off", model.acquisition == "free"
+    shared = declared.SURFACE + (declared.DIFFRACTION if diffracts else ())
+    losses = (declared.GRAZING, declared.GRAZING_DIFFRACTED) if diffracts else (declared.GRAZING,)
+    interface = declared.CONDUCTOR if model.index == "complex" else declared.INTERFACE
+    return shared + (losses if free else ()) + interface + (() if model.body == "none" else (declared.ALBEDO,))
+
+
+@cache
+def _names_of_all() -> frozenset[str]:
+    """Names that parameters and tables may have, so that values of a material do for fewer effects as well."""
+    every = [TwoScale(body, index=index, acquisition="free") for index, body in KINDS]
+    tables = [*TwoScale("lambert", split="conserving", acquisition="derived").tables()]
+    return frozenset([*(q.name for model in every for q in model.parameters), *tables])
+
+
+PRESETS: dict[str, TwoScale] = {
+    "hp17": TwoScale(),
+    "conserving": TwoScale(split="conserving"),
+    "microfacet": TwoScale(diffraction="off"),
+    "preview": TwoScale(diffraction="lobe", fresnel="schlick", colour="fresnel", renormalised=False),
+    "fast": TwoScale(diffraction="scaled"),
+    "reference": TwoScale(diffraction="exact"),
+}
+"""Effects by name: HP17's model; the same conserving energy; Cook-Torrance alone; the cheapest with diffraction, for
+looks; the table instead of the quadrature; Eq. 27 itself."""
 
 
 def two_scale(
     params: Mapping[str, ArrayLike],
     geometry: Geometry,
-    effects: Effects,
+    model: TwoScale,
     wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
 ) -> Array:
     """BRDF (1/sr) of a two-scale material for any directions and any number of wavelengths.
 
     Args:
-        params: values by name, as :func:`merlfit.model.parameters.parameters` lists them for ``effects``: scalars, and
-            arrays of shape ``(C,)`` for those that are per channel.
+        params: values by name, those of ``model.parameters``: scalars, and arrays of shape ``(C,)`` for those that
+            are per channel.
         geometry: directions, scattered or as a broadcast grid.
-        effects: which effects to simulate (static).
+        model: which effects to simulate (static).
         wavelengths_um: shape ``(C,)``, in micrometres.
 
     Returns:
         shape ``(C, *broadcast shape of geometry)``; 0 where light or viewer are below the surface.
 
     Raises:
-        KeyError: a parameter that the effects call for is missing from ``params``, or one there is of no effects.
+        KeyError: a parameter of the model is missing from ``params``, or one there is of no effects.
 
     Reciprocal in light and viewer for every choice of effects. Differentiable in every parameter, with finite gradients
     at the horizon, at theta_h = 0 and for i = o; the conserving split has kinks where an excess begins. Accuracy: that
     of the tier (``docs/effects.md``); the conserving split's tables 5e-4; everything else 1e-8.
     """
-    s = setting(geometry, effects, wavelengths_um)
-    values = shaped(params, s)
-    return assemble({name: f.evaluate(values, s) for name, f in factors(effects).items()}, s)
-
-
-@cache
-def known() -> frozenset[str]:
-    """Names that parameters may have: those of any effects, so that a material does for fewer effects as well."""
-    every = (Effects(body, index=index, acquisition="free") for index, body in KINDS)
-    return frozenset({q.name for effects in every for q in parameters(effects)} | TABLES.keys())
-
-
-def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
-    """Parameters in the precision of the angles, those per channel with a leading axis; tables if given."""
-    missing = [q.name for q in parameters(s.effects) if q.name not in params]
-    if missing:
-        raise KeyError(f"two_scale needs {', '.join(missing)} for {s.effects}")
-    if unknown := params.keys() - known() - ({WHICH} if s.effects.body == ANY else set()):
-        raise KeyError(f"two_scale has no parameter {', '.join(sorted(unknown))}, whatever the effects")
-    precision = jnp.result_type(s.geometry.theta_h)
-    given = {name: jnp.asarray(params[name], precision) for name in TABLES if name in params}
-    if s.effects.body == ANY:
-        given[WHICH] = jnp.asarray(params[WHICH])
-    return given | {
-        q.name: jnp.asarray(params[q.name], precision).reshape(
-            (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
-        )
-        for q in parameters(s.effects)
-    }
-
-
-def generalised(effects: Effects, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
-    """Values for :attr:`merlfit.model.effects.Effects.general` that give the same BRDF as these for ``effects``."""
-    if effects.general == effects:
-        return dict(values)
-    given = dict(values)
-    if effects.index == "real":
-        given["n"] = given.pop("eta")
-        given["k"] = np.zeros_like(given["n"])
-    if effects.body == "none":
-        given["albedo"] = np.zeros_like(given["n"])
-    return given | {WHICH: np.int32(BODIES.index(effects.kind[1]))}
-
-
-def _index(v: Values) -> tuple[Array, Array]:
-    """Real and imaginary part of the index; a dielectric has only the first."""
-    return (v["n"], v["k"]) if "n" in v else (v["eta"], jnp.zeros_like(v["eta"]))
-
-
-def _shadow(v: Values, s: Setting) -> Array:
-    """G of i and o."""
-    cosines = (s.geometry.cos_i, s.geometry.cos_o)
-    seen, lit = (masking(cos, v["beta"], v["p"], v.get("masking")) for cos in cosines)
-    return seen * lit if s.effects.masking == "smith" else height_correlated(seen, lit)
-
-
-def _fresnel(v: Values, s: Setting) -> Array:
-    """F(theta_d) by the chosen formula."""
-    formula = fresnel if s.effects.fresnel == "exact" else schlick
-    return formula(s.geometry.cos_d, *_index(v))
-
-
-def _mirror(v: Values, s: Setting) -> Array:
-    """F(theta_d) D(theta_h) / 4."""
-    return _fresnel(v, s) * epd(s.geometry.theta_h, v["beta"], v["p"]) / 4
-
-
-def _share(v: Values, s: Setting) -> Array:
-    """sigma_rel^2/sigma_s^2 at theta_d, where the facet meets the light."""
-    return diffraction.renormalisation(jnp.sin(s.geometry.theta_d), v["b"] / s.wavelength_um, v["c"])
-
-
-def _share_and_phase(v: Values, s: Setting) -> tuple[Array, Array]:
-    """sigma_rel^2/sigma_s^2, or 1, and the exponent of A_spec."""
-    share = jnp.ones((), v["sigma_s"].dtype)
-    if s.effects.renormalised:
-        share = v["share"] if "share" in v else _share(v, s)
-    return share, diffraction.phase_variance(share * v["sigma_s"] ** 2, s.geometry.cos_d, s.wavelength_um)
-
-
-def _dimmed_mirror(v: Values, s: Setting) -> Array:
-    """A_spec F D / 4, or (1 - E) F D / 4."""
-    if s.effects.split == "conserving":
-        exact_, renormalised = s.effects.diffraction == "exact", s.effects.renormalised
-        albedo = energy.lobe_albedo(
-            s.geometry.theta_d, v["b"], v["c"], v["sigma_s"], s.wavelength_um, renormalised, exact_
-        )
-        return jnp.maximum(1 - albedo, 0.0) * _mirror(v, s)
-    return jnp.exp(-_share_and_phase(v, s)[1]) * _mirror(v, s)
-
-
-def _spread(v: Values, s: Setting) -> Array:
-    """(1 - A_spec) (S * D)(theta_h) with its renormalised amplitude (1/sr)."""
-    share, phase = _share_and_phase(v, s)
-    amplitude = diffraction.lobe_amplitude(v["b"] / s.wavelength_um, v["c"]) / share
-    return -jnp.expm1(-phase) * amplitude * _blurred_lobe(v, s)
-
-
-def _exact_spread(v: Values, s: Setting) -> Array:
-    """The integral of Eq. 27 without G (1/sr)."""
-    share, phase = _share_and_phase(v, s)
-    amplitude = diffraction.lobe_amplitude(v["b"] / s.wavelength_um, v["c"]) / share
-    B = 2 * v["b"] / s.wavelength_um * s.geometry.cos_d
-    coloured = s.effects.colour == "rayleigh_rice"
-    index = _index(v) if coloured else (jnp.ones(()), jnp.zeros(()))
-    g, surface = s.geometry, (v["c"], v["beta"], v["p"])
-    return amplitude * exact.lobe(
-        g.theta_h, g.theta_d, g.cos_i, g.cos_o, B, phase, *index, *surface, coloured=coloured
-    )  # fmt: skip
-
-
-def _hue(v: Values, s: Setting) -> Array:
-    """Q/2, or F."""
-    if s.effects.colour == "fresnel":
-        return _fresnel(v, s)
-    g = s.geometry
-    return diffraction_colour(g.cos_i, g.cos_o, jnp.where(s.above, g.projected_dot, 1.0), *_index(v))
-
-
-def _under(v: Values, s: Setting) -> Array:
-    """The chosen body's BRDF (1/sr); under the conserving split without the transmittances, which are in the toll."""
-    g, kind = s.geometry, s.effects.body
-    if s.effects.split == "conserving":
-        return energy.unlit_body(kind, g.cos_i, g.cos_o, v["albedo"], v.get("eta"))
-    if kind == ANY:
-        whole = jnp.broadcast_shapes(v["albedo"].shape, g.cos_i.shape)
-        under = [
-            lambda n, albedo: jnp.zeros_like(albedo),
-            lambda n, albedo: body.lambert(albedo),
-            partial(body.plastic, g.cos_i, g.cos_o),
-            partial(body.subsurface, g.cos_i, g.cos_o),
-        ]  # in the order of BODIES
-        chosen = [lambda n, albedo, f=f: jnp.broadcast_to(f(n, albedo), whole) for f in under]
-        return jax.lax.switch(v[WHICH], chosen, v["n"], v["albedo"])
-    match kind:
-        case "plastic":
-            return body.plastic(g.cos_i, g.cos_o, v["eta"], v["albedo"])
-        case "subsurface":
-            return body.subsurface(g.cos_i, g.cos_o, v["eta"], v["albedo"])
-        case _:
-            return body.lambert(v["albedo"])
-
-
-def _pays_toll(effects: Effects) -> bool:
-    """Whether the conserving split needs the surface's albedo; Cook-Torrance with masking conserves by itself."""
-    by_itself = effects.body == "none" and effects.diffraction == "off" and effects.masking != "none"
-    return effects.split == "conserving" and not by_itself
-
-
-def tables(effects: Effects) -> dict[str, "Table"]:
-    """What the factors of these effects look up."""
-    return {name: TABLES[name] for factor in factors(effects).values() for name in factor.tables}
-
-
-def surface_albedo(v: Values, s: Setting) -> Array:
-    """Directional albedo of the lobes at :func:`merlfit.model.energy.incidences`, (C, INCIDENCES).
-
-    Args:
-        v: parameters, those per channel as ``(C,)`` or with more axes of length one.
-    """
-    own = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in v.items() if name not in TABLES}
-    effects, wavelengths_um = s.effects, s.wavelength_um.reshape(-1)
-    largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
-    degree = effects.zonal_order if effects.diffraction == "zonal" else 0
-    incidences = energy.incidences(v["beta"])
-    placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
-    geometry, measure = energy.half_vectors(incidences, *placed, degree)
-    inner = replace(effects.material, order=min(effects.order, energy.ORDER))
-    s = setting(geometry, inner, wavelengths_um)
-    if inner.renormalised and inner.diffraction != "off":
-        one_minus_sin = 2 * jnp.sin(jnp.pi / 4 - geometry.theta_d[None] / 2) ** 2
-        own["share"] = energy.share_of(v["b"] / wavelengths_um, v["c"])(one_minus_sin)
-    lobes = {name: f.evaluate(own, s) for name, f in factors(inner).items() if name not in ("under", "toll")}
-    return jnp.sum(assemble(lobes, s) * measure, (-2, -1))
-
-
-class Table(NamedTuple):
-    """What depends on parameters, and of directions on theta_d at the most, so that many directions can share it.
-
-    Who evaluates directions in parts computes it once and gives it along among the values.
-    """
-
-    names: tuple[str, ...]  # of those parameters, as far as the effects have them
-    compute: Callable[[Values, Setting], Array]
-
-
-TABLES = {
-    "masking": Table(("p",), lambda v, s: masking_table(v["p"])),
-    "share": Table(("b", "c"), _share),
-    "diffracted_exponent": Table(("beta", "p", "b", "c"), lambda v, s: _derived_diffracted(v, s.effects)),
-    "surface_albedo": Table(("beta", "p", "b", "c", "sigma_s", "n", "k", "eta"), surface_albedo),
-}
-
-
-def _toll(v: Values, s: Setting) -> Array:
-    """What the lobes are multiplied by (0) and what the body is multiplied by (1), stacked: see `energy`."""
-    table = v["surface_albedo"] if "surface_albedo" in v else surface_albedo(v, s)
-    lit, seen = (energy.at_incidence(table, v["beta"], theta) for theta in (s.geometry.theta_i, s.geometry.theta_o))
-    kept = 1 / (jnp.maximum(lit, 1.0) * jnp.maximum(seen, 1.0))
-    if s.effects.body == "none":
-        return kept[None]
-    through = jnp.maximum(1 - lit, 0.0) * jnp.maximum(1 - seen, 0.0)
-    mean = energy.mean_transmittance(table, v["beta"]).reshape((-1,) + (1,) * (through.ndim - 1))
-    return jnp.stack([kept, safe_divide(through, mean)])
-
-
-def _mirror_loss(v: Values, s: Setting) -> Array:
-    """p(i, o) of specular light, HP17 Eq. 59-60."""
-    assert s.log_base is not None  # `setting` has seen to it
-    return jnp.exp(grazing_exponent(v, s.effects) * s.log_base)
-
-
-def _spread_loss(v: Values, s: Setting) -> Array:
-    """p(i, o) of diffracted light."""
-    assert s.log_base is not None
-    return jnp.exp(grazing_exponent_diffracted(v, s.effects) * s.log_base)
-
-
-def grazing_exponent(values: Values, effects: Effects) -> Array:
-    """The acquisition's grazing exponent k of specular light at these parameter values; 0 where it is off."""
-    if effects.acquisition == "free":
-        return values[GRAZING.name]
-    if effects.acquisition == "derived":
-        return acquisition.derived_exponent(values["beta"], values["p"], effects.apparatus)
-    return jnp.asarray(0.0 if effects.acquisition == "off" else float(effects.acquisition))
-
-
-def grazing_exponent_diffracted(values: Values, effects: Effects) -> Array:
-    """The same of diffracted light, from the width of (S * D) at normal incidence and the middle wavelength."""
-    if effects.diffraction == "off":
-        return jnp.zeros(())
-    if effects.acquisition == "free":
-        return values[GRAZING_DIFFRACTED.name]
-    if effects.acquisition == "derived":
-        if "diffracted_exponent" in values:
-            return values["diffracted_exponent"]
-        return _derived_diffracted(values, effects)
-    return jnp.asarray(0.0 if effects.acquisition == "off" else float(effects.acquisition))
-
-
-def _derived_diffracted(v: Values, effects: Effects) -> Array:
-    """What the apparatus does to (S * D) over the rings that a footprint sees."""
-    rings = jnp.asarray(acquisition.RINGS_RAD)[:, None]
-    ones = jnp.ones((1, 1))
-    inner = replace(effects.material, diffraction="quadrature", order=RING_ORDER)
-    middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
-    s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), inner, (middle,))
-    return acquisition.exponent_of_lobe(_blurred_lobe(v, s)[0, :, 0], effects.apparatus)
-
-
-def _blurred_lobe(v: Values, s: Setting) -> Array:
-    """(S * D) without amplitude, (C, ...), by the chosen tier."""
-    b, c, beta, p, effects = v["b"], v["c"], v["beta"], v["p"], s.effects
-    theta_h, cos_over_lambda = s.geometry.theta_h, jnp.maximum(s.geometry.cos_d, LEAST_COSINE) / s.wavelength_um
-    match effects.diffraction:
-        case "lobe":
-            return convolution.lobe(theta_h, 2 * b * cos_over_lambda, c)
-        case "scaled":
-            return scaled.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.order)
-        case "zonal":
-            truncated = zonal.convolve(theta_h, 2 * b * cos_over_lambda, c, beta, p, effects.zonal_order)
-            # no bound on the albedo holds for a lobe that is negative somewhere
-            return jnp.maximum(truncated, 0.0) if effects.split == "conserving" else truncated
-        case _:
-            return convolution.convolve_many(theta_h, cos_over_lambda, b, c, beta, p, effects.order)
+    return evaluate(model, params, geometry, wavelengths_um)

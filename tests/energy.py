@@ -16,10 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
-from merlfit.model.effects import KINDS, Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.parameters import parameters
-from merlfit.model.two_scale import two_scale
+from merlfit.model.two_scale import KINDS, TwoScale, two_scale
 
 SEED = 20261121
 WAVELENGTH_UM = 0.526
@@ -32,7 +30,7 @@ EXACT = {"incidences_deg": (20.0, 87.0), "radii": 16, "azimuths": 8}  # two sets
 RESULTS = Path(__file__).parents[1] / "results"
 STORE = RESULTS / "energy.json"
 
-FULL = Effects(split="conserving")
+FULL = TwoScale(split="conserving")
 
 
 def under(body, **changes):
@@ -116,7 +114,7 @@ def albedo(effects, values, incidences_deg=INCIDENCES_DEG, radii=RADII, azimuths
 def draw(rng, effects):
     """One parameter set between the bounds (uniform in each parameter's own scale), for one wavelength."""
     values = {}
-    for q in parameters(effects):
+    for q in effects.parameters:
         values[q.name] = q.between(jnp.asarray(rng.uniform(size=1 if q.per_channel else None)))
     return values
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
 from merlfit.model.acquisition import APPARATUS, Apparatus, derived_exponent
-from merlfit.model.two_scale import grazing_exponent, grazing_exponent_diffracted
+from merlfit.model.terms import grazing_exponent, grazing_exponent_diffracted
 
 from . import refit
 from .reconstructions import make

@@ -5,16 +5,15 @@ from functools import cache
 
 import jax.numpy as jnp
 from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel, ndf, scaled, shadowing, zonal
-from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import two_scale
+from merlfit.model.two_scale import TwoScale, two_scale
 
 if __package__:  # python -m tests.hard_cases; pytest has tests/ on its path
     from .oracles import precise
 else:
     from oracles import precise
 
-CHOICES = tuple(x.name for x in fields(Effects))
+CHOICES = tuple(x.name for x in fields(TwoScale))
 TIERS = ("quadrature", "zonal", "scaled", "exact", "conserving")  # with accuracies of their own
 DEAR = ("convolve", "convolve_256", "zonal", "scaled_outside", "lobe_albedo", "two_scale", "two_scale_quadrature",
         "two_scale_zonal", "two_scale_exact", "two_scale_conserving")  # fmt: skip
@@ -49,7 +48,7 @@ def convolve(theta_h, B, c, beta, p, order):
 
 def assembled(theta_h, theta_d, phi_d, wavelength_um, **rest):
     """The BRDF at one wavelength; ``rest`` are effects and parameters."""
-    effects = Effects(**{name: rest.pop(name) for name in CHOICES if name in rest})
+    effects = TwoScale(**{name: rest.pop(name) for name in CHOICES if name in rest})
     geometry = Geometry.from_half_difference(theta_h, theta_d, phi_d)
     return two_scale(rest, geometry, effects, wavelength_um[None])[0]
 

@@ -18,9 +18,8 @@ from merlfit.fitting.outcome import make_result
 from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import Measurement, MerlError, read, write
 from merlfit.merl_io.grid import merl_grid
-from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import two_scale
+from merlfit.model.two_scale import TwoScale, two_scale
 
 if __package__:
     from .hard_table import table
@@ -43,7 +42,7 @@ def material() -> np.ndarray:
     """A known material in every bin, (3, 90, 90, 180); NaN below the horizon."""
     grid = merl_grid()
     g = Geometry.from_half_difference(*np.ix_(grid.theta_h, grid.theta_d, grid.phi_d))
-    values = jax.jit(lambda g: two_scale(TRUTH, g, Effects("lambert", "off")))(g)
+    values = jax.jit(lambda g: two_scale(TRUTH, g, TwoScale("lambert", "off")))(g)
     return np.where(grid.above, np.asarray(values), np.nan)
 
 

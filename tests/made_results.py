@@ -3,7 +3,7 @@
 from merlfit.fitting import export
 from merlfit.fitting.config import Config
 from merlfit.fitting.transforms import layout_of
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 
 
 def quantiles(value):
@@ -12,7 +12,7 @@ def quantiles(value):
 
 def made(material="nickel", path="nickel.binary", effects=None, posterior=None, sha1="0" * 40, succeeded=True):
     """A result with typical values; posterior: None, or whether it is sufficient."""
-    layout = layout_of(effects or Effects("none", acquisition="free"))
+    layout = layout_of(effects or TwoScale("none", acquisition="free"))
     parameters = [
         export.ParameterResult(
             name=name, parameter=q.name, symbol=q.symbol, channel=name[-1] if q.per_channel else None,

@@ -39,7 +39,7 @@ def install(folder):
     """An environment of its own with merlfit in it; the folder of its programs."""
     subprocess.run([sys.executable, "-m", "venv", folder / "env"], check=True)
     pip = [folder / "env" / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "--constraint", ROOT / "constraints.txt", ROOT], check=True)
+    subprocess.run([*pip, "--constraint", ROOT / "constraints.txt", f"{ROOT}[arviz]"], check=True)
     return folder / "env" / "bin"
 
 

@@ -44,7 +44,7 @@ class Material:
         layout = layout_of(effects, fitted.layout.priors)
         near = solve(layout, layout.free(fitted.layout.values(fitted.solution.z)), self.coarse, coarse_steps)
         solution = solve(layout, near.z, self.whole, max_steps)
-        return run.judge(layout, solution, self.measurement, self.samples)
+        return run.assess(layout, solution, self.measurement, self.samples)
 
 
 def cost(solution_cost, converged):

@@ -4,9 +4,9 @@ import numpy as np
 from merlfit.fitting.emulator import Emulator, coordinates_of
 from merlfit.fitting.likelihood import StandIn
 from merlfit.fitting.transforms import layout_of
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 
-LAYOUT = layout_of(Effects("lambert", "off"))
+LAYOUT = layout_of(TwoScale("lambert", "off"))
 OWN = coordinates_of(LAYOUT, np.zeros(LAYOUT.size))
 ROWS = 6  # residuals of a channel
 

@@ -9,8 +9,8 @@ ROOT = Path(__file__).parents[1]
 ALLOWED = {"model": {"model"}, "merl_io": {"merl_io"}, "fitting": {"model", "merl_io", "fitting"}}
 LIBRARIES = {"model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"}}
 STANDARD = {
-    "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "itertools", "json", "math",
-    "os", "pathlib", "stat", "struct", "tempfile", "threading", "types", "typing",
+    "abc", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools",
+    "json", "math", "os", "pathlib", "stat", "struct", "tempfile", "threading", "types", "typing",
 }  # fmt: skip
 
 

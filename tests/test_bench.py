@@ -17,9 +17,8 @@ from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.convolution import convolve
-from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import two_scale
+from merlfit.model.two_scale import TwoScale, two_scale
 
 METAL = {
     "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "grazing_exponent": 0.35,
@@ -38,7 +37,7 @@ def test_the_plain_model_is_the_same_model(values):
     where = Geometry(*map(jnp.asarray, (theta_h[:, None, None], theta_d[:, None], *cosines)))
 
     def differs(**changed):
-        ours = np.asarray(two_scale(values, where, Effects(**{"acquisition": "free", "order": 64, **changed})))
+        ours = np.asarray(two_scale(values, where, TwoScale(**{"acquisition": "free", "order": 64, **changed})))
         np.testing.assert_array_equal(plain > 0, ours > 0)
         return np.max(np.abs(plain - ours)[ours > 0] / ours[ours > 0])
 
@@ -62,7 +61,7 @@ def test_its_lobes_within_the_bounds_of_the_fit():
 
 
 def test_scipy_is_given_the_same_problem():
-    grid, layout = merl_grid(), layout_of(Effects("lambert", "off", acquisition="free"))
+    grid, layout = merl_grid(), layout_of(TwoScale("lambert", "off", acquisition="free"))
     weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
     samples = thin(fold(grid, 0.3 + 0 * weight, weight), (10, 10, 45))
     z = np.random.default_rng(1).normal(size=layout.size) / 2

@@ -20,9 +20,8 @@ from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.acquisition import Apparatus
-from merlfit.model.effects import KINDS, PRESETS, Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import two_scale
+from merlfit.model.two_scale import KINDS, PRESETS, TwoScale, two_scale
 from typer.testing import CliRunner
 
 ROOT = Path(__file__).parents[1]
@@ -141,7 +140,7 @@ def test_a_fit_becomes_a_merl_file_again(fitted):
     )
     h, d, p = np.random.default_rng(0).integers(0, [[70], [70], [180]], (3, 50))
     g = Geometry.from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
-    expected = np.asarray(two_scale(result.values(), g, Effects("none")))
+    expected = np.asarray(two_scale(result.values(), g, TwoScale("none")))
     above = grid.above[h, d, p]
     assert above.sum() > 30
     np.testing.assert_allclose(again[:, h, d, p][:, above], expected[:, above], rtol=1e-2)
@@ -271,13 +270,13 @@ def test_default_toml_is_the_defaults():
 
 def test_settings_of_effects_are_those_of_the_model():
     section = type(Config().effects).model_fields
-    for field in dataclasses.fields(Effects):
+    for field in dataclasses.fields(TwoScale):
         if field.name not in ("index", "body", "acquisition", "apparatus"):
             assert section[field.name].default == field.default
-    assert set(section) == {field.name for field in dataclasses.fields(Effects)} - {"apparatus"} | {"preset"}
+    assert set(section) == {field.name for field in dataclasses.fields(TwoScale)} - {"apparatus"} | {"preset"}
     assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
     chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False, "acquisition": 0.5}
-    assert parse({"effects": chosen}, "here").effects_of(("complex", "none")) == Effects(**chosen)
+    assert parse({"effects": chosen}, "here").effects_of(("complex", "none")) == TwoScale(**chosen)
     derived = {"effects": {"acquisition": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
     lamp = parse(derived, "here").effects_of(("complex", "none")).apparatus
     assert lamp == Apparatus(lamp_sigma_rad=0.01)

@@ -11,7 +11,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from hard_effects import MODEL, scaled_lobe
-from merlfit.model.effects import ANY, KINDS, Effects
+from merlfit.model.two_scale import ANY, KINDS, TwoScale
 from oracles import precise
 
 CASES, KNOWN, _ = hard_table.table()
@@ -64,13 +64,13 @@ def choices(kind):
 
 def test_every_choice_of_every_effect_is_there():
     told = [case.static for case in CASES if case.effect.startswith("two_scale")]
-    seen = [Effects(**static) for static in told]
-    for field in fields(Effects):
+    seen = [TwoScale(**static) for static in told]
+    for field in fields(TwoScale):
         special = {"usual", ANY}  # one of the rest; of no material
         missing = choices(field.type) - {getattr(effects, field.name) for effects in seen} - special
         assert not missing, f"{field.name}: no case has {missing}"
     assert any(isinstance(effects.acquisition, float) for effects in seen)
-    bodies, ways = (choices(field.type) - {ANY} for field in fields(Effects) if field.name in ("body", "diffraction"))
+    bodies, ways = (choices(field.type) - {ANY} for field in fields(TwoScale) if field.name in ("body", "diffraction"))
     together = {(effects.body, effects.diffraction) for effects in seen}
     assert together >= {(body, way) for body in bodies for way in ways & {"off", "lobe", "quadrature"}}
     assert {effects.kind for effects in seen} >= {*KINDS, ("real", "none")}

@@ -23,10 +23,10 @@ import numpy as np
 from merlfit.fitting import tiers
 from merlfit.fitting.compilation import use_persistent_cache
 from merlfit.merl_io.grid import merl_grid
-from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.parameters import WAVELENGTHS_UM, parameters
-from merlfit.model.two_scale import assemble, factors, setting, shaped, two_scale
+from merlfit.model.parameters import WAVELENGTHS_UM
+from merlfit.model.reflectance import factor_values, setting, shaped
+from merlfit.model.two_scale import TwoScale, two_scale
 
 SEED, SETS, DIRECTIONS = 20261121, 500, 128
 BRIGHT = 1e-3  # of the highest value of the lobe among the directions of its set
@@ -46,7 +46,7 @@ WHAT = (
 def draws():
     """Parameters (S,) each, uniform in their own scale between their bounds, wavelengths (S,), geometry (S, N)."""
     rng = np.random.default_rng(SEED)
-    values = {q.name: q.between(jnp.asarray(rng.uniform(size=SETS))) for q in parameters(Effects())}
+    values = {q.name: q.between(jnp.asarray(rng.uniform(size=SETS))) for q in TwoScale().parameters}
     grid = merl_grid()
     bins = np.argwhere(grid.above)
     h, d, p = np.moveaxis(bins[rng.integers(len(bins), size=(SETS, DIRECTIONS))], -1, 0)
@@ -62,8 +62,8 @@ def evaluate(effects, values, wavelength, geometry):
         v, wavelength, g = case
         v = {name: x[None] if name in ("n", "k") else x for name, x in v.items()}
         s = setting(g, effects, wavelength[None])
-        at = {name: f.evaluate(shaped(v, s), s) for name, f in factors(effects).items()}
-        return assemble(at, s)[0], assemble({**at, "mirror": jnp.zeros_like(at["mirror"])}, s)[0]
+        at = factor_values(shaped(v, s), s)
+        return effects.assemble(at, s)[0], effects.assemble({**at, "specular": jnp.zeros_like(at["specular"])}, s)[0]
 
     return jax.lax.map(one, (values, wavelength, geometry))
 
@@ -98,7 +98,7 @@ def measure():
     rows = {}
     for reference, tier in REFERENCES.items():
         colour = "fresnel" if "F for" in reference else "rayleigh_rice"
-        target = Effects(diffraction=tier, colour=colour, order=96)
+        target = TwoScale(diffraction=tier, colour=colour, order=96)
         whole, lobe = (np.asarray(x) for x in evaluate(target, values, wavelength, geometry))
         seen = lobe > NOTHING
         bright = (lobe > BRIGHT * np.max(lobe, 1, keepdims=True))[seen]
@@ -121,7 +121,7 @@ def measure():
 def main(arguments):
     use_persistent_cache()
     rows = json.loads(STORE.read_text())["errors"] if "--times" in arguments else measure()
-    timed = {**TIERS, "exact": Effects(diffraction="exact"), "conserving": Effects(split="conserving")}
+    timed = {**TIERS, "exact": TwoScale(diffraction="exact"), "conserving": TwoScale(split="conserving")}
     write(rows, {name: grid_seconds(effects) for name, effects in timed.items()})
 
 

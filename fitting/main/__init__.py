@@ -1,1 +1,46 @@
-"""Fit the two-scale reflection + diffraction model to measured BRDFs; installed as the package ``merlfit`` itself."""
+"""Fit reflectance models to measured BRDFs; installed as the package ``merlfit`` itself.
+
+    import merlfit
+
+    fit = merlfit.fit("nickel.binary")
+    print(fit)
+
+Names are loaded when they are first used: importing merlfit does not wait for JAX.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file lies beside fitting/ once installed
+    from .fitting.api import Fit, fit, load, sample  # pyright: ignore[reportMissingImports]
+    from .fitting.config import Config, ConfigError  # pyright: ignore[reportMissingImports]
+    from .fitting.export import ResultError  # pyright: ignore[reportMissingImports]
+    from .merl_io.binary import Measurement, MerlError, read, write  # pyright: ignore[reportMissingImports]
+    from .model.geometry import Geometry  # pyright: ignore[reportMissingImports]
+    from .model.registry import models  # pyright: ignore[reportMissingImports]
+    from .model.two_scale import TwoScale, two_scale  # pyright: ignore[reportMissingImports]
+
+_HOMES = {
+    "fitting.api": ("Fit", "fit", "load", "sample"),
+    "fitting.config": ("Config", "ConfigError"),
+    "fitting.export": ("ResultError",),
+    "merl_io.binary": ("Measurement", "MerlError", "read", "write"),
+    "model.geometry": ("Geometry",),
+    "model.registry": ("models",),
+    "model.two_scale": ("TwoScale", "two_scale"),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+__all__ = [
+    "Config", "ConfigError", "Fit", "Geometry", "Measurement", "MerlError", "ResultError", "TwoScale", "fit", "load",
+    "models", "read", "sample", "two_scale", "write",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever it is
+    if name not in _HOME:
+        raise AttributeError(f"module 'merlfit' has no attribute {name!r}")
+    return getattr(import_module(f".{_HOME[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

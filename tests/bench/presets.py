@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from merlfit.fitting.config import load
 from merlfit.fitting.run import fit_file
-from merlfit.model.effects import PRESETS
+from merlfit.model.two_scale import PRESETS
 
 from .materials import file
 from .processes import worker
@@ -26,7 +26,7 @@ def measure(preset, *paths):
             start = time.perf_counter()
             result = fit_file(path, Path(out), config)
             found.append({
-                "seconds": time.perf_counter() - start, "kind": " ".join(result.model.effects.kind),
+                "seconds": time.perf_counter() - start, "kind": " ".join(result.model.two_scale.kind),
                 "cost": result.fit.cost, "rmse": result.metrics.rmse, "smape": result.metrics.smape,
                 "status": result.fit.status,
             })  # fmt: skip

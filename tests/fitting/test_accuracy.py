@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from frontiers import fit, measurement, point
 from merlfit.fitting import accuracy, calibration, cli, frontier, run
-from merlfit.fitting.accuracy import Aim, carry_on, distance, estimate, reference_problem, remaining
+from merlfit.fitting.accuracy import Aim, resume_fit, distance, estimate, reference_problem, remaining
 from merlfit.fitting.choice import POINTS, REFERENCE
 from merlfit.fitting.config import Config, load
 from merlfit.fitting.export import Accuracy, Result, Tried, read_result, schema
@@ -17,7 +17,7 @@ from merlfit.fitting.problem import energy
 from merlfit.fitting.report import accuracy_line
 from merlfit.fitting.request import Request
 from merlfit.fitting.transforms import layout_of
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
 runner = CliRunner()
@@ -60,14 +60,14 @@ def one():
     measured, samples, config = measurement(HELD[0], body="none")
     effects, values = calibration.truth(1000)
     layout = layout_of(effects)
-    layout, solution = carry_on((layout, layout.free(values)), REFERENCE.settings(config), samples)
-    return samples, config, run.judge(layout, solution, measured, samples), reference_problem(samples)
+    layout, solution = resume_fit((layout, layout.free(values)), REFERENCE.settings(config), samples)
+    return samples, config, run.assess(layout, solution, measured, samples), reference_problem(samples)
 
 
 def test_the_distance_is_that_of_all_bins(one):
     samples, _, fitted, problem = one
     layout, z = fitted.layout, fitted.solution.z
-    cheap = layout_of(Effects(layout.effects.body, "lobe", index=layout.effects.index, acquisition="free"))
+    cheap = layout_of(TwoScale(layout.effects.body, "lobe", index=layout.effects.index, acquisition="free"))
     for a, b in (((layout, z), (layout, z + 0.1)), ((layout, z), (cheap, z))):
         here, there = (run.predict_samples(*model, samples) for model in (a, b))
         expected = np.sqrt(np.sum(samples.weight * (here - there) ** 2) / energy(samples))
@@ -85,7 +85,7 @@ def test_the_step_that_remains_is_the_way_to_the_reference(one):
         away = distance((layout, moved), (layout, z), problem)
         assert remaining((layout, moved), problem) == pytest.approx(away, rel=0.2)
         assert estimate((layout, moved), problem, config) == remaining((layout, moved), problem)
-    cheap = layout_of(Effects(layout.effects.body, index=layout.effects.index, order=8, acquisition="free"))
+    cheap = layout_of(TwoScale(layout.effects.body, index=layout.effects.index, order=8, acquisition="free"))
     both = estimate((cheap, z), problem, config)
     assert both == pytest.approx(distance((cheap, z), (layout, z), problem) + remaining((layout, z), problem))
 
@@ -151,7 +151,7 @@ def test_carrying_on_never_ends_worse(one, monkeypatch):
     samples, config, fitted, _ = one
     measured, *_ = measurement(HELD[0])
     lost = replace(fitted.solution, z=np.full_like(fitted.solution.z, np.nan))
-    monkeypatch.setattr(accuracy, "carry_on", lambda *_: (fitted.layout, lost))
+    monkeypatch.setattr(accuracy, "resume_fit", lambda *_: (fitted.layout, lost))
     finished, told = Aim(Request(accuracy=1e-9), point(POINTS[1], 0.5, 1.0), config, "here").finish(
         fitted, measured, samples
     )
@@ -174,9 +174,9 @@ def test_what_was_not_calibrated_is_not_promised():
     for config, known in ((load(body="plastic", seed=3), True), (load(preset="conserving"), False)):
         asked = Aim(Request(accuracy=0.1), point(POINTS[2], 0.05, 1.0), config, "here")
         assert asked.calibrated == known
-        assert ("expected within 0.05" in asked.told) == known
+        assert ("expected within 0.05" in asked.summary) == known
     microfacet = Aim(Request(accuracy=0.1), point(POINTS[2], 0.05, 1.0), load(preset="microfacet"), "here")
-    assert "--accuracy 0.1: off, coarse grid" in microfacet.told
+    assert "--accuracy 0.1: off, coarse grid" in microfacet.summary
 
 
 def held_case(name, wanted):
@@ -186,7 +186,7 @@ def held_case(name, wanted):
     aim = Aim(asked, asked.choose(frontier.shipped().points), config, "shipped")
     finished, told = aim.finish(fit(measured, samples, aim.settings), measured, samples)
     best = fit(measured, samples, REFERENCE.settings(config))
-    layout, solution = carry_on((best.layout, best.solution.z), REFERENCE.settings(config), samples)
+    layout, solution = resume_fit((best.layout, best.solution.z), REFERENCE.settings(config), samples)
     here, there = (
         run.predict_samples(*model, samples) for model in ((finished.layout, finished.solution.z), (layout, solution.z))
     )

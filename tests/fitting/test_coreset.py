@@ -13,9 +13,9 @@ from merlfit.fitting.residuals import cost, normal_equations
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 
-LAYOUT = layout_of(Effects("lambert", "off"))
+LAYOUT = layout_of(TwoScale("lambert", "off"))
 OPTICS = {"eta": np.full(3, 1.5), "albedo": np.full(3, 0.05)}
 
 

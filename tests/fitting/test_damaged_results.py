@@ -9,7 +9,7 @@ from made_results import made
 from merlfit.fitting import cli, plots
 from merlfit.fitting.export import ResultError, Source, read_result, write_result
 from merlfit.fitting.posterior import ChainError, read_chain
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
 
@@ -89,7 +89,7 @@ def test_every_command_refuses_an_edited_result_and_writes_nothing(command, tmp_
 
 
 @pytest.mark.parametrize(
-    "effects", [Effects("plastic", acquisition="free"), Effects("none", "off"), Effects("lambert")]
+    "effects", [TwoScale("plastic", acquisition="free"), TwoScale("none", "off"), TwoScale("lambert")]
 )
 def test_results_of_a_fit_come_back_as_they_were(effects, tmp_path):
     result = made(effects=effects, posterior=True)

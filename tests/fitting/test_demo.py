@@ -8,7 +8,6 @@ from made_results import made, quantiles
 from merlfit.fitting import cli, demo, files
 from merlfit.fitting.export import write_result
 from merlfit.merl_io.binary import genuine_names, read, write
-from merlfit.model.parameters import parameters
 from typer.testing import CliRunner
 
 
@@ -20,7 +19,7 @@ def stand_in(monkeypatch, tmp_path):
 
     def fit(path, out, settings, *_):
         result = made(path.stem, str(path), effects=demo.EFFECTS)
-        true = [x for q in parameters(demo.EFFECTS) for x in np.ravel(demo.TRUTH[q.name])]
+        true = [x for q in demo.EFFECTS.parameters for x in np.ravel(demo.TRUTH[q.name])]
         for k, (q, x) in enumerate(zip(result.parameters, true, strict=True)):
             q.value, q.quantiles = float(x), quantiles(float(x) if k else 2 * float(x))
         write_result(out / f"{path.stem}.json", result)

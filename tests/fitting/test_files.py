@@ -16,7 +16,7 @@ from merlfit.fitting.terminal import Stopped
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, MerlError, write
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
 
@@ -178,7 +178,7 @@ def test_a_file_that_may_not_be_read_does_not_stop_the_batch(tmp_path, stand_in,
 
 
 def test_quantiles_stay_when_only_the_chain_cannot_be_written(tmp_path, monkeypatch):
-    layout = layout_of(Effects("none", "off"))
+    layout = layout_of(TwoScale("none", "off"))
     draws = np.zeros((4, layout.size))
     none = np.zeros(4)
     chain = SimpleNamespace(arrays=dict)

@@ -23,9 +23,8 @@ from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
 from merlfit.model.acquisition import derived_exponent
-from merlfit.model.effects import KINDS, Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import two_scale
+from merlfit.model.two_scale import KINDS, TwoScale, two_scale
 
 CONDUCTOR = {
     "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "n": np.array([1.9, 1.7, 1.6]),
@@ -36,7 +35,7 @@ PLASTIC = {
     "albedo": np.array([0.5, 0.2, 0.05]),
 }  # fmt: skip
 EXPONENTS = {"grazing_exponent": 0.35, "grazing_exponent_diffracted": 0.15}
-FREE = layout_of(Effects("none", acquisition="free"))
+FREE = layout_of(TwoScale("none", acquisition="free"))
 
 
 def tabulate(values, effects, exponents=EXPONENTS):
@@ -59,7 +58,7 @@ def files(tmp_path_factory):
     made = {}
     for name, values, body in (("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "plastic")):
         made[name] = folder / f"{name}.binary"
-        write(made[name], tabulate(values, Effects(body)))
+        write(made[name], tabulate(values, TwoScale(body)))
     return made
 
 
@@ -149,8 +148,8 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     """Rows of three azimuths and as many nodes: nothing is gathered but the bins themselves."""
     samples = thin(coarse[0], (run.COARSE[0], 5, 30))
     problem = make_problem(samples)
-    others = [Effects("plastic", acquisition="derived"), Effects("lambert", "zonal", acquisition=0.3)]
-    for layout in (FREE, *map(layout_of, [*others, Effects("lambert", "off", split="conserving")])):
+    others = [TwoScale("plastic", acquisition="derived"), TwoScale("lambert", "zonal", acquisition=0.3)]
+    for layout in (FREE, *map(layout_of, [*others, TwoScale("lambert", "off", split="conserving")])):
         z = jnp.asarray(np.random.default_rng(1).normal(size=layout.size))
         expected, found = plain(layout, z, samples), np.asarray(normal_equations(layout, z, problem))
         assert difference(found, expected) < 1e-9
@@ -161,7 +160,7 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
 @pytest.mark.slow
 def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
     samples = thin(coarse[0], (10, 10, 1))
-    other = Effects("subsurface", "lobe", masking="height_correlated", acquisition="free")
+    other = TwoScale("subsurface", "lobe", masking="height_correlated", acquisition="free")
     for layout in (FREE, layout_of(other)):
         z = jnp.asarray(np.random.default_rng(2).normal(size=layout.size))
         expected = plain(layout, z, samples)
@@ -174,7 +173,7 @@ def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
 def test_the_program_of_all_kinds_has_the_normal_equations_of_each(coarse, kind):
     """A dielectric as a conductor with k = 0, a body chosen when the program runs, albedo 0 for none."""
     problem = make_problem(thin(coarse[0], run.CANDIDATES), 2)
-    layout = run.cheaper(layout_of(Effects(kind[1], index=kind[0], acquisition="free")), 8)
+    layout = run.cheaper(layout_of(TwoScale(kind[1], index=kind[0], acquisition="free")), 8)
     z = jnp.asarray(np.random.default_rng(3).normal(size=layout.size))
     values, slopes = layout.values_and_slopes(z)
     alone = sum(np.asarray(_normal_equations(layout.effects, values, part)) for part in problem.parts)
@@ -203,7 +202,7 @@ def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
 def test_solvers_of_three_libraries_agree(coarse):
     samples = coarse[0]
     problem = make_problem(thin(samples, (10, 10, 45)))
-    layout = layout_of(Effects("none", "lobe", acquisition="free"))
+    layout = layout_of(TwoScale("none", "lobe", acquisition="free"))
     start = layout.free({**CONDUCTOR, **EXPONENTS}) + 0.1
     ours, minpack, jaxopt = (solve(layout, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
     assert ours.cost < solve(layout, start, problem, 1).cost / 10
@@ -259,7 +258,7 @@ def test_data_below_the_horizon_are_left_out():
     assert not np.any(samples.weight[:, ~grid.above[..., :90]])
     problem = make_problem(thin(samples, (1, 3, 10)))
     for grazing_loss in ("free", 0.0):
-        layout = layout_of(Effects("lambert", "off", acquisition=grazing_loss))
+        layout = layout_of(TwoScale("lambert", "off", acquisition=grazing_loss))
         assert np.all(np.isfinite(normal_equations(layout, jnp.zeros(layout.size), problem)))
 
 

@@ -15,9 +15,9 @@ from merlfit.fitting.residuals import cost
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 
-LAYOUT = layout_of(Effects("lambert", "off"))
+LAYOUT = layout_of(TwoScale("lambert", "off"))
 TRUTH = {
     "beta": 0.2, "p": 0.8, "eta": np.array([1.5, 1.6, 1.7]), "albedo": np.array([0.5, 0.3, 0.1]),
 }  # fmt: skip
@@ -65,7 +65,7 @@ def test_thinned_grids_see_the_mirror_direction():
 def test_points_of_a_batch_are_what_they_are_one_by_one(fitted, diffraction):
     """Where predictions are made float64 in the same program, jaxlib 0.10 has wrong sums, depending on the batch."""
     samples, _, best = fitted
-    layout, rng = layout_of(Effects("lambert", diffraction)), np.random.default_rng(8)
+    layout, rng = layout_of(TwoScale("lambert", diffraction)), np.random.default_rng(8)
     z = np.concatenate([best.z, np.zeros(layout.size - len(best.z))]) if diffraction != "off" else best.z
     normal = np.stack([np.eye(len(z) + 1)] * 3)
     few = stand_in(layout, samples, replace(best, z=z, normal=normal), COUNT)

@@ -11,9 +11,9 @@ from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import METAL_FLOOR, POOR, Fitted, cautions
 from merlfit.fitting.selection import ALIKE, MARGIN
 from merlfit.fitting.transforms import layout_of
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 
-LAYOUT = layout_of(Effects("lambert", index="complex", acquisition="free"))
+LAYOUT = layout_of(TwoScale("lambert", index="complex", acquisition="free"))
 VALUES = {
     "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
     "grazing_exponent_diffracted": 0.2, "n": np.full(3, 1.5), "k": np.full(3, 3.0), "albedo": np.full(3, 0.01),

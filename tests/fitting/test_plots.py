@@ -9,7 +9,7 @@ from merlfit.fitting import plots
 from merlfit.fitting.plots import corner_figure, lobe_figure
 from merlfit.merl_io.binary import DIMS, Measurement
 from merlfit.merl_io.grid import merl_grid
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 
 
 def chain(result, scale=0.1, count=400):
@@ -74,7 +74,7 @@ def test_a_chain_too_short_for_intervals_is_drawn_and_gives_the_lobes_no_band(tm
 
 @pytest.mark.parametrize("acquisition", ["free", "off"])
 def test_the_lobe_plot_has_a_log_view_a_peak_and_residuals(acquisition, measurement):
-    result = made(effects=Effects("none", acquisition=acquisition))
+    result = made(effects=TwoScale("none", acquisition=acquisition))
     figure = lobe_figure(result, measurement)
     cubic, logarithmic, (peak, by_half, by_difference) = figure.axes[:5], figure.axes[5:10], figure.axes[10:]
     assert {a.get_yscale() for a in cubic} == {"linear"}
@@ -90,7 +90,7 @@ def test_the_lobe_plot_has_a_log_view_a_peak_and_residuals(acquisition, measurem
 
 def test_residuals_are_fit_over_file(measurement, monkeypatch):
     """A fit that is twice the file everywhere."""
-    result = made(effects=Effects("none"))
+    result = made(effects=TwoScale("none"))
     file = np.array([0.3, 0.2, 0.1])
     monkeypatch.setattr(
         plots, "_predicted", lambda model, values, h, d, p: 2 * np.ones((3, 90, 45, 7)) * file[:, None, None, None]

@@ -10,11 +10,10 @@ from merlfit.fitting.problem import make_problem
 from merlfit.fitting.residuals import cost, predict
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
-from merlfit.model.effects import Effects
-from merlfit.model.parameters import parameters
+from merlfit.model.two_scale import TwoScale
 
 DRAWS = 24
-EFFECTS = Effects("none", "lobe", acquisition="free"), Effects("subsurface", "lobe", acquisition="free")
+EFFECTS = TwoScale("none", "lobe", acquisition="free"), TwoScale("subsurface", "lobe", acquisition="free")
 
 
 def predictions(effects, samples, draws):
@@ -22,7 +21,7 @@ def predictions(effects, samples, draws):
     rng = np.random.default_rng(11)
     where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
     for _ in range(draws):
-        places = {q: jnp.asarray(rng.uniform(0.03, 0.97, 3 if q.per_channel else ())) for q in parameters(effects)}
+        places = {q: jnp.asarray(rng.uniform(0.03, 0.97, 3 if q.per_channel else ())) for q in effects.parameters}
         values = {q.name: q.between(u) for q, u in places.items()}
         yield values, predict(effects, values, where)
 

@@ -13,8 +13,7 @@ from merlfit.fitting.run import predict_samples
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
-from merlfit.model.effects import KINDS, Effects
-from merlfit.model.parameters import parameters
+from merlfit.model.two_scale import KINDS, TwoScale
 
 SHARED = {"beta": 0.15, "p": 0.7, "b": 1.5, "c": 1.8, "sigma_s": 0.03, "grazing_exponent": 0.3,
           "grazing_exponent_diffracted": 0.1}  # fmt: skip
@@ -32,7 +31,7 @@ OPTICS = {
 def effects_of(kind):
     """F colours the diffracted light, which makes projection exact."""
     index, body = kind
-    return Effects(body, "lobe", index=index, colour="fresnel", acquisition="free")
+    return TwoScale(body, "lobe", index=index, colour="fresnel", acquisition="free")
 
 
 def batch(candidates):
@@ -58,7 +57,7 @@ def blank():
 
 @pytest.fixture(scope="module", params=OPTICS, ids=" ".join)
 def made(request, blank):
-    """Effects with a body, a problem of data that they explain, and what projection finds for three candidates."""
+    """TwoScale with a body, a problem of data that they explain, and what projection finds for three candidates."""
     layout = layout_of(effects_of(request.param))
     value = predict_samples(layout, layout.free({**SHARED, **OPTICS[request.param]}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)
@@ -69,7 +68,7 @@ def made(request, blank):
 def test_every_candidate_has_the_model_s_cost(made):
     effects, problem, costs, found = made
     assert costs.shape == (3,)
-    assert set(found) == {q.name for q in parameters(effects)}
+    assert set(found) == {q.name for q in effects.parameters}
     assert len(set(costs.tolist())) == 3
     for k, shared in enumerate([SHARED, *OTHERS]):
         values = one(found, k)

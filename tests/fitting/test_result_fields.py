@@ -16,7 +16,7 @@ from merlfit.fitting.laplace import laplace_covariance
 from merlfit.fitting.run import fit_file
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.binary import DIMS, write
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 from scipy.stats import norm
 
 
@@ -28,7 +28,7 @@ def test_every_field_of_the_schema_is_described():
             assert not re.search(":[a-z]+:`", told["description"])
 
 
-LAYOUT = layout_of(Effects("lambert", acquisition="free"))
+LAYOUT = layout_of(TwoScale("lambert", acquisition="free"))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_results_before_covariances_can_be_read(found):
     assert export.Identifiability.model_validate(data).priors is None
 
 
-@pytest.mark.parametrize("effects", [Effects("lambert", acquisition="free"), Effects("none")], ids=str)
+@pytest.mark.parametrize("effects", [TwoScale("lambert", acquisition="free"), TwoScale("none")], ids=str)
 def test_priors_for_programs_are_those_of_the_coordinates(effects):
     """The cut log-normal distribution function of the quantity, less its offset, is that of z."""
     layout = layout_of(effects)

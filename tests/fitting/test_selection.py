@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from merlfit.fitting.selection import ALIKE, MARGIN, PATIENCE, choose, lost, nearest, score
-from merlfit.model.effects import KINDS, Effects
+from merlfit.model.two_scale import KINDS, TwoScale
 
 COUNT = 13.0
 
@@ -14,7 +14,7 @@ def chosen(objectives, cube_roots, count=COUNT):
 
 
 def test_kinds_are_effects_the_simplest_first():
-    assert [Effects(body, index=index).kind for index, body in KINDS] == list(KINDS)
+    assert [TwoScale(body, index=index).kind for index, body in KINDS] == list(KINDS)
     assert KINDS[0] == ("complex", "none")
 
 

@@ -26,11 +26,11 @@ from merlfit.fitting.starts import (
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
-from merlfit.model.effects import Effects
 from merlfit.model.parameters import PRIORS, LogNormal
+from merlfit.model.two_scale import TwoScale
 from scipy.special import ndtr, ndtri
 
-LAYOUT = layout_of(Effects("lambert", "lobe", acquisition="free"))
+LAYOUT = layout_of(TwoScale("lambert", "lobe", acquisition="free"))
 SHARED = [q.name for q in LAYOUT.parameters if not q.per_channel]
 TRUTH = {
     "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,

@@ -9,19 +9,19 @@ import pytest
 from merlfit.fitting.config import Config, ConfigError, load, parse
 from merlfit.fitting.transforms import layout_of
 from merlfit.model.diffraction import renormalisation
-from merlfit.model.effects import KINDS, Effects
-from merlfit.model.parameters import PRIORS, WAVELENGTHS_UM, LogNormal, parameters
+from merlfit.model.parameters import PRIORS, WAVELENGTHS_UM, LogNormal
+from merlfit.model.two_scale import KINDS, TwoScale
 from scipy.special import ndtr
 from scipy.stats import kstest, truncnorm
 
 LAYOUTS = {
-    body if index == Effects(body).index else f"{index} {body}": layout_of(
-        Effects(body, index=index, acquisition="free")
+    body if index == TwoScale(body).index else f"{index} {body}": layout_of(
+        TwoScale(body, index=index, acquisition="free")
     )
     for index, body in KINDS
 } | {
-    "no diffraction": layout_of(Effects("plastic", "off")),
-    "not renormalised": layout_of(Effects("none", renormalised=False, acquisition="free")),
+    "no diffraction": layout_of(TwoScale("plastic", "off")),
+    "not renormalised": layout_of(TwoScale("none", renormalised=False, acquisition="free")),
 }
 DRAWS = 4000
 every = pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
@@ -188,7 +188,7 @@ def test_what_is_cut_off_is_given_to_the_rest():
         assert not np.any((x < q.lower) | (x > q.upper))
         assert 1 - (ndtr(high) - ndtr(low)) > 0.01
     tight = layout_of(
-        Effects("plastic", "off"), replace(PRIORS, eta=LogNormal(2.9, 1.2), dispersion=LogNormal(1.0, 2.0))
+        TwoScale("plastic", "off"), replace(PRIORS, eta=LogNormal(2.9, 1.2), dispersion=LogNormal(1.0, 2.0))
     )
     eta = drawn(tight, seed=6)[1]["eta"]
     assert np.all(eta <= 4.0 * (1 + 1e-12))
@@ -235,7 +235,7 @@ def test_priors_are_said_in_words():
     assert said["c"].startswith("c - 1 log-normal, 0.7 times or over 2.5")
     assert "that of the middle one times or over 1.2" in said["eta"]
     other = replace(layout, priors=replace(PRIORS, p=LogNormal(1.0, 3.0)))
-    assert "1 times or over 3" in other.prior(next(q for q in parameters(layout.effects) if q.name == "p"))
+    assert "1 times or over 3" in other.prior(next(q for q in layout.effects.parameters if q.name == "p"))
 
 
 def test_an_albedo_of_nothing_is_a_small_one():

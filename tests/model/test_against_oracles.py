@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from merlfit.model import body, convolution, diffraction, fresnel, ndf, shadowing
-from merlfit.model.effects import Effects
+from merlfit.model.two_scale import TwoScale
 from oracles import bodies as o_bodies
 from oracles import convolution as o_convolution
 from oracles import diffraction as o_diffraction
@@ -200,7 +200,7 @@ def test_default_order_to_3e_3_on_thousands_of_sets():
         return np.asarray(value(tuple(jnp.asarray(cases.T))))
 
     reference = at(96)
-    error = np.abs(at(Effects().order) / reference - 1)
+    error = np.abs(at(TwoScale().order) / reference - 1)
     assert error.max() < 3e-3, cases[error.argmax()]
     assert np.abs(at(16) / reference - 1).max() > 2e-2  # the comparison sees a quadrature that is too coarse
 

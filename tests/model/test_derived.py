@@ -5,24 +5,23 @@ import numpy as np
 import pytest
 from energy import half_vectors
 from merlfit.model.derived import derived, directional_albedo, quantities
-from merlfit.model.effects import Effects
-from merlfit.model.parameters import WAVELENGTHS_UM, parameters
-from merlfit.model.two_scale import two_scale
+from merlfit.model.parameters import WAVELENGTHS_UM
+from merlfit.model.two_scale import TwoScale, two_scale
 from oracles import diffraction as o_diffraction
 from oracles import fresnel as o_fresnel
 
 ANGLES = np.radians([0.0, 60.0])
 EFFECTS = [
-    Effects("none", acquisition="free"),
-    Effects("lambert"),
-    Effects("plastic", split="conserving"),
-    Effects("subsurface", "off"),
+    TwoScale("none", acquisition="free"),
+    TwoScale("lambert"),
+    TwoScale("plastic", split="conserving"),
+    TwoScale("subsurface", "off"),
 ]
 
 
 def coloured(rng, effects):
     """One parameter set between the bounds, three channels."""
-    return {q.name: q.between(jnp.asarray(rng.uniform(size=3 if q.per_channel else None))) for q in parameters(effects)}
+    return {q.name: q.between(jnp.asarray(rng.uniform(size=3 if q.per_channel else None))) for q in effects.parameters}
 
 
 @pytest.mark.parametrize("effects", EFFECTS, ids=lambda e: f"{e.body} {e.diffraction} {e.split}")
@@ -39,7 +38,7 @@ def test_directional_albedo_is_the_integral_by_a_finer_rule(effects):
 
 def test_a_lambertian_body_under_nothing_gives_back_its_albedo():
     values = {"beta": 0.3, "p": 1.0, "eta": np.full(3, 1.0), "albedo": np.array([0.8, 0.5, 0.1])}
-    found = derived(values, Effects("lambert", "off"))
+    found = derived(values, TwoScale("lambert", "off"))
     for name in ("albedo_0_deg", "albedo_60_deg"):
         np.testing.assert_allclose(found[name], values["albedo"], rtol=1e-3)
     np.testing.assert_allclose(found["f0"], 0, atol=1e-12)
@@ -50,7 +49,7 @@ def test_the_others_are_those_of_the_oracles():
         "beta": 0.1196, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.0273,
         "n": np.array([1.2, 0.4, 3.0]), "k": np.array([2.0, 3.5, 0.1]),
     }  # fmt: skip
-    found = derived(values, Effects("none"))
+    found = derived(values, TwoScale("none"))
     expected = [o_fresnel.fresnel(1.0, n, k) for n, k in zip(values["n"], values["k"], strict=True)]
     np.testing.assert_allclose(found["f0"], expected)
     share = [float(o_diffraction.renormalisation(0.0, 4.8 / wavelength, 2.2)) for wavelength in WAVELENGTHS_UM]

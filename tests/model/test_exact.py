@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import assemble, factors, setting, shaped
+from merlfit.model.reflectance import factor_values, setting, shaped
+from merlfit.model.two_scale import TwoScale
 from oracles import two_scale as o_two_scale
 
 WAVELENGTH_UM = 0.526
@@ -33,9 +33,9 @@ def cases(count=24):
 
 @jax.jit
 def diffraction_lobe(values, i, o):
-    s = setting(Geometry.from_vectors(i, o), Effects(diffraction="exact"), (WAVELENGTH_UM,))
-    at = {name: f.evaluate(shaped(values, s), s) for name, f in factors(s.effects).items()}
-    return assemble({**at, "mirror": jnp.zeros_like(at["mirror"])}, s)[0]
+    s = setting(Geometry.from_vectors(i, o), TwoScale(diffraction="exact"), (WAVELENGTH_UM,))
+    at = factor_values(shaped(values, s), s)
+    return s.model.assemble({**at, "specular": jnp.zeros_like(at["specular"])}, s)[0]
 
 
 def test_exact_lobe_against_the_oracle():

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from merlfit.model.effects import Effects
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import setting, shaped
+from merlfit.model.reflectance import setting, shaped
+from merlfit.model.two_scale import TwoScale
 
 METAL = {"beta": 0.1, "p": 0.5, "n": [1.0] * 3, "k": [3.0] * 3}
 
@@ -15,15 +15,15 @@ def shape(effects, **params):
 
 
 def test_a_parameter_of_no_effects_is_refused():
-    with pytest.raises(KeyError, match="two_scale has no parameter albdeo, sigma, whatever the effects"):
-        shape(Effects("none", "off"), albdeo=[0.1] * 3, sigma=0.1)
+    with pytest.raises(KeyError, match="two-scale has no parameter albdeo, sigma"):
+        shape(TwoScale("none", "off"), albdeo=[0.1] * 3, sigma=0.1)
 
 
 def test_parameters_of_other_effects_are_passed_over():
-    found = shape(Effects("none", "off"), b=3.0, albedo=[0.1] * 3, grazing_exponent=0.5)
+    found = shape(TwoScale("none", "off"), b=3.0, albedo=[0.1] * 3, grazing_exponent=0.5)
     assert set(found) == set(METAL)
 
 
 def test_a_missing_parameter_is_named():
-    with pytest.raises(KeyError, match="two_scale needs b, c, sigma_s"):
-        shape(Effects("none"))
+    with pytest.raises(KeyError, match="two-scale needs b, c, sigma_s"):
+        shape(TwoScale("none"))

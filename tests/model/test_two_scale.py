@@ -11,21 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 from merlfit.model.acquisition import Apparatus
-from merlfit.model.effects import KINDS, Effects
 from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.numerics import sin_quarter, softplus
-from merlfit.model.parameters import WAVELENGTHS_UM, parameters
-from merlfit.model.two_scale import (
-    assemble,
-    factors,
-    grazing_exponent,
-    grazing_exponent_diffracted,
-    setting,
-    shaped,
-    tables,
-    two_scale,
-)
+from merlfit.model.parameters import WAVELENGTHS_UM
+from merlfit.model.reflectance import factor_values, reads, setting, shaped
+from merlfit.model.terms import grazing_exponent, grazing_exponent_diffracted
+from merlfit.model.two_scale import KINDS, TwoScale, two_scale
 from oracles import bodies as o_bodies
 from oracles import two_scale as o_two_scale
 
@@ -40,26 +32,26 @@ SWITCHED = [
     {"fresnel": "schlick"}, {"masking": "height_correlated"}, {"masking": "none"}, {"renormalised": False},
     {"colour": "fresnel"}, {"fresnel": "schlick", "colour": "fresnel", "masking": "none", "renormalised": False},
 ]  # fmt: skip
-EVERY = [Effects(body, diffraction, index=index) for index, body in KINDS for diffraction in ("off", "lobe")]
-EVERY += [Effects(diffraction=tier) for tier in ("scaled", "zonal", "quadrature", "exact")]
-EVERY += [Effects(diffraction="lobe", **switched) for switched in SWITCHED]
+EVERY = [TwoScale(body, diffraction, index=index) for index, body in KINDS for diffraction in ("off", "lobe")]
+EVERY += [TwoScale(diffraction=tier) for tier in ("scaled", "zonal", "quadrature", "exact")]
+EVERY += [TwoScale(diffraction="lobe", **switched) for switched in SWITCHED]
 EVERY += [
-    Effects("subsurface", "lobe", split="conserving"),
-    Effects("lambert", "off", masking="none", split="conserving"),
+    TwoScale("subsurface", "lobe", split="conserving"),
+    TwoScale("lambert", "off", masking="none", split="conserving"),
 ]
 EVERY += [
-    Effects("plastic", diffraction, acquisition=how)
+    TwoScale("plastic", diffraction, acquisition=how)
     for diffraction in ("off", "lobe")
     for how in ("free", "derived", 0.3)
 ]
-EVERY += [Effects("none", "lobe", index="real")]
+EVERY += [TwoScale("none", "lobe", index="real")]
 DEAR = [e for e in EVERY if e.diffraction == "exact" or e.split == "conserving"]  # seconds to compile
 DIFFERENTIATED = [e for e in EVERY if e not in DEAR]
-DIFFERENTIATED += [Effects(diffraction="exact"), Effects("subsurface", "lobe", split="conserving")]
+DIFFERENTIATED += [TwoScale(diffraction="exact"), TwoScale("subsurface", "lobe", split="conserving")]
 
 
 def material(effects, **changes):
-    return {q.name: {**SHARED, **GRAZING, **OPTICS, **changes}[q.name] for q in parameters(effects)}
+    return {q.name: {**SHARED, **GRAZING, **OPTICS, **changes}[q.name] for q in effects.parameters}
 
 
 def random_directions(count, seed=SEED, highest=1.5):
@@ -71,12 +63,12 @@ def random_directions(count, seed=SEED, highest=1.5):
 @pytest.mark.parametrize("switched", SWITCHED, ids=lambda x: "-".join(map(str, x.values())))
 def test_switches_against_the_oracle(switched):
     values = {
-        **material(Effects()),
+        **material(TwoScale()),
         "beta": 0.6,
         "b": 0.6,
         "sigma_s": 0.08,
     }  # much masked and renormalised
-    effects = Effects(**switched, order=64)
+    effects = TwoScale(**switched, order=64)
     i, o = random_directions(12)
     found = np.asarray(two_scale(values, Geometry.from_vectors(i, o), effects))
     m = o_two_scale.Material(**{k: values[k] for k in SHARED}, n=OPTICS["n"][0], k=OPTICS["k"][0])
@@ -96,21 +88,21 @@ def compiled_work(effects):
     return analysis["flops"], analysis["transcendentals"]
 
 
-LOBE = Effects(diffraction="lobe")  # seconds less to compile than the quadrature
+LOBE = TwoScale(diffraction="lobe")  # seconds less to compile than the quadrature
 LADDERS = {  # programs that do ever more: each step adds operations, and transcendental functions
-    "tiers": [Effects(diffraction="off"), LOBE, Effects(order=8), Effects(), Effects(diffraction="exact")],
-    "zonal": [LOBE, Effects(diffraction="zonal", zonal_order=25), Effects(diffraction="zonal")],
-    "scaled": [LOBE, Effects(diffraction="scaled")],
+    "tiers": [TwoScale(diffraction="off"), LOBE, TwoScale(order=8), TwoScale(), TwoScale(diffraction="exact")],
+    "zonal": [LOBE, TwoScale(diffraction="zonal", zonal_order=25), TwoScale(diffraction="zonal")],
+    "scaled": [LOBE, TwoScale(diffraction="scaled")],
     "masking": [replace(LOBE, masking="none"), LOBE],
     "renormalised": [replace(LOBE, renormalised=False), LOBE],
     "fresnel": [replace(LOBE, fresnel="schlick"), LOBE],
     "colour": [replace(LOBE, colour="fresnel"), LOBE],
     "acquisition": [LOBE, replace(LOBE, acquisition="free"), replace(LOBE, acquisition="derived")],
-    "body": [Effects("plastic", "lobe"), Effects("subsurface", "lobe")],
+    "body": [TwoScale("plastic", "lobe"), TwoScale("subsurface", "lobe")],
     "split": [LOBE, replace(LOBE, split="conserving")],
 }
 RATIONAL = {  # steps that add operations, but no transcendental function
-    "body, rational": [LOBE, Effects("lambert", "lobe"), Effects("plastic", "lobe")],
+    "body, rational": [LOBE, TwoScale("lambert", "lobe"), TwoScale("plastic", "lobe")],
     "index, rational": [replace(LOBE, index="real"), LOBE],
     "masking, rational": [LOBE, replace(LOBE, masking="height_correlated")],
     "acquisition, constant": [LOBE, replace(LOBE, acquisition=0.3)],
@@ -131,7 +123,7 @@ def test_a_loss_of_exponent_0_is_no_loss():
 
 @pytest.mark.parametrize(("index", "body"), [*KINDS, ("real", "none")])
 def test_against_the_oracle(index, body):
-    effects = Effects(body, index=index, order=64)
+    effects = TwoScale(body, index=index, order=64)
     i, o = random_directions(12)
     values = material(effects)
     found = np.asarray(two_scale(values, Geometry.from_vectors(i, o), effects))
@@ -158,7 +150,7 @@ def test_the_loss_is_that_of_each_lobe_and_not_of_the_body(index, body, acquisit
     """Towards grazing angles, where p(i, o) of everything would be several per cent off and up to half of it."""
     i, o = random_directions(8, SEED + 1)
     shared = {**SHARED, "sigma_s": 0.06}  # as much diffracted as mirrored
-    effects = Effects(body, index=index, order=64, acquisition=acquisition)
+    effects = TwoScale(body, index=index, order=64, acquisition=acquisition)
     albedo, eta = 0.05, OPTICS["eta"][1]
     values = material(effects, **shared, albedo=np.full(3, albedo))
     found = np.asarray(two_scale(values, Geometry.from_vectors(i, o), effects))[1]
@@ -193,8 +185,8 @@ def test_the_loss_is_that_of_each_lobe_and_not_of_the_body(index, body, acquisit
 
 def test_derived_exponents_are_those_of_the_widths_of_both_lobes():
     """Of D, and of (S * D) at the middle wavelength, whatever the colour; the same whether given as a table or not."""
-    values = {**material(Effects("plastic", acquisition="free")), "beta": 0.01, "p": 1.0, "b": 20.0}
-    derived, free = Effects("plastic", acquisition="derived"), Effects("plastic", acquisition="free")
+    values = {**material(TwoScale("plastic", acquisition="free")), "beta": 0.01, "p": 1.0, "b": 20.0}
+    derived, free = TwoScale("plastic", acquisition="derived"), TwoScale("plastic", acquisition="free")
     g = Geometry.from_half_difference(np.linspace(1e-3, 0.05, 20), np.linspace(0.2, 1.2, 20), np.full(20, 0.7))
     found = np.asarray(two_scale(values, g, derived))
     arrays = {name: jnp.asarray(x) for name, x in values.items()}
@@ -243,7 +235,7 @@ def test_lists_and_grids_are_the_same_function(effects, table):
 
 @pytest.mark.parametrize("tier", ["quadrature", "zonal", "scaled"])
 def test_single_precision_on_a_grid_to_the_horizon(tier, table):
-    effects = Effects(diffraction=tier, order=16)
+    effects = TwoScale(diffraction=tier, order=16)
     half, double = (
         Geometry.from_half_difference(*(jnp.asarray(x, kind) for x in AXES)) for kind in (jnp.float32, jnp.float64)
     )
@@ -303,38 +295,37 @@ def test_gradients_are_finite_at_the_edges_and_match_differences(effects):
 
 
 @pytest.mark.parametrize("effects", EVERY, ids=str)
-def test_factors_depend_on_what_they_say(effects):
-    s = setting(Geometry.from_vectors(*random_directions(5)), effects)
+def test_factors_depend_on_what_was_recorded(effects):
+    s, read = setting(Geometry.from_vectors(*random_directions(5)), effects), reads(effects)
     v = shaped(material(effects), s)
-    for name, factor in factors(effects).items():
+    for name, factor in effects.factors().items():
         for q in v:
-            changed = {**v, q: v[q] * 1.1}
-            same = np.array_equal(factor.evaluate(v, s), factor.evaluate(changed, s))
-            free_of_toll = name == "toll" and effects.body == "none"  # 1 where nothing is in excess
-            assert same == (q not in factor.names) or (same and free_of_toll), f"{name} and {q}"
+            same = np.array_equal(factor(v, s), factor({**v, q: v[q] * 1.1}, s))
+            nothing_in_excess = name == "conservation" and effects.body == "none"
+            assert same == (q not in read.parameters[name]) or (same and nothing_in_excess), f"{name} and {q}"
 
 
 @pytest.mark.parametrize(
     "effects",
     [
-        Effects("subsurface", "lobe", split="conserving"),
-        Effects("none", "quadrature"),
-        Effects("lambert", "lobe", acquisition="derived"),
+        TwoScale("subsurface", "lobe", split="conserving"),
+        TwoScale("none", "quadrature"),
+        TwoScale("lambert", "lobe", acquisition="derived"),
     ],
     ids=str,
 )
-def test_tables_depend_on_what_they_say_and_change_nothing(effects):
+def test_tables_depend_on_what_was_recorded_and_change_nothing(effects):
     grid = np.ix_(np.linspace(0.05, 1.2, 9), np.linspace(0.05, 1.2, 7), np.linspace(0.1, 1.5, 6))
     s = setting(Geometry.from_half_difference(*grid), effects)
     narrow = {"beta": 0.01, "b": 20.0} if effects.acquisition == "derived" else {}  # wide lobes lose nothing
     v = shaped(material(effects, **narrow), s)
-    found = {name: table.compute(v, s) for name, table in tables(effects).items()}
-    expected = {"masking", "share"} | ({"surface_albedo"} if effects.split == "conserving" else set())
+    found = {name: table(v, s) for name, table in effects.tables().items()}
+    expected = {"masking_curve", "relative_variance"} | ({"surface_albedo"} if effects.split == "conserving" else set())
     assert set(found) == expected | ({"diffracted_exponent"} if effects.acquisition == "derived" else set())
-    for name, table in tables(effects).items():
+    for name, table in effects.tables().items():
         for q in v:
-            same = np.array_equal(table.compute({**v, q: v[q] * 1.1}, s), found[name])
-            assert same == (q not in table.names), f"{name} and {q}"
+            same = np.array_equal(table({**v, q: v[q] * 1.1}, s), found[name])
+            assert same == (q not in reads(effects).parameters[name]), f"{name} and {q}"
     plain, given = (two_scale({**v, **extra}, s.geometry, effects) for extra in ({}, found))
     np.testing.assert_allclose(given, plain, rtol=1e-12)
     wrong = {name: x * 1.01 for name, x in found.items()}
@@ -342,53 +333,53 @@ def test_tables_depend_on_what_they_say_and_change_nothing(effects):
 
 
 def test_missing_parameter_is_named():
-    values = material(Effects())
+    values = material(TwoScale())
     del values["sigma_s"]
     with pytest.raises(KeyError, match="sigma_s"):
-        two_scale(values, Geometry.from_vectors(*random_directions(1)), Effects())
+        two_scale(values, Geometry.from_vectors(*random_directions(1)), TwoScale())
 
 
 @pytest.mark.parametrize("body", ["plastic", "subsurface"])
 def test_what_lies_under_a_clear_interface_has_a_real_index(body):
     with pytest.raises(ValueError, match=f"{body}.*its index is real"):
-        Effects(body, index="complex")
-    assert Effects(body) == Effects(body, index="real")
-    assert Effects(body).kind == ("real", body)
+        TwoScale(body, index="complex")
+    assert TwoScale(body) == TwoScale(body, index="real")
+    assert TwoScale(body).kind == ("real", body)
 
 
 def test_the_usual_index_is_complex_over_no_body_and_real_over_one():
-    assert Effects() == Effects(index="complex") != Effects(index="real")
-    assert Effects("lambert") == Effects("lambert", index="real") != Effects("lambert", index="complex")
+    assert TwoScale() == TwoScale(index="complex") != TwoScale(index="real")
+    assert TwoScale("lambert") == TwoScale("lambert", index="real") != TwoScale("lambert", index="complex")
     for index, body in KINDS:
-        effects = Effects(body, index=index)
+        effects = TwoScale(body, index=index)
         assert effects.kind == (index, body)
-        names = {q.name for q in parameters(effects)}
+        names = {q.name for q in effects.parameters}
         assert {"n", "k"} <= names if index == "complex" else "eta" in names
         assert not names & ({"eta"} if index == "complex" else {"n", "k"})
         assert ("albedo" in names) == (body != "none")
 
 
 def test_exponents_are_parameters_of_the_lobes_that_there_are():
-    names = [{q.name for q in parameters(Effects("lambert", how, acquisition="free"))} for how in ("off", "lobe")]
+    names = [{q.name for q in TwoScale("lambert", how, acquisition="free").parameters} for how in ("off", "lobe")]
     assert names[1] - names[0] == {"b", "c", "sigma_s", "grazing_exponent_diffracted"}
     for how in ("off", "derived", 0.3):
-        assert not any("exponent" in q.name for q in parameters(Effects("lambert", "lobe", acquisition=how)))
+        assert not any("exponent" in q.name for q in TwoScale("lambert", "lobe", acquisition=how).parameters)
 
 
 def test_effects_refuse_unknown_names():
     for wrong in ({"body": "wood"}, {"diffraction": "some"}, {"order": 2}, {"index": "none"}):
-        # the runtime type checks of the tests refuse a wrong name before Effects itself does
+        # the runtime type checks of the tests refuse a wrong name before TwoScale itself does
         with pytest.raises((ValueError, TypeCheckError), match=str(next(iter(wrong.values())))):
-            Effects(**wrong)
+            TwoScale(**wrong)
 
 
 def test_options_of_what_is_not_chosen_make_no_other_program():
     for idle in ({"order": 16}, {"zonal_order": 7}, {"apparatus": Apparatus(100.0)}):
-        assert Effects(diffraction="lobe", **idle) == Effects(diffraction="lobe")
-    assert Effects(diffraction="off", colour="fresnel", renormalised=False) == Effects(diffraction="off")
-    assert Effects(order=16) != Effects()
-    assert Effects(diffraction="scaled", order=16) != Effects(diffraction="scaled")
-    assert Effects(acquisition="derived", apparatus=Apparatus(100.0)).apparatus == Apparatus(100.0)
+        assert TwoScale(diffraction="lobe", **idle) == TwoScale(diffraction="lobe")
+    assert TwoScale(diffraction="off", colour="fresnel", renormalised=False) == TwoScale(diffraction="off")
+    assert TwoScale(order=16) != TwoScale()
+    assert TwoScale(diffraction="scaled", order=16) != TwoScale(diffraction="scaled")
+    assert TwoScale(acquisition="derived", apparatus=Apparatus(100.0)).apparatus == Apparatus(100.0)
 
 
 @given(
@@ -397,7 +388,7 @@ def test_options_of_what_is_not_chosen_make_no_other_program():
 )  # fmt: skip
 @settings(derandomize=True, max_examples=60, deadline=None, database=None)
 def test_finite_and_not_negative_anywhere_in_bounds(theta_h, theta_d, phi_d, beta, p, c, b, sigma_s):
-    effects = Effects()
+    effects = TwoScale()
     values = material(effects, beta=beta, p=p, c=c, b=b, sigma_s=sigma_s)
     g = Geometry.from_half_difference(*(np.array([x]) for x in (theta_h, theta_d, phi_d)))
     brdf = np.asarray(_compiled(values, g))
@@ -405,7 +396,7 @@ def test_finite_and_not_negative_anywhere_in_bounds(theta_h, theta_d, phi_d, bet
     assert np.all(brdf >= 0)
 
 
-_compiled = jax.jit(lambda values, g: two_scale(values, g, Effects()))
+_compiled = jax.jit(lambda values, g: two_scale(values, g, TwoScale()))
 
 
 # --- Energy: directional albedo by quadrature over microfacet normals, which follow the lobe
@@ -414,11 +405,11 @@ _compiled = jax.jit(lambda values, g: two_scale(values, g, Effects()))
 @partial(jax.jit, static_argnames="masked")
 def white(beta, p, geometry, masked):
     """The model's own Cook-Torrance lobe with its Fresnel factor divided out (1/sr)."""
-    s = setting(geometry, Effects("none", "off"), (0.5,))
+    s = setting(geometry, TwoScale("none", "off"), (0.5,))
     v = shaped({"beta": beta, "p": p, "n": jnp.array([0.5]), "k": jnp.array([3.0])}, s)
-    at = {name: f.evaluate(v, s) for name, f in factors(s.effects).items()}
-    at["mirror"] = at["mirror"] / fresnel(s.geometry.cos_d, v["n"], v["k"])
-    return assemble(at if masked else {**at, "shadow": jnp.ones(())}, s)[0]
+    at = factor_values(v, s)
+    at["specular"] = at["specular"] / fresnel(s.geometry.cos_d, v["n"], v["k"])
+    return s.model.assemble(at if masked else {**at, "masking": jnp.ones(())}, s)[0]
 
 
 def reflected(theta_i, beta, p, masked=True):

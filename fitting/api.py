@@ -1,0 +1,232 @@
+"""merlfit from Python: what ``import merlfit`` offers (``main/__init__.py`` names it there)."""
+
+import os
+import warnings
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jax.typing import ArrayLike
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from ..merl_io.binary import Measurement, read
+from ..model.geometry import Geometry
+from ..model.two_scale import two_scale
+from . import plots
+from .clock import Report, silent
+from .compilation import use_persistent_cache
+from .config import load as settings_of
+from .export import ParameterResult, Result, ResultError, read_result, write_result
+from .inspection import file_of
+from .keeping import place_of
+from .report import print_result
+from .resampling import resample
+from .run import fit_file
+
+if TYPE_CHECKING:
+    import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
+
+WIDTH = 118  # columns of a fit that is printed
+
+
+class Fit:
+    """A fitted material: parameters with their uncertainty, errors, predictions and pictures.
+
+    Made by :func:`fit` and :func:`load`; ``print(fit)`` shows all that `merlfit inspect` does.
+
+    Attributes:
+        result: everything that goes into the JSON (docs/result.md). path: of that file.
+    """
+
+    def __init__(self, result: Result, path: Path) -> None:
+        self.result = result
+        self.path = path
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the parameters may be used."""
+        return self.result.fit.succeeded
+
+    @property
+    def parameters(self) -> dict[str, ParameterResult]:
+        """Every fitted number by its name (``beta``, ``eta_R``): value, unit, standard error, quantiles, bounds."""
+        return {q.name: q for q in self.result.parameters}
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.two_scale` takes them."""
+        return self.result.values()
+
+    def table(self) -> list[dict[str, Any]]:
+        """One row a fitted number, for ``pandas.DataFrame`` and the like; quantiles are None without a posterior."""
+        rows = []
+        for q in self.result.parameters:
+            low, high = (q.quantiles.q05, q.quantiles.q95) if q.quantiles else (None, None)
+            rows.append({
+                "name": q.name, "value": q.value, "standard_error": q.standard_error, "q05": low, "q95": high,
+                "unit": q.unit, "at_bound": q.at_bound, "meaning": q.meaning,
+            })  # fmt: skip
+        return rows
+
+    def brdf(self, i: ArrayLike, o: ArrayLike, with_grazing_loss: bool = False) -> np.ndarray:
+        """BRDF of the fitted material (1/sr), shape (C, ...); 0 where light or viewer are below the surface.
+
+        Args:
+            i, o: unit vectors of light and viewer, (..., 3), in a frame whose third axis is the surface's normal.
+            with_grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles.
+
+        Raises:
+            merlfit.ResultError: the fit failed, there is no material.
+        """
+        model = self._model()
+        effects = model.effects if with_grazing_loss else model.effects.material
+        return np.asarray(two_scale(self.values, Geometry.from_vectors(i, o), effects, model.wavelengths_um))
+
+    def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
+        """Sample the posterior, or continue its chain; file and this object hold the intervals then.
+
+        Args:
+            max_steps: of the chain, at the most. report: told in a few words what is being done.
+
+        Raises:
+            merlfit.MerlError: the fitted file is missing, or is another one now.
+        """
+        use_persistent_cache()
+        self.result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
+        return self
+
+    def to_arviz(self) -> "xarray.DataTree":
+        """The posterior as ArviZ has it: 1 chain of equally likely draws in units of physics, by parameter.
+
+        The draws of a merlfit posterior are weighted; as many are drawn from them by systematic resampling.
+
+        Raises:
+            ImportError: arviz-base is not installed (``pip install 'merlfit[arviz]'``). plots.NoPicture: no posterior.
+        """
+        try:
+            import arviz_base  # pyright: ignore[reportMissingImports] - of the extra `arviz`
+        except ImportError:
+            raise ImportError("to_arviz() needs arviz-base: pip install 'merlfit[arviz]'") from None
+        chain = plots.chain_file(self.result, self.path.parent)
+        weights = chain["weights"].ravel()
+        places = (np.arange(len(weights)) + 0.5) / len(weights)
+        drawn = chain["values"][np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)]
+        grouped: dict[str, list[np.ndarray]] = {}
+        for k, q in enumerate(self.result.parameters):
+            grouped.setdefault(q.parameter, []).append(drawn[:, k])
+        per_channel = {q.parameter for q in self.result.parameters if q.channel}
+        found = {name: np.stack(x, -1)[None] if name in per_channel else x[0][None] for name, x in grouped.items()}
+        return arviz_base.from_dict(
+            {"posterior": found}, dims={name: ["channel"] for name in per_channel},
+            coords={"channel": self._model().channels},
+        )  # fmt: skip
+
+    def plot_lobes(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Lobes beside those of the file, with the posterior's bands, as `merlfit inspect` draws them.
+
+        Args:
+            path: a PNG to write, too.
+
+        Raises:
+            merlfit.MerlError: the fitted file is missing, or is another one now.
+        """
+        self._model()
+        sampled = self.result.posterior is not None and self.result.posterior.sufficient
+        chain = plots.chain_file(self.result, self.path.parent) if sampled else None
+        measurement = read(file_of(self.path, self.result), self.result.source.sha1)
+        return _kept(plots.lobe_figure(self.result, measurement, chain), path)
+
+    def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Corner plot of the posterior; ``path``: a PNG to write, too.
+
+        Raises:
+            merlfit.fitting.plots.NoPicture: there is no posterior.
+        """
+        return _kept(plots.corner_figure(self.result, plots.chain_file(self.result, self.path.parent)), path)
+
+    def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
+        """The result as JSON (docs/result.md); ``path``: a file to write it to, too."""
+        if path is not None:
+            write_result(Path(path), self.result)
+        return self.result.model_dump_json(indent=2)
+
+    def _model(self) -> Any:  # noqa: ANN401 - export.Model
+        if self.result.model is None:
+            raise ResultError(f"{self.path}: the fit failed ({self.result.fit.status}), it has no material")
+        return self.result.model
+
+    def __str__(self) -> str:
+        console = Console(width=WIDTH, color_system=None, markup=False, highlight=False)
+        with console.capture() as capture:
+            print_result(console, self.result)
+        return capture.get()
+
+    def __repr__(self) -> str:
+        return f"<Fit of {self.result.source.material}: {self.result.fit.status}, {self.path}>"
+
+
+def _kept(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
+    if path is not None:
+        plots.save(figure, Path(path))
+    return figure
+
+
+def fit(
+    file: str | os.PathLike[str] | Measurement,
+    out: str | os.PathLike[str] | None = None,
+    settings: Mapping[str, Any] | str | os.PathLike[str] | None = None,
+    *,
+    preset: str | None = None,
+    index: str | None = None,
+    body: str | None = None,
+    weights: str | None = None,
+    posterior: bool = False,
+    seed: int | None = None,
+    report: Report = silent,
+) -> Fit:
+    """Fit a MERL file, as `merlfit fit` does.
+
+    Args:
+        file: its path, or what :func:`read` made of it.
+        out: folder for the result; without it, the result lasts as long as the object (:meth:`Fit.to_json` keeps it).
+        settings: a TOML file like configs/default.toml, or the same as a mapping.
+        preset, index, body, weights, seed: as the options of `merlfit fit`; they replace those of ``settings``.
+        posterior: whether to sample it at once (a minute); :meth:`Fit.sample` does it later.
+        report: told in a few words what is being done, ``print`` for instance.
+
+    Raises:
+        merlfit.MerlError: the file cannot be used. merlfit.ConfigError: bad settings.
+    """
+    config = settings_of(
+        settings, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
+    )
+    use_persistent_cache()
+    path = Path(file.path if isinstance(file, Measurement) else file)
+    temporary = TemporaryDirectory(prefix="merlfit-") if out is None else None
+    folder = Path(temporary.name if temporary else os.fspath(out or ""))
+    with place_of(folder, path.stem) as place:
+        result = fit_file(path.absolute(), place.folder, config, report)
+    if place.said:
+        warnings.warn(place.said, stacklevel=2)
+    found = Fit(result, place.path)
+    if temporary is not None:
+        weakref.finalize(found, temporary.cleanup)
+    return found
+
+
+def load(path: str | os.PathLike[str]) -> Fit:
+    """A result that `merlfit fit`, :func:`fit` or :meth:`Fit.to_json` wrote.
+
+    Raises:
+        merlfit.ResultError: it is none.
+    """
+    return Fit(read_result(path), Path(path))
+
+
+def sample(result: str | os.PathLike[str] | Fit, max_steps: int | None = None, report: Report = silent) -> Fit:
+    """:meth:`Fit.sample` of a fit or of a result in a file."""
+    return (result if isinstance(result, Fit) else load(result)).sample(max_steps, report)

@@ -1,0 +1,264 @@
+"""What a fit needs of a reflectance model, and nothing else knows more: :class:`Reflectance`.
+
+A model is a frozen, hashable value: its settings are its fields, and equal models are equal programs. Its BRDF is put
+together from factors, each a function of some of the parameters and of a part of the directions. On a grid a factor of
+theta_h alone is computed for every theta_h, not for every bin, and whoever differentiates needs a factor's derivatives
+by those parameters only that it reads. Which these are is found by recording what it asks for (:func:`reads`).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from .geometry import Geometry
+from .parameters import WAVELENGTHS_UM, Parameter
+
+Values = Mapping[str, Array]
+LEAST_ORDER = 6  # of a quadrature
+
+
+class Setting(NamedTuple):
+    """What does not depend on parameters: directions, wavelengths (leading axis) and the model with its settings."""
+
+    geometry: Geometry  # with cosines of directions below the horizon replaced by 1
+    above: Array
+    wavelength_um: Array  # shape (C, 1, ..., 1)
+    model: "Reflectance"
+    log_base: Array | None  # of the acquisition's loss (acquisition.grazing_log_base), if it is known already
+
+
+Factor = Callable[[Values, Setting], Array]
+
+
+class Reflectance(ABC):
+    """A reflectance model. Subclasses are frozen dataclasses, static under jit; their fields are their settings.
+
+    ``name`` is that in configurations and results, ``citation`` where the model is from.
+    """
+
+    name: ClassVar[str]
+    citation: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those that are fitted, shared ones first, per-channel ones last."""
+
+    @abstractmethod
+    def factors(self) -> Mapping[str, Factor]:
+        """What the BRDF is put together from, by name; arrays that broadcast against the directions."""
+
+    @abstractmethod
+    def assemble(self, at: Values, s: Setting) -> Array:
+        """The BRDF (1/sr), shape ``(C, ...)``, from the values of its factors; 0 below the horizon."""
+
+    def tables(self) -> Mapping[str, Factor]:
+        """What depends on parameters and on theta_d at the most, so that many directions can share it.
+
+        Who evaluates directions in blocks computes it once and gives it along among the values.
+        """
+        return {}
+
+    def coarse(self, order: int) -> "Reflectance":
+        """A cheaper variant with the same parameters, for the first stages; ``order``: of its quadratures."""
+        return self
+
+    def stand_in(self, order: int) -> "Reflectance":
+        """A variant nearly equal to this one and quick at few scattered directions, for the posterior's chain."""
+        return self.coarse(order)
+
+    @property
+    def conditional(self) -> tuple[str, ...]:
+        """Names of parameters whose priors move with parameters that are not among these (:meth:`shift`)."""
+        return ()
+
+    def shift(self, name: str, values: Values) -> Array:
+        """By how much the logarithm of the prior's median of a parameter is moved, given the values of others."""
+        raise NotImplementedError(f"{self.name} declares {name} conditional, without a shift")
+
+    @property
+    def chart(self) -> "Reflectance":
+        """The variant that stands for all with the same parameters and priors."""
+        return self
+
+    @property
+    def general(self) -> "Reflectance":
+        """A model of which this one is a special case: what is compiled for it serves all of its kind."""
+        return self
+
+    def generalised(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+        """Values for :attr:`general` that give the same BRDF as these here."""
+        return dict(values)
+
+    def in_general(self, name: str) -> str:
+        """Name of one of these parameters in :attr:`general`."""
+        return name
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Whole numbers by name, with an example each, that are given among the values and are no parameters."""
+        return {}
+
+    def ignored(self) -> frozenset[str]:
+        """Names of parameters that other settings have: values of theirs are not refused, but not used either."""
+        return frozenset()
+
+
+class OneFormula(Reflectance):
+    """Base of models that are one formula: what is ``sharp`` and what is the ``body``, each by all its parameters."""
+
+    @abstractmethod
+    def sharp(self, v: Values, s: Setting) -> Array:
+        """Light reflected by the surface (1/sr), ``(C, ...)``."""
+
+    @abstractmethod
+    def body(self, v: Values, s: Setting) -> Array:
+        """Light from below it (1/sr)."""
+
+    def factors(self) -> Mapping[str, Factor]:  # noqa: D102 - as declared
+        return {"sharp": self.sharp, "body": self.body}
+
+    def assemble(self, at: Values, s: Setting) -> Array:  # noqa: D102
+        return jnp.where(s.above, at["sharp"] + at["body"], 0.0)
+
+
+def setting(
+    geometry: Geometry,
+    model: Reflectance,
+    wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
+    log_base: Array | None = None,
+) -> Setting:
+    """Directions made safe to compute with, and wavelengths with a leading axis.
+
+    Args:
+        log_base: :func:`merlfit.model.acquisition.grazing_log_base` of the directions, if it is known already.
+    """
+    above = (geometry.cos_i > 0) & (geometry.cos_o > 0)
+    cos_i, cos_o = jnp.where(above, geometry.cos_i, 1.0), jnp.where(above, geometry.cos_o, 1.0)
+    theta_h, theta_d = jnp.asarray(geometry.theta_h), jnp.asarray(geometry.theta_d)
+    rank = len(jnp.broadcast_shapes(theta_h.shape, theta_d.shape, above.shape))
+    wavelength = jnp.asarray(wavelengths_um, jnp.result_type(theta_h)).reshape((-1,) + (1,) * rank)
+    return Setting(Geometry(theta_h, theta_d, cos_i, cos_o), above, wavelength, model, log_base)
+
+
+def evaluate(
+    model: Reflectance,
+    params: Mapping[str, ArrayLike],
+    geometry: Geometry,
+    wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
+) -> Array:
+    """BRDF (1/sr) of any model, shape ``(C, *broadcast shape of geometry)``; 0 below the surface.
+
+    Args:
+        params: values by name: scalars, and arrays of shape ``(C,)`` for those that are per channel.
+        geometry: directions, scattered or as a broadcast grid.
+        wavelengths_um: shape ``(C,)``, in micrometres.
+
+    Raises:
+        KeyError: a parameter of the model is missing from ``params``, or one there is unknown.
+    """
+    s = setting(geometry, model, wavelengths_um)
+    return assembled(shaped(params, s), s)
+
+
+def assembled(values: Values, s: Setting) -> Array:
+    """The same of values from :func:`shaped`."""
+    return s.model.assemble(factor_values(values, s), s)
+
+
+def factor_values(values: Values, s: Setting) -> dict[str, Array]:
+    """Every factor by name."""
+    return {name: factor(values, s) for name, factor in s.model.factors().items()}
+
+
+def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
+    """Parameters in the precision of the angles, those per channel with a leading axis; tables if given."""
+    model = s.model
+    needed, extra = [q.name for q in model.parameters], [*model.tables(), *model.switches]
+    if missing := [name for name in (*needed, *model.switches) if name not in params]:
+        raise KeyError(f"{model.name} needs {', '.join(missing)} for {model}")
+    if unknown := params.keys() - model.ignored() - {*needed, *extra}:
+        raise KeyError(f"{model.name} has no parameter {', '.join(sorted(unknown))}")
+    precision = jnp.result_type(s.geometry.theta_h)
+    given = {name: jnp.asarray(params[name]) for name in extra if name in params}
+    given = {name: x if name in model.switches else x.astype(precision) for name, x in given.items()}
+    return given | {
+        q.name: jnp.asarray(params[q.name], precision).reshape(
+            (-1, *s.wavelength_um.shape[1:]) if q.per_channel else ()
+        )
+        for q in model.parameters
+    }
+
+
+class _Recorder(Mapping[str, Array]):
+    """Values, and which of them were looked up.
+
+    To whoever goes over all of it, as type checkers do, it is empty: nothing would be left out of what they read.
+    """
+
+    def __init__(self, values: Values) -> None:
+        self._values = values
+        self.asked: set[str] = set()
+
+    def __getitem__(self, name: str) -> Array:
+        found = self._values[name]
+        self.asked.add(name)
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0
+
+
+class Reads(NamedTuple):
+    """What a model's factors and tables look up, by their names: parameters, and tables."""
+
+    parameters: Mapping[str, tuple[str, ...]]
+    tables: Mapping[str, tuple[str, ...]]
+
+
+def reads(model: Reflectance) -> Reads:
+    """Found by evaluating them once, abstractly; a factor that looks up a table reads the table's parameters, too."""
+    return _reads(model.coarse(LEAST_ORDER))  # on which it does not depend
+
+
+@cache
+def _reads(model: Reflectance) -> Reads:
+    names, tables = [q.name for q in model.parameters], model.tables()
+    angle = np.full((1, 1, 1), 0.3)
+    example = {
+        q.name: np.full(len(WAVELENGTHS_UM), q.default) if q.per_channel else q.default for q in model.parameters
+    }
+    asked: dict[str, set[str]] = {}
+
+    def look(params: Mapping[str, Array]) -> dict[str, Array]:
+        s = setting(Geometry.from_half_difference(angle, angle, angle), model)
+        values = dict(shaped(params, s))
+        found: dict[str, Array] = {}
+        for kind, functions in (("table", tables), ("factor", model.factors())):
+            for name, compute in functions.items():
+                recorder = _Recorder(values)
+                found[f"{kind} {name}"] = compute(recorder, s)
+                asked[f"{kind} {name}"] = recorder.asked
+            values |= {name: found[f"table {name}"] for name in tables}
+        return found
+
+    jax.eval_shape(look, {**example, **model.switches})
+    of_tables = {name: asked[f"table {name}"] for name in tables}
+    looked_up = {name: tuple(t for t in tables if t in asked[f"factor {name}"]) for name in model.factors()}
+    read = {
+        name: asked[f"factor {name}"].union(*(of_tables[t] for t in looked_up[name])) for name in model.factors()
+    } | of_tables
+    return Reads({name: tuple(q for q in names if q in each) for name, each in read.items()}, looked_up)

@@ -1,0 +1,39 @@
+"""Oren & Nayar's qualitative model of rough matte surfaces (Oren & Nayar 1994, Eq. 17)."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax import Array
+
+from ..parameters import ALBEDO, LogNormal, Parameter
+from ..reflectance import OneFormula, Setting, Values
+
+
+@dataclass(frozen=True)
+class OrenNayarQualitative(OneFormula):
+    """albedo/pi (A + B max(0, cos(phi_i - phi_o)) sin(alpha) tan(beta)), without interreflection.
+
+    A = 1 - s^2 / (2 (s^2 + 0.33)), B = 0.45 s^2 / (s^2 + 0.09), s the roughness, alpha and beta the larger and the
+    smaller of theta_i and theta_o; sin(alpha) tan(beta) is sin_i sin_o over the larger cosine.
+    """
+
+    name: ClassVar[str] = "oren-nayar-qualitative"
+    citation: ClassVar[str] = (
+        "Oren & Nayar 1994, Generalization of Lambert's reflectance model, doi:10.1145/192161.192213"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
+        roughness = Parameter("roughness", r"\sigma", "standard deviation of the facets' slope angle", "rad", 0.3, 1e-3,
+                              1.5, source="Oren & Nayar 1994, Eq. 17", prior=LogNormal(0.3, 2.5))  # fmt: skip
+        return (roughness, ALBEDO)
+
+    def sharp(self, v: Values, s: Setting) -> Array:  # noqa: D102
+        return jnp.zeros_like(s.geometry.cos_i)
+
+    def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
+        g, square = s.geometry, v["roughness"] ** 2
+        A, B = 1 - square / (2 * (square + 0.33)), 0.45 * square / (square + 0.09)
+        along = jnp.maximum(jnp.where(s.above, g.projected_dot, 0.0), 0.0) / jnp.maximum(g.cos_i, g.cos_o)
+        return v["albedo"] / jnp.pi * (A + B * along)

@@ -1,0 +1,101 @@
+"""``import merlfit``: a whole analysis from Python."""
+
+import subprocess
+import sys
+
+import merlfit
+import numpy as np
+import pytest
+from merlfit.fitting import importance, plots
+from merlfit.fitting.export import read_result
+
+QUICK = {
+    "effects": {"body": "none", "diffraction": "off"}, "fit": {"starts": 1, "grid": "coarse"},
+    "posterior": {"max_steps": 20},
+}  # fmt: skip
+
+
+def test_importing_does_not_wait_for_jax():
+    heavy = "jax", "matplotlib", "pydantic", "numpy"
+    program = f"import sys, merlfit; print([m for m in {heavy} if m in sys.modules], *dir(merlfit))"
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert said.startswith("[] ")
+    assert set(said.split()[1:]) == set(merlfit.__all__)
+
+
+@pytest.mark.parametrize("name", merlfit.__all__)
+def test_every_name_is_there_and_explained(name):
+    assert getattr(merlfit, name).__doc__
+
+
+def test_an_unknown_name_is_named():
+    with pytest.raises(AttributeError, match="'merlfit' has no attribute 'fitt'"):
+        merlfit.fitt  # noqa: B018
+
+
+def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypatch):
+    monkeypatch.setattr(importance, "DRAWS", 20)
+    monkeypatch.setattr(importance, "MOST_DRAWS", 20)
+    told = []
+    fit = merlfit.fit(merlfit.read(file), settings=QUICK, seed=5, report=told.append)
+    assert fit.succeeded
+    assert told[0] == "reading"
+    assert fit.result.seed == 5
+    assert fit.result.posterior is None
+    assert "fitted parameters" in str(fit)
+    assert file.stem in repr(fit)
+    assert [row["value"] for row in fit.table()] == [q.value for q in fit.parameters.values()]
+    assert {row["q05"] for row in fit.table()} == {None}
+
+    up, slanted = np.array([0.0, 0.0, 1.0]), np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
+    alone, measured = fit.brdf(up, slanted), fit.brdf(up, slanted, with_grazing_loss=True)
+    assert alone.shape == (3, 2)
+    material = fit.result.model.effects.material
+    np.testing.assert_array_equal(
+        alone, merlfit.two_scale(fit.values, merlfit.Geometry.from_vectors(up, slanted), material)
+    )
+    assert np.all(measured < alone)
+
+    with pytest.raises(plots.NoPicture, match="not sampled"):
+        fit.to_arviz()
+    assert merlfit.sample(fit) is fit
+    assert fit.result.posterior.steps == 20
+    found = fit.to_arviz().posterior
+    assert found["n"].dims == ("chain", "draw", "channel")
+    assert found["beta"].shape == (1, 20)
+    assert list(found["channel"].values) == ["R", "G", "B"]
+    drawn = plots.chain_file(fit.result, fit.path.parent)["values"][:, 0]
+    assert np.isin(found["beta"].values, drawn).all()
+
+    fit.plot_lobes(tmp_path / "lobes.png")
+    fit.plot_corner(tmp_path / "corner.png")
+    assert all((tmp_path / f"{name}.png").stat().st_size > 20_000 for name in ("lobes", "corner"))
+    text = fit.to_json(tmp_path / "kept.json")
+    assert read_result(tmp_path / "kept.json") == fit.result
+    assert merlfit.load(tmp_path / "kept.json").result == fit.result
+    assert f'"material": "{file.stem}"' in text
+
+
+def test_a_result_without_a_folder_goes_with_its_fit(file):
+    fit = merlfit.fit(file, settings=QUICK)
+    folder = fit.path.parent
+    assert fit.path.is_file()
+    del fit
+    assert not folder.exists()
+
+
+def test_a_better_result_is_not_replaced(file, tmp_path):
+    first = merlfit.fit(file, tmp_path / "out", settings=QUICK, posterior=True)
+    with pytest.warns(UserWarning, match="stays as it was"):
+        second = merlfit.fit(file, tmp_path / "out", settings=QUICK)
+    assert second.path != first.path
+    assert second.path.is_file()
+
+
+def test_bad_settings_and_failed_fits_are_told(file, tmp_path):
+    with pytest.raises(merlfit.ConfigError, match=r"settings: unknown key 'fit\.start'"):
+        merlfit.fit(file, settings={"fit": {"start": 2}})
+    with pytest.raises(merlfit.MerlError, match="no such file"):
+        merlfit.fit(tmp_path / "missing.binary", settings=QUICK)
+    with pytest.raises(merlfit.ResultError, match="cannot be read"):
+        merlfit.load(tmp_path / "missing.json")

@@ -1,0 +1,116 @@
+"""Every registered model goes through the same objective and the same solver."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.fitting.levenberg_marquardt import solve
+from merlfit.fitting.problem import directions, energy, make_problem
+from merlfit.fitting.residuals import cost, normal_equations, predict
+from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.samples import fold, thin
+from merlfit.model.geometry import Geometry
+from merlfit.model.reflectance import evaluate, reads
+from merlfit.model.registry import models
+from merlfit.model.rivals.ggx import GGX, D
+from merlfit.model.rivals.oren_nayar import OrenNayarQualitative
+from oracles import rivals
+from oracles.facets import direction
+
+MODELS = [kind() for kind in models().values()]
+RIVALS = [m for m in MODELS if m.name != "two-scale"]
+TRUTH = {
+    "ggx": {"alpha": 0.15, "F0": np.array([0.9, 0.6, 0.3]), "albedo": np.array([0.02, 0.1, 0.3])},
+    "oren-nayar-qualitative": {"roughness": 0.5, "albedo": np.array([0.7, 0.4, 0.1])},
+}
+
+
+@pytest.fixture(scope="module")
+def few():
+    """A few hundred bins of three azimuths a row, as many as nodes: what is gathered are the bins themselves."""
+    grid = merl_grid()
+    weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
+    return thin(fold(grid, np.ones_like(weight), weight), (9, 9, 30))
+
+
+def of_model(model, samples, values):
+    where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    return dataclasses.replace(samples, value=predict(model, values, where))
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_normal_equations_are_those_of_the_plain_jacobian(model, few):
+    layout, rng = layout_of(model), np.random.default_rng(5)
+    samples = dataclasses.replace(few, value=rng.uniform(0.1, 1.0, few.value.shape))
+    z = jnp.asarray(rng.normal(size=layout.size))
+    geometry = Geometry.from_half_difference(
+        samples.theta_h[:, None, None], samples.theta_d[:, None], np.pi / 2 * np.ones(3)
+    )
+    geometry = dataclasses.replace(geometry, cos_i=jnp.asarray(samples.cos_i), cos_o=jnp.asarray(samples.cos_o))
+    root = np.sqrt(samples.weight / energy(samples))
+    jacobian = root[..., None] * jax.jacfwd(lambda z: evaluate(model, layout.values(z), geometry))(z)
+    residual = root * (samples.value - evaluate(model, layout.values(z), geometry))
+    both = np.concatenate([jacobian, residual[..., None]], -1).reshape(3, -1, layout.size + 1)
+    expected = np.einsum("cnk,cnl->ckl", both, both)
+    scale = np.sqrt(np.einsum("ckk,cll->ckl", expected, expected)) + 1e-300
+    found = normal_equations(layout, z, make_problem(samples))
+    assert np.max(np.abs(found - expected) / scale) < 1e-12
+    np.testing.assert_allclose(
+        cost(model, layout.values(z), make_problem(samples)), found[:, -1, -1], rtol=1e-10
+    )  # which does without derivatives
+
+
+@pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)
+def test_truth_is_recovered(model, few):
+    layout, truth = layout_of(model), TRUTH[model.name]
+    found = solve(layout, np.zeros(layout.size), make_problem(of_model(model, few, truth)))
+    assert found.converged
+    assert found.cost < 1e-10
+    for name, value in layout.values(jnp.asarray(found.z)).items():
+        np.testing.assert_allclose(value, truth[name], rtol=1e-3, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("model", "oracle", "wrong"),
+    [
+        (GGX(), rivals.ggx, {"alpha": 1.001}),
+        (OrenNayarQualitative(), rivals.oren_nayar_qualitative, {"roughness": 1.001}),
+    ],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_rivals_equal_their_oracles(model, oracle, wrong):
+    rng, truth = np.random.default_rng(3), TRUTH[model.name]
+    for _ in range(50):
+        i, o = (direction(np.arccos(rng.uniform(0.02, 1)), rng.uniform(0, 2 * np.pi)) for _ in range(2))
+        shared = truth["alpha"] if model.name == "ggx" else truth["roughness"]
+        each = [q.name for q in model.parameters if q.per_channel]
+        expected = [oracle(i, o, shared, *(truth[name][k] for name in each)) for k in range(3)]
+        geometry = Geometry.from_vectors(i, o)
+        np.testing.assert_allclose(evaluate(model, truth, geometry), expected, rtol=1e-11)
+        np.testing.assert_allclose(evaluate(model, truth, Geometry.from_vectors(o, i)), expected, rtol=1e-11)
+    changed = {**truth, **{name: truth[name] * factor for name, factor in wrong.items()}}
+    assert not np.allclose(evaluate(model, changed, geometry), expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("alpha", [0.01, 0.1, 0.5, 1.0])
+def test_ggx_is_normalised(alpha):
+    t, w = np.polynomial.legendre.leggauss(200)
+    theta = np.arctan(alpha * np.tan((t + 1) * np.pi / 4))  # evenly over the distribution's own scale
+    stretch = np.pi / 4 * alpha / np.cos((t + 1) * np.pi / 4) ** 2 * np.cos(theta) ** 2
+    density = 2 * np.pi * np.asarray(D(jnp.asarray(theta), jnp.asarray(alpha))) * np.cos(theta) * np.sin(theta)
+    np.testing.assert_allclose(np.sum(density * stretch * w), 1.0, rtol=1e-9)
+
+
+def test_models_are_registered_by_name():
+    assert next(iter(models())) == "two-scale"
+    assert {"ggx", "oren-nayar-qualitative"} <= set(models())
+    for name, model in zip(models(), MODELS, strict=True):
+        assert model.name == name
+        assert "doi:" in model.citation
+        assert hash(model) == hash(type(model)())
+        assert len({q.name for q in model.parameters}) == len(model.parameters)
+        read = set().union(*reads(model).parameters.values())
+        assert read == {q.name for q in model.parameters}, "a parameter that nothing reads cannot be fitted"
