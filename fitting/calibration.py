@@ -21,13 +21,13 @@ from ..merl_io.binary import Measurement, write
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples
 from ..model.two_scale import KINDS, TwoScale
-from .accuracy import resume_fit, distance, estimate, reference_problem
+from .accuracy import distance, estimate, reference_problem, resume_fit
 from .choice import REFERENCE, Choice
 from .config import Config, load
 from .outcome import Fitted
 from .problem import Problem, directions
 from .residuals import predict
-from .run import fit_file, assess
+from .run import assess, fit_file
 from .synthesis import from_published
 
 PLAUSIBLE = {

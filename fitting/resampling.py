@@ -14,7 +14,7 @@ from .levenberg_marquardt import Solution
 from .outcome import posterior_parts
 from .problem import make_problem
 from .residuals import normal_equations
-from .run import chain_of, assess
+from .run import assess, chain_of
 from .sampling import sample
 from .weights import weighted_samples
 

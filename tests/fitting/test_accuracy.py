@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from frontiers import fit, measurement, point
 from merlfit.fitting import accuracy, calibration, cli, frontier, run
-from merlfit.fitting.accuracy import Aim, resume_fit, distance, estimate, reference_problem, remaining
+from merlfit.fitting.accuracy import Aim, distance, estimate, reference_problem, remaining, resume_fit
 from merlfit.fitting.choice import POINTS, REFERENCE
 from merlfit.fitting.config import Config, load
 from merlfit.fitting.export import Accuracy, Result, Tried, read_result, schema
