@@ -20,9 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
+from jax.typing import ArrayLike
 
 from . import chebyshev, piecewise
-from .numerics import Real, Scalar, safe_divide, safe_sqrt, softplus, total
+from .numerics import Real, Scalar, floats, safe_divide, safe_sqrt, softplus, total
 
 # log x runs over q in [-11, 4.7] at spacing 0.2. The integrand's narrowest peak is x^a e^(-x), a = 3/(2 p), at
 # p = 0.12, for which the trapezoid rule errs by 2 |Gamma(a + 2 pi i/0.2)| / Gamma(a) = 2e-11; what lies outside is
@@ -44,16 +45,17 @@ def _excess(w_minus_1: Real) -> Real:
     return jnp.where(small, series, z_large - jnp.arctan(z_large))
 
 
-def smith_lambda(tau: Real, p: Scalar) -> Real:
+def smith_lambda(tau: ArrayLike, p: ArrayLike) -> Real:
     """Smith's Lambda of the EPD (HP17 Eq. 36-37 with the corrected limits), >= 0.
 
     Args:
         tau: ``beta tan(theta) >= 0``, any shape; infinite gives infinity.
-        p: kurtosis exponent of the EPD.
+        p: kurtosis exponent of the EPD, a scalar.
 
     Accuracy: 1e-9 relative for p in [0.12, 5] wherever Lambda > 1e-12; at p = 1 it is Beckmann's closed form.
     Gradient: finite for finite tau, zero at tau = 0.
     """
+    tau, p = floats(tau, p)
     log_tau = jnp.log(jnp.where(tau > 0, tau, 1.0))
     log_e0 = jnp.minimum(-2 * p * log_tau, math.log(LARGEST_EXPONENT))
     masked = (tau > 0) & (-2 * p * log_tau < math.log(LARGEST_EXPONENT))

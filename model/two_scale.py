@@ -33,7 +33,7 @@ from .effects import ANY, BODIES, KINDS, Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .ndf import epd
-from .numerics import safe_divide
+from .numerics import floats, safe_divide
 from .parameters import GRAZING, GRAZING_DIFFRACTED, WAVELENGTHS_UM, parameters
 from .shadowing import height_correlated, masking, masking_table
 
@@ -72,9 +72,9 @@ def setting(
     Args:
         log_base: :func:`merlfit.model.acquisition.grazing_log_base` of the directions, if it is known already.
     """
-    above = (geometry.cos_i > 0) & (geometry.cos_o > 0)
-    cos_i, cos_o = jnp.where(above, geometry.cos_i, 1.0), jnp.where(above, geometry.cos_o, 1.0)
-    theta_h, theta_d = jnp.asarray(geometry.theta_h), jnp.asarray(geometry.theta_d)
+    theta_h, theta_d, cos_i, cos_o = floats(geometry.theta_h, geometry.theta_d, geometry.cos_i, geometry.cos_o)
+    above = (cos_i > 0) & (cos_o > 0)
+    cos_i, cos_o = jnp.where(above, cos_i, 1.0), jnp.where(above, cos_o, 1.0)
     rank = len(jnp.broadcast_shapes(theta_h.shape, theta_d.shape, above.shape))
     wavelength = jnp.asarray(wavelengths_um, jnp.result_type(theta_h)).reshape((-1,) + (1,) * rank)
     safe = Geometry(theta_h, theta_d, cos_i, cos_o)
