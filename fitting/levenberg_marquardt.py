@@ -34,6 +34,8 @@ PRIOR = 1e-2  # weight of |z|^2: as much as in the posterior of a material whose
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
 NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected
 CLEAR = 8  # steps since a trial where the model was not finite: before that, short steps are a wall, not a minimum
+LEAST_BINS, BLACK = 30, 1e-30  # bins with light that a file must have, and what is none (1/sr): Status.NO_DATA
+UNEXPLAINED_COST = 0.5  # of the measurement's energy, from which on a fit is UNEXPLAINED
 OFFSET_TOLERANCE = 1e-3  # of the relative offset: a further step would lower the cost by less than 1e-6 of itself
 
 
@@ -45,11 +47,12 @@ class Status(Enum):
     STEP_LIMIT = "usable, but stopped at the step limit while the cost was still falling: raise fit.max_steps"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
     UNEXPLAINED = (
-        "failed: the model explains less than half of the file; check it with `merlfit check`, "
+        f"failed: the model explains less than {1 - UNEXPLAINED_COST:.0%} of the file; check it with `merlfit check`, "
         "try body = 'auto' and acquisition = 'free'"
     )
     NO_DATA = (
-        "failed: fewer than 30 valid bins brighter than 1e-30/sr, on all bins or on a thinned grid; see `merlfit check`"
+        f"failed: fewer than {LEAST_BINS} valid bins brighter than {BLACK:g}/sr, on all bins or on a thinned grid; "
+        "see `merlfit check`"
     )
 
     @property

@@ -29,12 +29,15 @@ from .weights import THETA_MAX, within
 
 matplotlib.use("Agg")
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
+WIDEST_DEG = 89.0  # of the viewers of the lobe plot
 BAND_DRAWS = 100  # of the posterior, for the bands of the lobe plot
 PEAK_DIFFERENCE_DEG = 5.0  # theta_d of the peak's panel
 RATIO_AZIMUTHS = 7  # of 180, of the panels of residuals
 LEAST_RATIO, MOST_RATIO = 1.3, 12.0  # of fit and file: how far these panels reach
 RATIO_TICKS = 1.1, 1.25, 1.5, 2, 3, 5, 10
-CORNER_INCHES = 1.35  # of a panel
+HIGHLIGHT = 0.1  # of the rise from the darkest datum to the peak: every datum that is brighter than this is drawn
+CORNER_INCHES = 1.4  # of a panel
+CORNER_LABEL, CORNER_VALUE, CORNER_TICK = 17, 12.5, 11.5  # sizes of letters, in points
 WIDE_AXIS = 8.0  # times its lower end, from which on a logarithmic axis has ticks at 1, 3 or 10
 WATERMARK = "CHAIN TOO SHORT"
 UNITS = {"1": "", "um": "µm"}
@@ -130,6 +133,7 @@ def lobe_figure(result: Result, measurement: Measurement, chain: dict[str, np.nd
     """File and fit: lobes in the plane of incidence, their peak, and the ratio of fit and file over all angles.
 
     Lobes have one panel an incidence, above with a cube root scale, below with a logarithmic one for shiny materials.
+    Data are those of all rows of theta_h, in the highlight every one, elsewhere every third of a channel.
     The fit is drawn with the grazing loss of the apparatus and, dashed, without it.
 
     Args:
@@ -166,25 +170,26 @@ def _lobes(
 ) -> None:  # fmt: skip
     """File and fit in the plane of incidence, on two scales."""
     assert result.model is not None
-    grid, values, theta_o = merl_grid(), result.values(), np.radians(np.linspace(-89, 89, 357))
-    lossless, degrees_o = _without_loss(result.model), np.degrees(theta_o)
+    grid, values, lossless = merl_grid(), result.values(), _without_loss(result.model)
     brightest, darkest = 0.0, np.inf
     for k, degrees in enumerate(INCIDENCES_DEG):
-        i, o = plane_of_incidence(np.radians(degrees), theta_o)
+        degrees_o, is_datum = viewers(degrees, np.degrees(grid.theta_h))
+        i, o = plane_of_incidence(np.radians(degrees), np.radians(degrees_o))
         measured = measured_lobe(measurement, grid, *half_difference(i, o))
         fitted = predicted_lobe(result.model, values, i, o)
         alone = fitted if lossless is None else predicted_lobe(lossless, values, i, o)
         shaded = None if chain is None else band(result, chain, i, o)
         for c, name in enumerate(result.model.channels):
             colour, m = CHANNEL_COLOURS.get(name, "black"), measured[c]
-            seen = slice(2 * c, None, 2 * len(measured))  # channels take turns: one does not hide another
+            drawn = shown(np.where(is_datum, m, np.nan), np.cumsum(is_datum) % len(measured) == c)
             for axis, scale in ((cubic[k], np.cbrt), (logarithmic[k], np.asarray)):
                 axis.plot(degrees_o, scale(fitted[c]), "-", linewidth=1.0, color=colour, label=f"{name} fitted")
                 if lossless is not None:
                     axis.plot(degrees_o, scale(alone[c]), "--", linewidth=0.8, color=colour, alpha=0.7)
                 if shaded is not None:
                     axis.fill_between(degrees_o, *scale(shaded[:, c]), alpha=0.2, linewidth=0, color=colour)
-                axis.plot(degrees_o[seen], scale(m[seen]), "o", markersize=3.2, fillstyle="none", color=colour)
+                axis.plot(degrees_o[drawn], scale(m[drawn]), "o", markersize=2.4, fillstyle="none", color=colour,
+                          markeredgewidth=0.6)  # fmt: skip
         brightest = np.nanmax([brightest, np.nanmax(np.where(np.isfinite(measured), fitted, 0)), np.nanmax(measured)])
         darkest = np.nanmin([darkest, np.nanmin(np.where(measured > 0, measured, np.nan))])
         for axis in (cubic[k], logarithmic[k]):
@@ -197,12 +202,34 @@ def _lobes(
     logarithmic[0].set_ylabel(r"BRDF (1/sr), logarithmic")
     cubic[0].set_ylim(0, 1.1 * np.cbrt(brightest))  # without the loss a fit is far brighter at grazing angles
     logarithmic[0].set_ylim(max(darkest, brightest / 1e6) / 2, 3 * brightest)
-    cubic[0].plot([], [], "o", color="gray", fillstyle="none", markersize=3.2, label="file")
+    cubic[0].plot([], [], "o", color="gray", fillstyle="none", markersize=2.4, label="file (every datum of the peak)")
     if lossless is not None:
         cubic[0].plot([], [], "--", color="gray", linewidth=0.8, label="fitted, without the grazing loss")
     if chain is not None:
         cubic[0].fill_between([], [], [], color="gray", alpha=0.3, linewidth=0, label="5 to 95 % of the posterior")
-    cubic[0].legend(fontsize=7)
+    cubic[0].legend(fontsize=8.5)
+
+
+def viewers(incidence_deg: float, theta_h_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles of viewers in the plane of incidence (deg), sorted, and which of them see a row of theta_h.
+
+    Their number is the same for every incidence: one compiled program does for all.
+    """
+    rows = incidence_deg + 2 * np.concatenate([-theta_h_deg, theta_h_deg])
+    seen = np.abs(rows) < WIDEST_DEG
+    between = np.linspace(-WIDEST_DEG, WIDEST_DEG, 357)
+    angles = np.concatenate([between, np.where(seen, rows, WIDEST_DEG)])
+    order = np.argsort(angles, kind="stable")
+    return angles[order], np.concatenate([np.zeros(len(between), bool), seen])[order]
+
+
+def shown(measured: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Which data of a channel are drawn: all of the highlight, elsewhere those of its turn. No mark hides another."""
+    finite = np.isfinite(measured)
+    if not finite.any():
+        return finite
+    low, high = np.nanmin(measured), np.nanmax(measured)
+    return finite & (turn | (measured > low + HIGHLIGHT * (high - low)))
 
 
 def _peak(axis: Axes, result: Result, measurement: Measurement) -> None:
@@ -273,7 +300,7 @@ def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Mea
     by_difference.plot([], [], "-", color="gray", label="median (shaded: 10 to 90 %)")
     if len(models) > 1:
         by_difference.plot([], [], "--", color="gray", label="median without the grazing loss")
-    by_difference.legend(fontsize=7)
+    by_difference.legend(fontsize=8.5)
 
 
 def corner_figure(result: Result, chain: dict[str, np.ndarray]) -> Figure:
@@ -290,7 +317,7 @@ def corner_figure(result: Result, chain: dict[str, np.ndarray]) -> Figure:
     ranges = [
         _range(low, high, q.value, scale) for q, (low, _, _, high), scale in zip(names, spread, scales, strict=True)
     ]
-    size = CORNER_INCHES * len(names) + 1
+    size = CORNER_INCHES * len(names) + 1.6
     figure = Figure(figsize=(size, size))
     corner.corner(
         chain["values"], weights=weights, truths=[q.value for q in names], fig=figure, range=ranges,
@@ -301,10 +328,13 @@ def corner_figure(result: Result, chain: dict[str, np.ndarray]) -> Figure:
     axes = np.array(figure.axes).reshape(len(names), len(names))
     for k, (q, (_, low, high, _)) in enumerate(zip(names, spread, strict=True)):
         label = _label(q)
-        axes[-1, k].set_xlabel(label, fontsize=11)
+        axes[-1, k].set_xlabel(label, fontsize=CORNER_LABEL)
+        axes[-1, k].xaxis.set_label_coords(0.5, -0.5)
         if k:
-            axes[k, 0].set_ylabel(label, fontsize=11)
-        axes[k, k].set_title(f"{q.name}\n{number(q.value, 3)}\n[{number(low, 3)}, {number(high, 3)}]", fontsize=9)
+            axes[k, 0].set_ylabel(label, fontsize=CORNER_LABEL)
+            axes[k, 0].yaxis.set_label_coords(-0.5, 0.5)
+        over = f"{q.name}\n{number(q.value, 3)}\n[{number(low, 3)}, {number(high, 3)}]"
+        axes[k, k].set_title(over, fontsize=CORNER_VALUE, loc="left")  # to the right of it there is nothing
         for x in (low, high):
             axes[k, k].axvline(x, color="black", linewidth=0.8, linestyle="--")
         ticks = _ticks(*ranges[k], scales[k])
@@ -314,13 +344,13 @@ def corner_figure(result: Result, chain: dict[str, np.ndarray]) -> Figure:
                 _mark(axes[j, k].xaxis, ticks, said if j == len(names) - 1 else [])
             if j < k:
                 _mark(axes[k, j].yaxis, ticks, said if j == 0 else [])
-        axes[-1, k].tick_params(axis="x", labelsize=8, labelrotation=45)
-        axes[k, 0].tick_params(axis="y", labelsize=8)
-    figure.subplots_adjust(left=0.9 / size, bottom=0.9 / size, right=1 - 0.2 / size, top=1 - 1.1 / size,
+        axes[-1, k].tick_params(axis="x", labelsize=CORNER_TICK, labelrotation=45)
+        axes[k, 0].tick_params(axis="y", labelsize=CORNER_TICK)
+    figure.subplots_adjust(left=1.1 / size, bottom=1.1 / size, right=1 - 0.5 / size, top=1 - 1.1 / size,
                            wspace=0.08, hspace=0.08)  # fmt: skip
     figure.suptitle(
         f"{result.source.material}: posterior\nover the diagonal and red: fitted value; "
-        "in brackets and dashed: 5 and 95 %", fontsize=11, x=0.98, ha="right",
+        "in brackets and dashed: 5 and 95 %", fontsize=CORNER_LABEL, x=0.98, ha="right",
     )  # fmt: skip
     if result.posterior is not None and not result.posterior.sufficient:
         _watermark(figure, result.posterior.message)
@@ -380,7 +410,7 @@ def _watermark(figure: Figure, message: str) -> None:
     size = 4.5 * figure.get_figwidth()
     figure.text(0.5, 0.45, WATERMARK, fontsize=size, color="gray", alpha=0.4, rotation=35, ha="center", va="center")
     said = "\n".join(textwrap.wrap(message, 45))
-    figure.text(0.98, 0.8, said, fontsize=11, color="#c0392b", ha="right", va="top")
+    figure.text(0.98, 0.85, said, fontsize=CORNER_LABEL, color="#c0392b", ha="right", va="top")
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:

@@ -13,6 +13,7 @@ from ..model.two_scale import two_scale
 from .export import ResultError, read_result
 
 ROWS = 10  # of theta_h evaluated at a time
+WITHOUT_SURFACE = "index printed as 1.00, so that the Fresnel term and with it all specular light are 0"
 
 
 def tabulate(evaluate: object) -> np.ndarray:
@@ -28,7 +29,7 @@ def tabulate(evaluate: object) -> np.ndarray:
 
 
 def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
-    """A published parameter set, and in words what it is.
+    """A published parameter set, and in words what it is; of one that has lost its specular part, that it has.
 
     Raises:
         KeyError: unknown material or source; the message names the nearest known one.
@@ -37,6 +38,8 @@ def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
     table = published.SOURCES[source]
     rescaled = f", albedos times {table.channel_scale} (R, G, B)" if set(table.channel_scale) != {1.0} else ""
     said = f"synthetic MERL file of {material}, from published parameters: {table.citation}{rescaled}"
+    if material in published.without_surface(source):
+        said += f"; {WITHOUT_SURFACE}: the file is of a diffuse material"
     return values, said
 
 
@@ -68,10 +71,13 @@ def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str
 
 
 def describe_sources() -> str:
-    """The published tables and which materials they lack."""
+    """The published tables, which materials they lack and of which they print no specular part."""
     every = set().union(*map(published.materials, published.SOURCES))
     lines = [f"{len(every)} materials: {', '.join(sorted(every))}"]
     for name, s in published.SOURCES.items():
         missing = sorted(every - set(published.materials(name)))
-        lines.append(f"{name}: {s.citation}; " + (f"lacks {', '.join(missing)}" if missing else "all materials"))
+        line = f"{name}: {s.citation}; " + (f"lacks {', '.join(missing)}" if missing else "all materials")
+        if flat := published.without_surface(name):
+            line += f"; diffuse alone: {', '.join(flat)} ({WITHOUT_SURFACE})"
+        lines.append(line)
     return "\n".join(lines)

@@ -4,6 +4,7 @@ import os
 import platform
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,7 +15,12 @@ T = TypeVar("T")
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 # Ours are the threads: those that BLAS adds of its own wait for each other busily, on busy cores for seconds a product.
 one_core_a_call = threadpool_limits.wrap(limits=1, user_api="blas")
-_POOL = ThreadPoolExecutor(CORES, "merlfit")
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    """Made when it is first needed: who imports this gets no threads."""
+    return ThreadPoolExecutor(CORES, "merlfit")
 
 
 def machine() -> str:
@@ -27,4 +33,4 @@ def machine() -> str:
 def side_by_side(compute: Callable[[S], T], parts: Iterable[S]) -> list[T]:
     """Results for all parts, every part in a thread of its own. ``compute`` must not come here again."""
     every = list(parts)
-    return [compute(every[0])] if len(every) == 1 else list(_POOL.map(compute, every))
+    return [compute(every[0])] if len(every) == 1 else list(_pool().map(compute, every))

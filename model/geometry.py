@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from .numerics import safe_acos, safe_sqrt
+from .numerics import floats, safe_acos, safe_sqrt
 
 
 class Geometry(eqx.Module):
@@ -31,7 +31,7 @@ class Geometry(eqx.Module):
     @classmethod
     def from_half_difference(cls, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> "Geometry":
         """Rusinkiewicz' half and difference angles (rad), of any shapes that broadcast together."""
-        theta_h, theta_d, phi_d = jnp.asarray(theta_h), jnp.asarray(theta_d), jnp.asarray(phi_d)
+        theta_h, theta_d, phi_d = floats(theta_h, theta_d, phi_d)
         even = jnp.cos(theta_h) * jnp.cos(theta_d)
         odd = jnp.sin(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
         return cls(theta_h, theta_d, even - odd, even + odd)
@@ -39,7 +39,7 @@ class Geometry(eqx.Module):
     @classmethod
     def from_vectors(cls, i: ArrayLike, o: ArrayLike) -> "Geometry":
         """Unit vectors of light and viewer, shape ``(..., 3)``, in a frame whose third axis is the normal."""
-        i, o = jnp.asarray(i), jnp.asarray(o)
+        i, o = floats(i, o)
         sum_, difference = i + o, i - o
         theta_h = jnp.arctan2(safe_sqrt(sum_[..., 0] ** 2 + sum_[..., 1] ** 2), sum_[..., 2])
         theta_d = jnp.arctan2(safe_sqrt(jnp.sum(difference**2, -1)), safe_sqrt(jnp.sum(sum_**2, -1)))

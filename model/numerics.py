@@ -7,12 +7,23 @@ Rule: substitute before computing, mask after (a double ``where``). Nothing else
 import math
 
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 Real = Float[Array, "..."]  # of any shape; float64 by default, float32 where the caller's arrays are
 Scalar = Float[Array, ""]
 
 TINY = 1e-300  # smallest substitute; far below any square of an angle or reflectance in float64
+
+
+def floats(*given: ArrayLike) -> tuple[Array, ...]:
+    """Arrays of floating-point numbers, shapes kept: integers in the precision of those that are no integers.
+
+    That is the default precision where all are integers; floating-point numbers keep their own.
+    """
+    arrays = [jnp.asarray(x) for x in given]
+    precision = jnp.result_type(*(x for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)), 0.0)
+    return tuple(x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(precision) for x in arrays)
 
 
 def safe_sqrt(x: Real) -> Real:

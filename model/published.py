@@ -88,11 +88,26 @@ def materials(source: str = "sgd") -> tuple[str, ...]:
     return tuple(sorted(_table(source)))
 
 
+def without_surface(source: str = "he") -> tuple[str, ...]:
+    """Materials, sorted, whose published index is 1: there the Fresnel term is 0, and the model is Lambert's alone.
+
+    Ngan's table of He's model prints eta = 1.00 for four materials, beside specular albedos of 1e5 to 2e9: an index
+    just above 1, rounded away. The numbers are left as printed.
+
+    Raises:
+        KeyError: unknown source.
+    """
+    _known("source of published parameters", source, tuple(SOURCES))
+    if "eta" not in {q.name for q in SOURCES[source].parameters}:
+        return ()
+    return tuple(name for name in materials(source) if _table(source)[name]["eta"] == 1)
+
+
 def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> Any:  # noqa: ANN401 - one class a source
     """Published parameters of a material of MERL, as the class ``SOURCES[source].model``, in float64.
 
-    The numbers are those printed. Names follow the models: SGD's ``eta`` is ``F0`` and ``F1``, Ngan's Cook-Torrance
-    ``eta`` is ``F0``.
+    The numbers are those printed, even where they leave a model no specular light (:func:`without_surface`). Names
+    follow the models: SGD's ``eta`` is ``F0`` and ``F1``, Ngan's Cook-Torrance ``eta`` is ``F0``.
 
     Args:
         material: MERL's name, such as ``blue-metallic-paint``.

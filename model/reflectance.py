@@ -18,6 +18,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from .geometry import Geometry
+from .numerics import floats
 from .parameters import WAVELENGTHS_UM, Parameter
 
 Values = Mapping[str, Array]
@@ -140,9 +141,9 @@ def setting(
     Args:
         log_base: :func:`merlfit.model.acquisition.grazing_log_base` of the directions, if it is known already.
     """
-    above = (geometry.cos_i > 0) & (geometry.cos_o > 0)
-    cos_i, cos_o = jnp.where(above, geometry.cos_i, 1.0), jnp.where(above, geometry.cos_o, 1.0)
-    theta_h, theta_d = jnp.asarray(geometry.theta_h), jnp.asarray(geometry.theta_d)
+    theta_h, theta_d, cos_i, cos_o = floats(geometry.theta_h, geometry.theta_d, geometry.cos_i, geometry.cos_o)
+    above = (cos_i > 0) & (cos_o > 0)
+    cos_i, cos_o = jnp.where(above, cos_i, 1.0), jnp.where(above, cos_o, 1.0)
     rank = len(jnp.broadcast_shapes(theta_h.shape, theta_d.shape, above.shape))
     wavelength = jnp.asarray(wavelengths_um, jnp.result_type(theta_h)).reshape((-1,) + (1,) * rank)
     return Setting(Geometry(theta_h, theta_d, cos_i, cos_o), above, wavelength, model, log_base)

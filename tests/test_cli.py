@@ -193,6 +193,10 @@ def test_materials_are_listed_with_what_the_tables_lack():
     assert "he: Ngan" in shown.stdout
     assert "lacks" in shown.stdout
     assert "Bagher, Soler" in shown.stdout
+    (he,) = [line for line in shown.stdout.splitlines() if line.startswith("he:")]
+    assert "diffuse alone: black-obsidian, green-plastic, maroon-plastic, red-specular-plastic" in he
+    assert "index printed as 1.00" in he
+    assert shown.stdout.count("diffuse alone") == 1
 
 
 def test_a_source_for_a_fit_is_refused(tmp_path):

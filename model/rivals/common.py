@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..geometry import Geometry
-from ..numerics import safe_divide
+from ..numerics import floats, safe_divide
 
 
 def with_channels(geometry: Geometry) -> tuple[Geometry, Array]:
@@ -14,8 +14,8 @@ def with_channels(geometry: Geometry) -> tuple[Geometry, Array]:
     has the full broadcast shape ``(..., 1)`` and :func:`visible` applies it. Other arrays keep their own shapes: what
     depends on the half angle alone is computed once for each half angle.
     """
-    theta_h, theta_d = jnp.asarray(geometry.theta_h)[..., None], jnp.asarray(geometry.theta_d)[..., None]
-    cos_i, cos_o = jnp.asarray(geometry.cos_i)[..., None], jnp.asarray(geometry.cos_o)[..., None]
+    angles = floats(geometry.theta_h, geometry.theta_d, geometry.cos_i, geometry.cos_o)
+    theta_h, theta_d, cos_i, cos_o = (x[..., None] for x in angles)
     shape = jnp.broadcast_shapes(theta_h.shape, theta_d.shape, cos_i.shape, cos_o.shape)
     above = jnp.broadcast_to((cos_i > 0) & (cos_o > 0), shape)
     lifted = Geometry(theta_h, theta_d, jnp.where(cos_i > 0, cos_i, 1.0), jnp.where(cos_o > 0, cos_o, 1.0))

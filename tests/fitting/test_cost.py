@@ -54,6 +54,28 @@ def test_tables_and_plot_mark_the_defaults(made, tmp_path):
     np.testing.assert_allclose(drawn[0].get_ydata(), [q.error.p95 for q in made.points])
 
 
+def test_a_median_is_marked_otherwise_than_a_95th_percentile(made):
+    figure = frontier_figure(made)
+    errors = [[t.error for t in made.tiers if t.error is not None]] * 3 + [[q.error for q in made.points]]
+    for axis, expected in zip(figure.axes[:4], errors, strict=False):
+        marks = [line for line in axis.lines if line.get_marker() not in ("None", "")]
+        full, hollow = ([q for q in marks if (q.get_markerfacecolor() == "white") == empty] for empty in (False, True))
+        assert [q.get_ydata()[0] for q in full] == [error.median for error in expected]
+        assert [q.get_ydata()[0] for q in hollow] == [error.p95 for error in expected]
+
+
+@pytest.mark.parametrize("growth", [1.01, 1.1, 1.5, 3.0])
+def test_axes_are_marked_with_plain_numbers(made, growth):
+    points = [point(q, 2.0 * growth**-k, growth**k) for k, q in enumerate(POINTS)]
+    figure = frontier_figure(made.model_copy(update={"points": points}))
+    figure.draw_without_rendering()
+    for axis in figure.axes[:4]:
+        for side in (axis.xaxis, axis.yaxis):
+            said = [label.get_text() for label in side.get_ticklabels(which="both")]
+            assert any(said)
+            assert not [text for text in said if "times" in text]
+
+
 def test_nothing_in_the_picture_lies_on_anything_else(made):
     """Numbers and legends of the shipped calibration, and of points that coincide."""
     same = made.model_copy(update={"points": [point(q, 0.1, 1.0 + 1e-3 * k) for k, q in enumerate(POINTS)]})

@@ -28,6 +28,55 @@ def measurement():
     return Measurement(Path("nickel.binary"), values, above, 0, 0, 0, "", "")
 
 
+def test_every_datum_of_a_peak_is_drawn():
+    """A narrow peak: the brightest datum of every channel is among the marks, at its own angle and height."""
+    grid, result = merl_grid(), made(effects=TwoScale("none"))
+    lobe = np.exp(-((np.degrees(grid.theta_h) / 0.6) ** 2))[:, None, None] + 0.01
+    values = np.where(grid.above, lobe * np.ones((3, 1, 1, 1)), np.nan)
+    figure = lobe_figure(result, Measurement(Path("nickel.binary"), values, np.isfinite(values[0]), 0, 0, 0, "", ""))
+    narrow = grid.theta_h[lobe[:, 0, 0] > 0.2]
+    for k, incidence in enumerate(plots.INCIDENCES_DEG[:4]):
+        marked = [line for line in figure.axes[5 + k].lines if line.get_marker() == "o"]
+        assert len(marked) == 3
+        for line in marked:
+            x, y = line.get_data()
+            for sign in (-1, 1):
+                assert set(np.round(incidence + sign * 2 * np.degrees(narrow), 6)) <= set(np.round(x, 6))
+            assert y.max() == pytest.approx(values[0, 0, 20, 90], rel=1e-6)
+            far = np.abs(x - incidence) > 10
+            assert 10 < far.sum() < 60  # of some 150 rows
+            assert np.all(np.isfinite(y[far]))
+
+
+def test_all_incidences_have_as_many_viewers():
+    rows = np.degrees(merl_grid().theta_h)
+    for incidence in plots.INCIDENCES_DEG:
+        angles, is_datum = plots.viewers(incidence, rows)
+        assert angles.shape == (357 + 180,)
+        assert np.all(np.diff(angles) >= 0)
+        expected = [2 * h for h in rows for side in (-2, 2) if abs(incidence + side * h) < plots.WIDEST_DEG]
+        np.testing.assert_allclose(np.sort(np.abs(angles - incidence)[is_datum]), np.sort(expected), atol=1e-12)
+
+
+def test_letters_of_the_corner_plot_are_readable_and_lie_on_no_panel():
+    result = made(posterior=True)
+    figure = corner_figure(result, chain(result))
+    figure.draw_without_rendering()
+    size, panels = len(result.parameters), [axis.get_window_extent() for axis in figure.axes]
+    axes = np.array(figure.axes).reshape(size, size)
+    for k in range(size):
+        ticks = axes[-1, k].get_xticklabels() + axes[k, 0].get_yticklabels() * bool(k)
+        words = [axes[k, k].title, axes[k, k]._left_title, axes[-1, k].xaxis.label, axes[k, 0].yaxis.label, *ticks]
+        words = [text for text in words if text.get_text()]
+        assert min(text.get_fontsize() for text in words) * 1.4 > 0.11 * 72 * plots.CORNER_INCHES  # a 13th of a panel
+        shown = [panels[i] for i in range(size**2) if i // size >= i % size]
+        for text in words:
+            box = text.get_window_extent()
+            assert not any(box.overlaps(panel.padded(-1)) for panel in shown), text
+            assert figure.bbox.padded(1).containsx(box.x0)
+            assert figure.bbox.padded(1).containsx(box.x1)
+
+
 def texts(figure):
     return [text.get_text() for text in figure.texts]
 
@@ -47,7 +96,7 @@ def test_the_corner_plot_has_units_scales_values_and_ticks(scale):
     size = len(result.parameters)
     axes = np.array(figure.axes).reshape(size, size)
     for k, q in enumerate(result.parameters):
-        assert axes[k, k].get_title().startswith(f"{q.name}\n{q.value:.3g}\n[")
+        assert axes[k, k].get_title("left").startswith(f"{q.name}\n{q.value:.3g}\n[")
         assert axes[-1, k].get_xscale() == ("linear" if q.name.startswith("grazing") else "log")
         assert ("(µm)" in axes[-1, k].get_xlabel()) == (q.unit == "um")
         low, high = axes[-1, k].get_xlim()

@@ -93,6 +93,20 @@ def test_smith_lambda_to_1e_8_and_beckmann():
     assert worst(found[25:], beckmann) < 1e-8
 
 
+@pytest.mark.parametrize(("p", "of_lambda", "of_masking"), [
+    (0.12, 1e-10, 1e-14), (0.5, 1e-13, 1e-14), (2.0, 1e-12, 1e-13), (4.0, 1e-9, 3e-10), (5.0, 1.4e-8, 3.3e-9)
+])  # fmt: skip
+def test_smith_lambda_and_masking_at_all_slopes(p, of_lambda, of_masking):
+    """What the docstrings say of the largest exponents, where the rule is least accurate, and of others."""
+    tau = np.exp(np.linspace(np.log(max(0.05, 27 ** (-1 / (2 * p)))), np.log(3e3), 400))
+    expected = np.array([o_shadowing.smith_lambda(t, p) for t in tau])
+    found = np.asarray(jax.vmap(shadowing.smith_lambda, (0, None))(*j(tau, p)))
+    masking = np.asarray(shadowing.masking_direct(*j(np.cos(np.arctan(tau)), 1.0, p)))
+    assert worst(found[expected > 1e-12], expected[expected > 1e-12]) < of_lambda
+    assert np.max(np.abs(masking - 1 / (1 + expected))) < of_masking
+    assert worst(found[expected > 1e-12] * (1 + 1e-7), expected[expected > 1e-12]) > of_lambda
+
+
 @pytest.mark.parametrize("beta", [0.001, 0.05, 0.5, 1.0])
 @pytest.mark.parametrize("p", [0.2, 0.5, 1.0, 5.0])
 def test_masking_table_to_1e_9(beta, p):
@@ -157,6 +171,19 @@ def test_convolution_in_all_bounds(order, median, largest, convolutions):
     error = np.abs(np.asarray(found) / expected - 1)
     assert np.median(error) < median
     assert error.max() < largest, cases[error.argmax()]
+
+
+@pytest.mark.parametrize(("order", "case", "least", "most"), [
+    (16, (0.784837, 900.0, 6.0, 1.0, 0.203389), 5.1e-2, 5.3e-2),
+    (24, (1.54550, 864.357, 1.01, 0.970024, 0.2), 1.3e-2, 1.5e-2),
+    (32, (1.54610, 900.0, 1.01096, 1.0, 0.2), 4.9e-3, 5.2e-3),
+    (48, (1.56326, 387.595, 1.01002, 0.923081, 0.2), 8e-4, 1e-3),
+    (32, (1.51324, 900.0, 6.0, 1e-3, 0.201344), 0.9, 1.0),
+])  # fmt: skip
+def test_convolution_where_it_is_worst(order, case, least, most):
+    """What a search found at the bounds of the fit; the last is a value of 1e-19 (`convolution.convolve`)."""
+    error = abs(float(convolution.convolve(*j(*case), order)) / o_convolution.convolve(*case) - 1)
+    assert least < error < most
 
 
 def test_convolution_check_rejects_the_dirac_limit(convolutions):

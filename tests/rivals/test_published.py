@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from merlfit.model.geometry import Geometry
-from merlfit.model.published import MERL_SCALE, SOURCES, evaluate, materials, published
+from merlfit.model.published import MERL_SCALE, SOURCES, evaluate, materials, published, without_surface
 
 # median RMSE and sMAPE: those of the data's own README, and what this project measured where it has none
 TARGETS = {
@@ -45,6 +45,20 @@ def test_sgd_fresnel_rows():
     parameters = published("alum-bronze")
     np.testing.assert_array_equal(parameters.F0, [6.05524, 0.235756, 0.580647])
     np.testing.assert_array_equal(parameters.F1, [5.05524, 0.182842, 0.476088])
+
+
+def test_materials_of_index_1_are_diffuse_alone():
+    """Ngan's table rounds their index to 1.00, where the Fresnel term is 0."""
+    flat = without_surface("he")
+    assert flat == ("black-obsidian", "green-plastic", "maroon-plastic", "red-specular-plastic")
+    mirror = Geometry.from_half_difference(0.0, np.radians([0.0, 40.0]), np.pi / 2)
+    for material in materials("he"):
+        diffuse = np.broadcast_to(np.asarray(published(material, "he").diffuse_albedo) / np.pi, (2, 3))
+        brdf = np.asarray(evaluate(material, "he", mirror))
+        assert np.array_equal(brdf, diffuse) == (material in flat), material
+    assert not any(without_surface(source) for source in SOURCES if source != "he")
+    with pytest.raises(KeyError, match="nearest known one is 'smooth'"):
+        without_surface("smoth")
 
 
 def test_unknown_names_are_answered_with_the_nearest():
