@@ -34,8 +34,9 @@ PRIOR = 1e-2  # weight of |z|^2: as much as in the posterior of a material whose
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
 NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected
 CLEAR = 8  # steps since a trial where the model was not finite: before that, short steps are a wall, not a minimum
-LEAST_BINS, BLACK = 30, 1e-30  # bins with light that a file must have, and what is none (1/sr): Status.NO_DATA
-UNEXPLAINED_COST = 0.5  # of the measurement's energy, from which on a fit is UNEXPLAINED
+LEAST_BINS = 30  # fewer bins with light than this, of all or of a thinned grid, cannot carry a dozen parameters
+BLACK = 1e-30  # 1/sr: no more light than this is none
+UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
 OFFSET_TOLERANCE = 1e-3  # of the relative offset: a further step would lower the cost by less than 1e-6 of itself
 
 

@@ -17,7 +17,7 @@ from . import export, metrics
 from .config import Config
 from .identifiability import identifiability
 from .laplace import laplace_covariance
-from .levenberg_marquardt import Solution, Status
+from .levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
 from .problem import energy
 from .selection import alike, lost
 from .transforms import ODDS, Layout
@@ -27,7 +27,6 @@ if TYPE_CHECKING:  # the sampler's libraries take a second to load
     from .sampling import Sampled
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
-UNEXPLAINED_COST = 0.5  # of the measurement's energy; predicting no light at all costs 1
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
 METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near

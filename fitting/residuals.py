@@ -148,9 +148,20 @@ def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
 
     XLA's CPU compiler fuses producers into every consumer and drops optimisation barriers; a conditional it must keep.
     Measured when all azimuths were still evaluated: normal equations 0.34 s with it, 1.2 s without.
+
+    Args:
+        always: true, which the compiler must not know (`_true_of`).
     """
     shapes = jax.eval_shape(compute, *args)
     return jax.lax.cond(always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)
+
+
+def _true_of(number: Array) -> Array:
+    """True whatever the number is, NaN and infinities included, which XLA does not find out.
+
+    It knows that x < x is false, and |x| < 0, but nothing of minus infinity.
+    """
+    return ~(number < -jnp.inf)
 
 
 def with_tables(model: Reflectance, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
@@ -206,7 +217,7 @@ def _block_gram(
             result.append(_weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
         return [*result, b.target - _weigh(b.root, model.assemble(at, s))]
 
-    always = jnp.isfinite(b.target[0, 0, 0, 0])
+    always = _true_of(b.target[0, 0, 0, 0])
     at, slopes = _materialised(factor_derivatives, always, values, b.directions)
     columns_ = [x.reshape(x.shape[0], -1) for x in _materialised(columns, always, at, slopes, b)]
     upper = {

@@ -16,7 +16,7 @@ from ..merl_io.samples import Samples, thin
 from . import export, metrics
 from .clock import Clock, Report, silent
 from .config import Config
-from .levenberg_marquardt import Solution, solve
+from .levenberg_marquardt import BLACK, LEAST_BINS, Solution, solve
 from .outcome import Fitted, make_result
 from .problem import Problem, directions, energy, make_problem
 from .residuals import predict
@@ -37,8 +37,6 @@ CANDIDATE_AZIMUTHS, CANDIDATE_ORDER = 2, 8
 RUNNERS_EACH, FIRST_LAP, SECOND_LAP = 3, 6, 14  # the first: runners for each of `fit.starts`, which run the second lap
 FAR = 1.6, 1.3  # times the lowest after the first and after the second lap: who is so much behind gives up
 APART = 0.3  # in standard deviations of the prior: runners nearer to each other are on the way to the same minimum
-LEAST_BINS = 30  # fewer bins with light than this, of all or of a thinned grid, cannot carry a dozen parameters
-BLACK = 1e-30  # 1/sr: no more light than this is none
 Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, export.Accuracy | None]]
 
 

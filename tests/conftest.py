@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 def compilation_cache(tmp_path_factory):
     folder = os.environ.get("MERLFIT_TEST_CACHE") or str(ROOT / ".pytest_cache" / "xla")
     jax.config.update("jax_compilation_cache_dir", folder)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     os.environ["MERLFIT_CACHE_DIR"] = folder
 
 

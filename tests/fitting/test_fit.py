@@ -15,7 +15,7 @@ from merlfit.fitting.levenberg_marquardt import Status, solve
 from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import Fitted
 from merlfit.fitting.problem import make_problem
-from merlfit.fitting.residuals import _normal_equations, _predict, cost, normal_equations, spread_out
+from merlfit.fitting.residuals import _normal_equations, cost, normal_equations, spread_out
 from merlfit.fitting.starts import read_off, starting_points
 from merlfit.fitting.transforms import layout_of
 from merlfit.fitting.weights import weighted_samples
@@ -25,6 +25,7 @@ from merlfit.merl_io.samples import thin
 from merlfit.model.acquisition import derived_exponent
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import KINDS, TwoScale, two_scale
+from plain_jacobian import difference, plain
 
 CONDUCTOR = {
     "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "n": np.array([1.9, 1.7, 1.6]),
@@ -118,29 +119,6 @@ def test_a_narrow_highlight_is_not_given_up(make_merl, tmp_path):
 def coarse(files):
     samples = weighted_samples(read(files["conductor"]))
     return samples, make_problem(thin(samples, run.COARSE))
-
-
-def plain(layout, z, samples):
-    """Normal equations of all bins of the samples, from the whole Jacobian."""
-    where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
-    root = np.sqrt(samples.weight / problems.energy(samples))
-
-    def predicted(z):
-        return _predict(layout.effects, layout.values(z), where)
-
-    def rows(x):
-        return np.moveaxis(np.asarray(x), 1, 0).reshape(root.shape + x.shape[5:])
-
-    jacobian = root[..., None] * rows(jax.jit(jax.jacfwd(predicted))(z))
-    both = np.concatenate([jacobian, (root * (samples.value - rows(predicted(z))))[..., None]], -1)
-    both = both.reshape(3, -1, len(z) + 1)
-    return np.einsum("cnk,cnl->ckl", both, both)
-
-
-def difference(found, expected):
-    """Largest, relative to the diagonals."""
-    scale = np.sqrt(np.einsum("ckk,cll->ckl", expected, expected)) + 1e-300
-    return np.max(np.abs(found - expected) / scale)
 
 
 @pytest.mark.slow

@@ -1,0 +1,29 @@
+"""Normal equations the plain way, from the whole Jacobian: what `residuals.normal_equations` must equal."""
+
+import jax
+import numpy as np
+from merlfit.fitting import problem as problems
+from merlfit.fitting.residuals import _predict
+
+
+def plain(layout, z, samples):
+    """Normal equations of all bins of the samples, from the whole Jacobian."""
+    where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    root = np.sqrt(samples.weight / problems.energy(samples))
+
+    def predicted(z):
+        return _predict(layout.model, layout.values(z), where)
+
+    def rows(x):
+        return np.moveaxis(np.asarray(x), 1, 0).reshape(root.shape + x.shape[5:])
+
+    jacobian = root[..., None] * rows(jax.jit(jax.jacfwd(predicted))(z))
+    both = np.concatenate([jacobian, (root * (samples.value - rows(predicted(z))))[..., None]], -1)
+    both = both.reshape(3, -1, len(z) + 1)
+    return np.einsum("cnk,cnl->ckl", both, both)
+
+
+def difference(found, expected):
+    """Largest, relative to the diagonals."""
+    scale = np.sqrt(np.einsum("ckk,cll->ckl", expected, expected)) + 1e-300
+    return np.max(np.abs(found - expected) / scale)
