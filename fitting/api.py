@@ -1,21 +1,21 @@
 """merlfit from Python: what ``import merlfit`` offers (``main/__init__.py`` names it there)."""
 
 import os
+import shutil
+import tempfile
 import warnings
 import weakref
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 from rich.console import Console
 
 from ..merl_io.binary import Measurement, read
-from ..model.geometry import Geometry
-from ..model.two_scale import two_scale
 from . import plots
 from .clock import Report, silent
 from .compilation import use_persistent_cache
@@ -25,7 +25,7 @@ from .inspection import file_of
 from .keeping import place_of
 from .report import print_result
 from .resampling import resample
-from .run import fit_file
+from .run import chain_of, fit_file
 
 if TYPE_CHECKING:
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
@@ -80,11 +80,15 @@ class Fit:
             with_grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles.
 
         Raises:
-            merlfit.ResultError: the fit failed, there is no material.
+            merlfit.ResultError: the fit failed, there is no material. ValueError: i or o is no unit vector.
         """
-        model = self._model()
-        effects = model.effects if with_grazing_loss else model.effects.material
-        return np.asarray(two_scale(self.values, Geometry.from_vectors(i, o), effects, model.wavelengths_um))
+        model, (light, viewer) = self._model(), (np.asarray(x, float) for x in (i, o))
+        for name, vectors in (("i", light), ("o", viewer)):
+            if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):
+                raise ValueError(f"{name} should be unit vectors of shape (..., 3)")
+        if not with_grazing_loss:
+            model = model.model_copy(update={"effects": model.effects.material})
+        return plots.predicted_lobe(model, self.values, light, viewer)
 
     def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
         """Sample the posterior, or continue its chain; file and this object hold the intervals then.
@@ -93,19 +97,23 @@ class Fit:
             max_steps: of the chain, at the most. report: told in a few words what is being done.
 
         Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now.
+            merlfit.MerlError: the fitted file is missing, or is another one now. merlfit.ResultError: the fit failed,
+                or its chain is missing. merlfit.ChainError: the chain is of another fit. merlfit.WriteError: it cannot
+                be kept.
         """
-        use_persistent_cache()
+        _use_cache()
         self.result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
         return self
 
     def to_arviz(self) -> "xarray.DataTree":
-        """The posterior as ArviZ has it: 1 chain of equally likely draws in units of physics, by parameter.
+        """The posterior as ArviZ has it: one chain of equally likely draws in units of physics, by parameter.
 
-        The draws of a merlfit posterior are weighted; as many are drawn from them by systematic resampling.
+        The draws of a merlfit posterior are weighted; as many are drawn from them by systematic resampling, in no order
+        of time: R-hat and effective sizes are those of ``result.posterior``, not what ArviZ would compute from these.
 
         Raises:
-            ImportError: arviz-base is not installed (``pip install 'merlfit[arviz]'``). plots.NoPicture: no posterior.
+            ImportError: arviz-base is not installed (``pip install 'merlfit[arviz]'``). merlfit.NoPicture: there is no
+                posterior, or its chain is missing.
         """
         try:
             import arviz_base  # pyright: ignore[reportMissingImports] - of the extra `arviz`
@@ -126,17 +134,22 @@ class Fit:
         )  # fmt: skip
 
     def plot_lobes(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Lobes beside those of the file, with the posterior's bands, as `merlfit inspect` draws them.
+        """Lobes beside those of the file, as `merlfit inspect` draws them, with the posterior's bands if there is one.
 
         Args:
             path: a PNG to write, too.
 
         Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now.
+            merlfit.MerlError: the fitted file is missing, or is another one now. merlfit.ResultError: the fit failed.
         """
         self._model()
-        sampled = self.result.posterior is not None and self.result.posterior.sufficient
-        chain = plots.chain_file(self.result, self.path.parent) if sampled else None
+        _use_cache()
+        chain = None
+        if self.result.posterior is not None and self.result.posterior.sufficient:
+            try:
+                chain = plots.chain_file(self.result, self.path.parent)
+            except plots.NoPicture as error:
+                warnings.warn(f"no bands: {error}", stacklevel=2)
         measurement = read(file_of(self.path, self.result), self.result.source.sha1)
         return _kept(plots.lobe_figure(self.result, measurement, chain), path)
 
@@ -144,15 +157,35 @@ class Fit:
         """Corner plot of the posterior; ``path``: a PNG to write, too.
 
         Raises:
-            merlfit.fitting.plots.NoPicture: there is no posterior.
+            merlfit.NoPicture: there is no posterior, or its chain is missing.
         """
         return _kept(plots.corner_figure(self.result, plots.chain_file(self.result, self.path.parent)), path)
 
     def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
-        """The result as JSON (docs/result.md); ``path``: a file to write it to, too."""
+        """The result as JSON, without the chain (docs/result.md); ``path``: a file to write it to, too."""
         if path is not None:
             write_result(Path(path), self.result)
         return self.result.model_dump_json(indent=2)
+
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write result and chain into a folder, as `merlfit fit` does; the path of the result, which is the fit's then.
+
+        Raises:
+            merlfit.WriteError: it cannot be written.
+        """
+        target = Path(folder) / f"{self.result.source.material}.json"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        posterior, chain = self.result.posterior, chain_of(target)
+        if posterior is not None:
+            own = self.path.parent / posterior.chain_file
+            if own.is_file() and own.resolve() != chain.resolve():
+                shutil.copyfile(own, chain)
+            self.result = self.result.model_copy(
+                update={"posterior": posterior.model_copy(update={"chain_file": chain.name})}
+            )
+        write_result(target, self.result)
+        self.path = target
+        return target
 
     def _model(self) -> Any:  # noqa: ANN401 - export.Model
         if self.result.model is None:
@@ -184,38 +217,52 @@ def fit(
     index: str | None = None,
     body: str | None = None,
     weights: str | None = None,
-    posterior: bool = False,
+    posterior: bool | None = None,
     seed: int | None = None,
     report: Report = silent,
 ) -> Fit:
     """Fit a MERL file, as `merlfit fit` does.
 
+    Compiled programs are kept in merlfit's cache folder, unless ``jax_compilation_cache_dir`` is set already.
+
     Args:
         file: its path, or what :func:`read` made of it.
-        out: folder for the result; without it, the result lasts as long as the object (:meth:`Fit.to_json` keeps it).
+        out: folder for the result; without it, the result lasts as long as the object: :meth:`Fit.save` keeps it.
         settings: a TOML file like configs/default.toml, or the same as a mapping.
-        preset, index, body, weights, seed: as the options of `merlfit fit`; they replace those of ``settings``.
-        posterior: whether to sample it at once (a minute); :meth:`Fit.sample` does it later.
+        preset, index, body, weights, posterior, seed: as the options of `merlfit fit`; they replace those of
+            ``settings``. The posterior is not sampled unless one of them asks for it: :meth:`Fit.sample` does it later.
         report: told in a few words what is being done, ``print`` for instance.
 
     Raises:
-        merlfit.MerlError: the file cannot be used. merlfit.ConfigError: bad settings.
+        merlfit.MerlError: the file cannot be used. merlfit.ConfigError: bad settings. merlfit.WriteError: ``out``
+            cannot be written. RuntimeError: the sampler failed; the message names the file that holds the fit.
     """
     config = settings_of(
         settings, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
     )
-    use_persistent_cache()
-    path = Path(file.path if isinstance(file, Measurement) else file)
-    temporary = TemporaryDirectory(prefix="merlfit-") if out is None else None
-    folder = Path(temporary.name if temporary else os.fspath(out or ""))
-    with place_of(folder, path.stem) as place:
-        result = fit_file(path.absolute(), place.folder, config, report)
+    if "enabled" not in config.posterior.model_fields_set:
+        config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
+    _use_cache()
+    measurement = file if isinstance(file, Measurement) else read(Path(file).absolute())
+    folder = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out)
+    try:
+        with place_of(folder, measurement.name) as place:
+            result = fit_file(measurement, place.folder, config, report)
+    except BaseException:  # raised again
+        if out is None and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
     if place.said:
         warnings.warn(place.said, stacklevel=2)
     found = Fit(result, place.path)
-    if temporary is not None:
-        weakref.finalize(found, temporary.cleanup)
+    if out is None:
+        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
     return found
+
+
+def _use_cache() -> None:
+    if not jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue] - made when it runs
+        use_persistent_cache()
 
 
 def load(path: str | os.PathLike[str]) -> Fit:

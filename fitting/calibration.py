@@ -52,7 +52,7 @@ ATTEMPTS = 3  # fits that may compile something
 
 
 def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[TwoScale, dict[str, jax.Array]]:
-    """TwoScale and parameters of a random material."""
+    """Effects and parameters of a random material."""
     rng = rng or _generator(seed)
     index, body = KINDS[seed % len(KINDS)]
     effects = TwoScale(body, index=index, acquisition="free")

@@ -4,7 +4,6 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -17,7 +16,6 @@ from .choice import default_choice
 from .cost_report import default_tier
 from .frontier import Frontier, Spread, pareto
 
-matplotlib.use("Agg")
 KINDS = {
     "value_ns": ("one direction of a list", "o", "#2f5fb3"),
     "gradient_ns": ("one direction of a list, with gradient", "s", "#c0392b"),

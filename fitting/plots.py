@@ -7,7 +7,6 @@ from pathlib import Path
 import corner
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -27,7 +26,6 @@ from .report import in_words_of, number
 from .tables import UNSOUND
 from .weights import THETA_MAX, within
 
-matplotlib.use("Agg")
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
 WIDEST_DEG = 89.0  # of the viewers of the lobe plot
 BAND_DRAWS = 100  # of the posterior, for the bands of the lobe plot

@@ -93,7 +93,7 @@ def normal_equations(layout: Layout, z: ArrayLike, problem: Problem) -> np.ndarr
 
 @cache
 def _rows(model: Reflectance) -> np.ndarray:
-    """Of the general program's rows those of the parameters of these model, and that of the residual."""
+    """Of the general program's rows those of the parameters of this one, and that of the residual."""
     rows = [q.name for q in model.general.parameters]
     own = [model.in_general(q.name) for q in model.parameters]
     return np.array([*map(rows.index, own), len(rows)])

@@ -41,13 +41,13 @@ Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, export.Accuracy 
 
 
 def fit_file(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Measurement,
     out: str | os.PathLike[str],
     config: Config,
     report: Report = silent,
     finish: Finish | None = None,
 ) -> export.Result:
-    """Fit one MERL file, sample its posterior, write ``out/NAME.json`` (and the chain beside it).
+    """Fit one MERL file, or what was read of it, and sample its posterior: ``out/NAME.json`` and the chain beside it.
 
     Args:
         report: told in a few words what is being done.
@@ -59,7 +59,7 @@ def fit_file(
     clock = Clock()
     with clock.stage("read"):
         report("reading")
-        measurement = read(path)
+        measurement = path if isinstance(path, Measurement) else read(path)
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
     if fitted is not None and fitted.bend != config.rungs[0]:

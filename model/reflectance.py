@@ -54,7 +54,10 @@ class Reflectance(ABC):
 
     @abstractmethod
     def factors(self) -> Mapping[str, Factor]:
-        """What the BRDF is put together from, by name; arrays that broadcast against the directions."""
+        """What the BRDF is put together from, by name; arrays that broadcast against the directions.
+
+        They look parameters and tables up by name, and never go over all values: what is looked up is what they read.
+        """
 
     @abstractmethod
     def assemble(self, at: Values, s: Setting) -> Array:
@@ -63,12 +66,13 @@ class Reflectance(ABC):
     def tables(self) -> Mapping[str, Factor]:
         """What depends on parameters and on theta_d at the most, so that many directions can share it.
 
-        Who evaluates directions in blocks computes it once and gives it along among the values.
+        Who evaluates directions in blocks computes it once and gives it along among the values. Parameters per channel
+        come as ``(C,)`` or with more axes of length one.
         """
         return {}
 
     def coarse(self, order: int) -> "Reflectance":
-        """A cheaper variant with the same parameters, for the first stages; ``order``: of its quadratures."""
+        """A cheaper variant with the same parameters, factors and tables; ``order``: of its quadratures."""
         return self
 
     def stand_in(self, order: int) -> "Reflectance":
@@ -127,7 +131,8 @@ class OneFormula(Reflectance):
         return {"sharp": self.sharp, "body": self.body}
 
     def assemble(self, at: Values, s: Setting) -> Array:  # noqa: D102
-        return jnp.where(s.above, at["sharp"] + at["body"], 0.0)
+        brdf = jnp.where(s.above, at["sharp"] + at["body"], 0.0)
+        return jnp.broadcast_to(brdf, jnp.broadcast_shapes(brdf.shape, s.wavelength_um.shape))
 
 
 def setting(
@@ -164,6 +169,7 @@ def evaluate(
 
     Raises:
         KeyError: a parameter of the model is missing from ``params``, or one there is unknown.
+        ValueError: a parameter has values for another number of channels.
     """
     s = setting(geometry, model, wavelengths_um)
     return assembled(shaped(params, s), s)
@@ -187,6 +193,10 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
         raise KeyError(f"{model.name} needs {', '.join(missing)} for {model}")
     if unknown := params.keys() - model.ignored() - {*needed, *extra}:
         raise KeyError(f"{model.name} has no parameter {', '.join(sorted(unknown))}")
+    channels = s.wavelength_um.shape[0]
+    for q in model.parameters:
+        if q.per_channel and jnp.size(params[q.name]) not in (1, channels):
+            raise ValueError(f"{model.name} needs {channels} values of {q.name}, not {jnp.size(params[q.name])}")
     precision = jnp.result_type(s.geometry.theta_h)
     given = {name: jnp.asarray(params[name]) for name in extra if name in params}
     given = {name: x if name in model.switches else x.astype(precision) for name, x in given.items()}

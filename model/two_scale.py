@@ -31,7 +31,7 @@ from .acquisition import APPARATUS, Apparatus
 from .diffraction import renormalisation
 from .geometry import Geometry
 from .parameters import WAVELENGTHS_UM, Parameter
-from .reflectance import Factor, Reflectance, Setting, Values, evaluate
+from .reflectance import LEAST_ORDER, Factor, Reflectance, Setting, Values, evaluate
 from .shadowing import masking_table
 from .terms import ANY, BODIES, WHICH
 
@@ -111,7 +111,7 @@ class TwoScale(Reflectance):
                 raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
             if field.type in (bool, int, Apparatus) and type(value) is not field.type:
                 raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
-        if not 6 <= self.order <= 256:
+        if not LEAST_ORDER <= self.order <= 256:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
         if not 1 <= self.zonal_order <= 1000:
             raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")

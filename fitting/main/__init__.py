@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file lies beside fitting/ once installed
     from .fitting.api import Fit, fit, load, sample  # pyright: ignore[reportMissingImports]
-    from .fitting.config import Config, ConfigError  # pyright: ignore[reportMissingImports]
+    from .fitting.config import ConfigError  # pyright: ignore[reportMissingImports]
     from .fitting.export import ResultError  # pyright: ignore[reportMissingImports]
+    from .fitting.plots import NoPicture  # pyright: ignore[reportMissingImports]
+    from .fitting.posterior import ChainError  # pyright: ignore[reportMissingImports]
+    from .merl_io.atomic import WriteError  # pyright: ignore[reportMissingImports]
     from .merl_io.binary import Measurement, MerlError, read, write  # pyright: ignore[reportMissingImports]
     from .model.geometry import Geometry  # pyright: ignore[reportMissingImports]
     from .model.registry import models  # pyright: ignore[reportMissingImports]
@@ -22,8 +25,11 @@ if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file l
 
 _HOMES = {
     "fitting.api": ("Fit", "fit", "load", "sample"),
-    "fitting.config": ("Config", "ConfigError"),
+    "fitting.config": ("ConfigError",),
     "fitting.export": ("ResultError",),
+    "fitting.plots": ("NoPicture",),
+    "fitting.posterior": ("ChainError",),
+    "merl_io.atomic": ("WriteError",),
     "merl_io.binary": ("Measurement", "MerlError", "read", "write"),
     "model.geometry": ("Geometry",),
     "model.registry": ("models",),
@@ -31,8 +37,8 @@ _HOMES = {
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
-    "Config", "ConfigError", "Fit", "Geometry", "Measurement", "MerlError", "ResultError", "TwoScale", "fit", "load",
-    "models", "read", "sample", "two_scale", "write",
+    "ChainError", "ConfigError", "Fit", "Geometry", "Measurement", "MerlError", "NoPicture", "ResultError", "TwoScale",
+    "WriteError", "fit", "load", "models", "read", "sample", "two_scale", "write",
 ]  # fmt: skip
 
 

@@ -1,12 +1,13 @@
 """``import merlfit``: a whole analysis from Python."""
 
+import dataclasses
 import subprocess
 import sys
 
 import merlfit
 import numpy as np
 import pytest
-from merlfit.fitting import importance, plots
+from merlfit.fitting import api, importance, plots
 from merlfit.fitting.export import read_result
 
 QUICK = {
@@ -34,8 +35,8 @@ def test_an_unknown_name_is_named():
 
 
 def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypatch):
-    monkeypatch.setattr(importance, "DRAWS", 20)
-    monkeypatch.setattr(importance, "MOST_DRAWS", 20)
+    monkeypatch.setattr(importance, "DRAWS", 40)
+    monkeypatch.setattr(importance, "MOST_DRAWS", 60)
     told = []
     fit = merlfit.fit(merlfit.read(file), settings=QUICK, seed=5, report=told.append)
     assert fit.succeeded
@@ -51,18 +52,20 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     alone, measured = fit.brdf(up, slanted), fit.brdf(up, slanted, with_grazing_loss=True)
     assert alone.shape == (3, 2)
     material = fit.result.model.effects.material
-    np.testing.assert_array_equal(
+    np.testing.assert_allclose(
         alone, merlfit.two_scale(fit.values, merlfit.Geometry.from_vectors(up, slanted), material)
     )
     assert np.all(measured < alone)
 
-    with pytest.raises(plots.NoPicture, match="not sampled"):
+    with pytest.raises(ValueError, match="i should be unit vectors"):
+        fit.brdf([0.0, 0.0, 2.0], slanted)
+    with pytest.raises(merlfit.NoPicture, match="not sampled"):
         fit.to_arviz()
     assert merlfit.sample(fit) is fit
     assert fit.result.posterior.steps == 20
     found = fit.to_arviz().posterior
     assert found["n"].dims == ("chain", "draw", "channel")
-    assert found["beta"].shape == (1, 20)
+    assert found["beta"].shape[0] == 1
     assert list(found["channel"].values) == ["R", "G", "B"]
     drawn = plots.chain_file(fit.result, fit.path.parent)["values"][:, 0]
     assert np.isin(found["beta"].values, drawn).all()
@@ -70,6 +73,9 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     fit.plot_lobes(tmp_path / "lobes.png")
     fit.plot_corner(tmp_path / "corner.png")
     assert all((tmp_path / f"{name}.png").stat().st_size > 20_000 for name in ("lobes", "corner"))
+    again = merlfit.load(fit.save(tmp_path / "saved"))
+    assert again.path == fit.path == tmp_path / "saved" / f"{file.stem}.json"
+    np.testing.assert_array_equal(again.to_arviz().posterior["beta"], found["beta"])
     text = fit.to_json(tmp_path / "kept.json")
     assert read_result(tmp_path / "kept.json") == fit.result
     assert merlfit.load(tmp_path / "kept.json").result == fit.result
@@ -90,6 +96,28 @@ def test_a_better_result_is_not_replaced(file, tmp_path):
         second = merlfit.fit(file, tmp_path / "out", settings=QUICK)
     assert second.path != first.path
     assert second.path.is_file()
+
+
+def test_what_was_read_is_what_is_fitted(file, tmp_path):
+    measurement = merlfit.read(file)
+    half = dataclasses.replace(measurement, values=measurement.values / 2)
+    one, other = (merlfit.fit(m, tmp_path / name, settings=QUICK) for m, name in ((measurement, "a"), (half, "b")))
+    assert other.result.metrics.rmse < 0.9 * one.result.metrics.rmse
+
+
+def test_settings_say_whether_to_sample(file, tmp_path, monkeypatch):
+    asked = []
+
+    def fit_file(measurement, out, config, report):
+        asked.append(config.posterior.enabled)
+        raise merlfit.MerlError("enough")
+
+    monkeypatch.setattr(api, "fit_file", fit_file)
+    sampled, plain = {**QUICK, "posterior": {"enabled": True}}, {**QUICK, "posterior": {"enabled": False}}
+    for settings, posterior in ((QUICK, None), (None, None), (sampled, None), (sampled, False), (plain, True)):
+        with pytest.raises(merlfit.MerlError, match="enough"):
+            merlfit.fit(file, settings=settings, posterior=posterior)
+    assert asked == [False, False, True, False, True]
 
 
 def test_bad_settings_and_failed_fits_are_told(file, tmp_path):

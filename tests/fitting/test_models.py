@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry
+from merlfit.model.parameters import Parameter
 from merlfit.model.reflectance import evaluate, reads
 from merlfit.model.registry import models
 from merlfit.model.rivals.ggx import GGX, D
@@ -20,6 +22,7 @@ from oracles import rivals
 from oracles.facets import direction
 from plain_jacobian import difference, plain
 
+UP = np.array([0.0, 0.0, 1.0])
 MODELS = [kind() for kind in models().values()]
 RIVALS = [m for m in MODELS if m.name != "two-scale"]
 TRUTH = {
@@ -83,6 +86,31 @@ def test_rivals_equal_their_oracles(model, oracle, wrong):
         np.testing.assert_allclose(evaluate(model, truth, Geometry.from_vectors(o, i)), expected, rtol=1e-11)
     changed = {**truth, **{name: truth[name] * factor for name, factor in wrong.items()}}
     assert not np.allclose(evaluate(model, changed, geometry), expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)
+@pytest.mark.parametrize("end", [0.0, 0.5, 1.0])
+def test_values_and_slopes_are_finite_at_every_edge(model, end):
+    up, flat, below = direction(0.0, 0.0), direction(np.pi / 2, 0.3), direction(2.0, 0.3)
+    slanted = direction(1.0, 0.0)
+    pairs = [(up, up), (slanted, slanted), (slanted, slanted * [-1, 1, 1]), (flat, up), (flat, flat), (below, up)]
+    i, o = np.array(pairs).swapaxes(0, 1)
+    values = {q.name: jnp.asarray(q.between(jnp.full(3 if q.per_channel else (), end))) for q in model.parameters}
+    brdf = lambda values: evaluate(model, values, Geometry.from_vectors(i, o))  # noqa: E731
+    assert brdf(values).shape == (3, len(pairs))
+    assert np.all(np.isfinite(brdf(values)))
+    assert np.all(brdf(values)[:, -1] == 0), "light below the surface"
+    for slopes in jax.tree.leaves(jax.jacrev(brdf)(values)):
+        assert np.all(np.isfinite(slopes))
+
+
+def test_what_a_model_may_not_declare_is_told():
+    wrong = dataclasses.make_dataclass("Wrong", [], bases=(GGX,), frozen=True)
+    wrong.parameters = property(lambda self: (Parameter("width", "w", "width", "1", 0.1, 0.01, 1.0),))
+    with pytest.raises(ValueError, match="ggx: width has a logarithmic scale, but no prior"):
+        layout_of(wrong())
+    with pytest.raises(ValueError, match="ggx needs 3 values of F0, not 5"):
+        evaluate(GGX(), {"alpha": 0.1, "F0": np.full(5, 0.1), "albedo": np.full(3, 0.1)}, Geometry.from_vectors(UP, UP))
 
 
 @pytest.mark.parametrize("alpha", [0.01, 0.1, 0.5, 1.0])

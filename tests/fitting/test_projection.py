@@ -57,7 +57,7 @@ def blank():
 
 @pytest.fixture(scope="module", params=OPTICS, ids=" ".join)
 def made(request, blank):
-    """TwoScale with a body, a problem of data that they explain, and what projection finds for three candidates."""
+    """Effects with a body, a problem of data that they explain, and what projection finds for three candidates."""
     layout = layout_of(effects_of(request.param))
     value = predict_samples(layout, layout.free({**SHARED, **OPTICS[request.param]}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)

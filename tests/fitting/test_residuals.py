@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from merlfit.fitting.problem import Part, directions
 from merlfit.fitting.residuals import _materialised, _normal_equations, _true_of
-from merlfit.model.effects import Effects
-from merlfit.model.parameters import parameters
+from merlfit.model.two_scale import TwoScale
 
-EFFECTS = Effects("none", "off")
+EFFECTS = TwoScale("none", "off")
 
 
 def normal(target):
@@ -18,7 +17,7 @@ def normal(target):
     where = directions(column[:, 0, 0], np.array([0.3]), np.cos(column), np.cos(column))
     shape = (where.log_base.shape[0], 3, *where.log_base.shape[1:])
     part = Part(where, jnp.ones((*shape, 1)), jnp.full(shape, target))
-    values = {q.name: jnp.full((3, 1, 1, 1) if q.per_channel else (), q.default) for q in parameters(EFFECTS)}
+    values = {q.name: jnp.full((3, 1, 1, 1) if q.per_channel else (), q.default) for q in EFFECTS.parameters}
     return np.asarray(_normal_equations(EFFECTS, values, part))
 
 
