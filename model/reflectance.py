@@ -195,8 +195,8 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
         raise KeyError(f"{model.name} has no parameter {', '.join(sorted(unknown))}")
     channels = s.wavelength_um.shape[0]
     for q in model.parameters:
-        if q.per_channel and jnp.size(params[q.name]) not in (1, channels):
-            raise ValueError(f"{model.name} needs {channels} values of {q.name}, not {jnp.size(params[q.name])}")
+        if q.per_channel and np.size(params[q.name]) not in (1, channels):
+            raise ValueError(f"{model.name} needs {channels} values of {q.name}, not {np.size(params[q.name])}")
     precision = jnp.result_type(s.geometry.theta_h)
     given = {name: jnp.asarray(params[name]) for name in extra if name in params}
     given = {name: x if name in model.switches else x.astype(precision) for name, x in given.items()}
