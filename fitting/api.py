@@ -7,7 +7,7 @@ import warnings
 import weakref
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import jax
 import numpy as np
@@ -19,6 +19,7 @@ from ..merl_io.binary import Measurement, read
 from . import plots
 from .clock import Report, silent
 from .compilation import use_persistent_cache
+from .config import Replaced
 from .config import load as settings_of
 from .export import ParameterResult, Result, ResultError, read_result, write_result
 from .inspection import file_of
@@ -213,13 +214,8 @@ def fit(
     out: str | os.PathLike[str] | None = None,
     settings: Mapping[str, Any] | str | os.PathLike[str] | None = None,
     *,
-    preset: str | None = None,
-    index: str | None = None,
-    body: str | None = None,
-    weights: str | None = None,
-    posterior: bool | None = None,
-    seed: int | None = None,
     report: Report = silent,
+    **replaced: Unpack[Replaced],
 ) -> Fit:
     """Fit a MERL file, as `merlfit fit` does.
 
@@ -229,17 +225,15 @@ def fit(
         file: its path, or what :func:`read` made of it.
         out: folder for the result; without it, the result lasts as long as the object: :meth:`Fit.save` keeps it.
         settings: a TOML file like configs/default.toml, or the same as a mapping.
-        preset, index, body, weights, posterior, seed: as the options of `merlfit fit`; they replace those of
-            ``settings``. The posterior is not sampled unless one of them asks for it: :meth:`Fit.sample` does it later.
+        replaced: preset, index, body, weights, posterior or seed, as the options of `merlfit fit`; they replace those
+            of ``settings``. The posterior is sampled only where one of them asks for it, or later by :meth:`Fit.sample`.
         report: told in a few words what is being done, ``print`` for instance.
 
     Raises:
         merlfit.MerlError: the file cannot be used. merlfit.ConfigError: bad settings. merlfit.WriteError: ``out``
             cannot be written. RuntimeError: the sampler failed; the message names the file that holds the fit.
     """
-    config = settings_of(
-        settings, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
-    )
+    config = settings_of(settings, **replaced)
     if "enabled" not in config.posterior.model_fields_set:
         config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
     _use_cache()

@@ -108,7 +108,9 @@ def fit(
     """Fit each file and write OUT/NAME.json. Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad."""
     from .files import aim_of, fit_files, settings_of, summarise
 
-    settings = settings_of(config, preset, index, body, weights, posterior, seed)
+    settings = settings_of(
+        config, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
+    )
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within))
     summarise(outcomes)
 

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
@@ -207,15 +207,20 @@ class Config(_Section):
         return layout_of(self.effects_of(kind), priors)
 
 
+class Replaced(TypedDict, total=False):
+    """What the command line, or a call from Python, gives beside a file of settings; None for nothing."""
+
+    preset: str | None
+    index: str | None
+    body: str | None
+    weights: str | None
+    posterior: bool | None
+    seed: int | None
+
+
 def load(
     path: str | os.PathLike[str] | Mapping[str, Any] | None = None,
-    *,
-    preset: str | None = None,
-    index: str | None = None,
-    body: str | None = None,
-    weights: str | None = None,
-    posterior: bool | None = None,
-    seed: int | None = None,
+    **replaced: Unpack[Replaced],
 ) -> Config:
     """Settings of a TOML file or of a mapping like it, or the defaults; keys left out keep their defaults.
 
@@ -226,14 +231,17 @@ def load(
         ConfigError: missing file, bad TOML, unknown key (the nearest known one is named), value out of range.
     """
     data = _copied(path) if isinstance(path, Mapping) else {} if path is None else _read(Path(path))
-    given = {
-        ("effects", "preset"): preset, ("effects", "index"): index, ("effects", "body"): body,
-        ("fit", "weights"): weights, ("posterior", "enabled"): posterior,
+    if unknown := replaced.keys() - Replaced.__annotations__.keys():
+        raise TypeError(f"no setting is called {', '.join(sorted(unknown))}: {', '.join(Replaced.__annotations__)}")
+    places = {
+        "preset": ("effects", "preset"), "index": ("effects", "index"), "body": ("effects", "body"),
+        "weights": ("fit", "weights"), "posterior": ("posterior", "enabled"),
     }  # fmt: skip
-    for (section, key), value in given.items():
+    for name, (section, key) in places.items():
+        value = replaced.get(name)
         if value is not None and isinstance(data.setdefault(section, {}), dict):
             data[section][key] = value
-    if seed is not None:
+    if (seed := replaced.get("seed")) is not None:
         data["seed"] = seed
     return parse(data, "command line" if path is None else "settings" if isinstance(path, Mapping) else str(path))
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
+from typing import Unpack
 
 import typer
 
@@ -9,7 +10,7 @@ from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
 from .accuracy import Aim, aim
 from .compilation import use_persistent_cache
-from .config import Config, ConfigError, load
+from .config import Config, ConfigError, Replaced, load
 from .export import read_result
 from .keeping import Complete, Place, claimed, completeness, place_of
 from .report import Outcome, accuracy_line, summary_table
@@ -28,18 +29,10 @@ from .terminal import (
 )
 
 
-def settings_of(
-    config: Path | None = None,
-    preset: str | None = None,
-    index: str | None = None,
-    body: str | None = None,
-    weights: str | None = None,
-    posterior: bool | None = None,
-    seed: int | None = None,
-) -> Config:
+def settings_of(config: Path | None = None, **replaced: Unpack[Replaced]) -> Config:
     """Those of a file of settings with what the command line replaces in it."""
     try:
-        return load(config, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed)
+        return load(config, **replaced)
     except ConfigError as error:
         raise fail(str(error)) from None
 

@@ -52,7 +52,7 @@ def priors(layout: Layout) -> list[export.Prior]:
             quantity, offset = "dispersion", 0.0
         uniform = q.scale == "linear" and q.quantity is None
         given = None if uniform else layout.priors.dispersion if quantity == "dispersion" else layout.log_normal(q)
-        if q.quantity == "sigma_rel" and q.name not in layout.model.conditional:
+        if q.quantity == "sigma_rel" and q.name not in layout.model.shifts():
             quantity = q.name
         found.append(export.Prior(
             parameter=name, quantity=quantity, distribution="log-normal" if given else "uniform", offset=offset,

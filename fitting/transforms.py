@@ -175,7 +175,8 @@ class Layout:
     def _shifts(self, flat: Array) -> Array:
         """By how much the medians of :attr:`_moved` are moved, given the values of the others."""
         values = self._named(flat)
-        found = [self.model.shift(name, values)[None] for name in self.slices if name in self.model.conditional]
+        shifts = self.model.shifts()
+        found = [shifts[name](values)[None] for name in self.slices if name in shifts]
         if "eta" in values:
             middle = jnp.log(values["eta"][self._middle] - self.entries[self.slices["eta"].start].offset)
             found.append(jnp.repeat(middle, len(self.channels) - 1))
@@ -188,7 +189,7 @@ class Layout:
     @cached_property
     def _moved(self) -> np.ndarray:
         """Entries whose priors move with others: those that the model says, and eta in all channels but the middle."""
-        places = [self.slices[q.name].start for q in self.parameters if q.name in self.model.conditional]
+        places = [self.slices[q.name].start for q in self.parameters if q.name in self.model.shifts()]
         outer = np.delete(np.arange(len(self.channels)), self._middle)
         return np.array([*places, *(self.slices["eta"].start + outer if "eta" in self.slices else [])], int)
 

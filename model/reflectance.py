@@ -79,14 +79,12 @@ class Reflectance(ABC):
         """A variant nearly equal to this one and quick at few scattered directions, for the posterior's chain."""
         return self.coarse(order)
 
-    @property
-    def conditional(self) -> tuple[str, ...]:
-        """Names of parameters whose priors move with parameters that are not among these (:meth:`shift`)."""
-        return ()
+    def shifts(self) -> Mapping[str, Callable[[Values], Array]]:
+        """Of parameters whose priors move with others: by how much the logarithm of the median moves, given the others.
 
-    def shift(self, name: str, values: Values) -> Array:
-        """By how much the logarithm of the prior's median of a parameter is moved, given the values of others."""
-        raise NotImplementedError(f"{self.name} declares {name} conditional, without a shift")
+        The others are none of these parameters.
+        """
+        return {}
 
     @property
     def chart(self) -> "Reflectance":

@@ -15,7 +15,7 @@ body as it is (docs/physics.md). On a grid specular and diffracted live on (thet
 one-dimensional table. The conserving split (:mod:`merlfit.model.energy`) multiplies lobes and body once more.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import ClassVar, Literal, get_args, get_origin
@@ -204,16 +204,13 @@ class TwoScale(Reflectance):
         """Interface and body."""
         return self.index, self.body
 
-    @property
-    def conditional(self) -> tuple[str, ...]:  # noqa: D102
-        return ("beta", "sigma_s") if self.diffraction != "off" and self.renormalised else ("beta",)
-
-    def shift(self, name: str, values: Values) -> Array:
+    def shifts(self) -> dict[str, Callable[[Values], Array]]:
         """Of beta, whose prior is that of the half width, and of sigma_s, whose prior is that of sigma_rel."""
-        if name == "beta":
-            return -HALF / values["p"]
-        middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
-        return -jnp.log(renormalisation(jnp.zeros(()), values["b"] / middle, values["c"])) / 2
+        found: dict[str, Callable[[Values], Array]] = {"beta": lambda v: -HALF / v["p"]}
+        if self.diffraction != "off" and self.renormalised:
+            middle, normal = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2], jnp.zeros(())
+            found["sigma_s"] = lambda v: -jnp.log(renormalisation(normal, v["b"] / middle, v["c"])) / 2
+        return found
 
     @property
     def chart(self) -> "TwoScale":  # noqa: D102

@@ -8,20 +8,23 @@
 Names are loaded when they are first used: importing merlfit does not wait for JAX.
 """
 
+# pyright: reportMissingImports=false
+# Once installed, this file lies beside fitting/, merl_io/ and model/.
+
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file lies beside fitting/ once installed
-    from .fitting.api import Fit, fit, load, sample  # pyright: ignore[reportMissingImports]
-    from .fitting.config import ConfigError  # pyright: ignore[reportMissingImports]
-    from .fitting.export import ResultError  # pyright: ignore[reportMissingImports]
-    from .fitting.plots import NoPicture  # pyright: ignore[reportMissingImports]
-    from .fitting.posterior import ChainError  # pyright: ignore[reportMissingImports]
-    from .merl_io.atomic import WriteError  # pyright: ignore[reportMissingImports]
-    from .merl_io.binary import Measurement, MerlError, read, write  # pyright: ignore[reportMissingImports]
-    from .model.geometry import Geometry  # pyright: ignore[reportMissingImports]
-    from .model.registry import models  # pyright: ignore[reportMissingImports]
-    from .model.two_scale import TwoScale, two_scale  # pyright: ignore[reportMissingImports]
+    from .fitting.api import Fit, fit, load, sample
+    from .fitting.config import ConfigError
+    from .fitting.export import ResultError
+    from .fitting.plots import NoPicture
+    from .fitting.posterior import ChainError
+    from .merl_io.atomic import WriteError
+    from .merl_io.binary import Measurement, MerlError, read, write
+    from .model.geometry import Geometry
+    from .model.registry import models
+    from .model.two_scale import TwoScale, two_scale
 
 _HOMES = {
     "fitting.api": ("Fit", "fit", "load", "sample"),

@@ -123,6 +123,8 @@ def test_settings_say_whether_to_sample(file, tmp_path, monkeypatch):
 def test_bad_settings_and_failed_fits_are_told(file, tmp_path):
     with pytest.raises(merlfit.ConfigError, match=r"settings: unknown key 'fit\.start'"):
         merlfit.fit(file, settings={"fit": {"start": 2}})
+    with pytest.raises(TypeError, match="no setting is called boby"):
+        merlfit.fit(file, settings=QUICK, boby="none")
     with pytest.raises(merlfit.MerlError, match="no such file"):
         merlfit.fit(tmp_path / "missing.binary", settings=QUICK)
     with pytest.raises(merlfit.ResultError, match="cannot be read"):
