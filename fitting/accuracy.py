@@ -20,6 +20,7 @@ import numpy as np
 
 from ..merl_io.binary import Measurement
 from ..merl_io.samples import Samples, thin
+from ..model.two_scale import TwoScale
 from . import export
 from .choice import FITTED, POINTS, REFERENCE, Choice, default_choice
 from .config import Config, ConfigError
@@ -43,7 +44,7 @@ def distance(a: Model, b: Model, problem: Problem) -> float:
     """
     total = 0.0
     for part in problem.parts:
-        here, there = (predict(e.effects, e.values(jnp.asarray(z)), part.directions) for e, z in (a, b))
+        here, there = (predict(e.model, e.values(jnp.asarray(z)), part.directions) for e, z in (a, b))
         root = np.moveaxis(np.asarray(part.root), 1, 0)
         weighted = root.reshape(*here.shape, -1) @ (here - there)[..., None]
         total += float(np.sum(weighted**2))
@@ -68,9 +69,17 @@ def estimate(model: Model, problem: Problem, config: Config) -> float:
         problem: all bins as the reference has them (`reference_problem`). config: what was asked for.
     """
     layout, z = model
-    reference = REFERENCE.settings(config).layout_of(layout.effects.kind), z
+    reference = same_kind(REFERENCE.settings(config), layout), z
     tier = 0.0 if reference[0] == layout else distance(model, reference, problem)
     return tier + remaining(reference, problem)
+
+
+def same_kind(settings: Config, layout: Layout) -> Layout:
+    """What these settings make of the kind of material that was fitted."""
+    material = layout.material
+    if not isinstance(material, TwoScale):
+        raise TypeError(f"{material} has no settings that trade accuracy for time")
+    return settings.layout_of(settings.two_scale(material.kind))
 
 
 def reference_problem(samples: Samples) -> Problem:
@@ -80,7 +89,7 @@ def reference_problem(samples: Samples) -> Problem:
 
 def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
-    layout = settings.layout_of(model[0].effects.kind)
+    layout = same_kind(settings, model[0])
     problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
     return layout, solve(layout, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)
 
@@ -195,5 +204,7 @@ def aim(request: Request, config: Config) -> Aim:
         chosen.append("effects.order")
     if chosen:
         raise ConfigError(f"{chosen[0]} is chosen by --accuracy and --time: leave it out")
+    if config.model.names != [TwoScale.name]:
+        raise ConfigError("--accuracy and --time choose among settings of the two-scale model: leave --model out")
     frontier, calibration = load()
     return Aim(request, request.choose(usable(frontier.points, config)), config, calibration)

@@ -59,7 +59,7 @@ class Fit:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.two_scale` takes them."""
+        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them."""
         return self.result.values()
 
     def table(self) -> list[dict[str, Any]]:
@@ -87,9 +87,7 @@ class Fit:
         for name, vectors in (("i", light), ("o", viewer)):
             if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):
                 raise ValueError(f"{name} should be unit vectors of shape (..., 3)")
-        if not with_grazing_loss:
-            model = model.model_copy(update={"effects": model.effects.material})
-        return plots.predicted_lobe(model, self.values, light, viewer)
+        return plots.predicted_lobe(model, self.values, light, viewer, with_grazing_loss)
 
     def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
         """Sample the posterior, or continue its chain; file and this object hold the intervals then.
@@ -225,8 +223,8 @@ def fit(
         file: its path, or what :func:`read` made of it.
         out: folder for the result; without it, the result lasts as long as the object: :meth:`Fit.save` keeps it.
         settings: a TOML file like configs/default.toml, or the same as a mapping.
-        replaced: preset, index, body, weights, posterior or seed, as the options of `merlfit fit`; they replace those
-            of ``settings``. The posterior is sampled where one of them asks for it, or by :meth:`Fit.sample`.
+        replaced: model, preset, index, body, weights, posterior or seed, as the options of `merlfit fit`; they replace
+            those of ``settings``. The posterior is sampled where one of them asks for it, or by :meth:`Fit.sample`.
         report: told in a few words what is being done, ``print`` for instance.
 
     Raises:

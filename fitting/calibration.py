@@ -20,6 +20,7 @@ import numpy as np
 from ..merl_io.binary import Measurement, write
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples
+from ..model.measured import Measured
 from ..model.two_scale import KINDS, TwoScale
 from .accuracy import distance, estimate, reference_problem, resume_fit
 from .choice import REFERENCE, Choice
@@ -51,25 +52,25 @@ COMPILATION = "/jax/core/compile/backend_compile_duration"
 ATTEMPTS = 3  # fits that may compile something
 
 
-def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[TwoScale, dict[str, jax.Array]]:
-    """Effects and parameters of a random material."""
+def truth(seed: int, rng: np.random.Generator | None = None) -> tuple[Measured, dict[str, jax.Array]]:
+    """Model and parameters of a random material."""
     rng = rng or _generator(seed)
     index, body = KINDS[seed % len(KINDS)]
-    effects = TwoScale(body, index=index, acquisition="free")
+    model = Measured(TwoScale(body, index=index))
     values = {}
-    for q in effects.parameters:
+    for q in model.parameters:
         low, high = PLAUSIBLE[q.name]
         values[q.name] = jnp.asarray(low * (high / low) ** rng.uniform(size=3 if q.per_channel else ()))
-    return effects, values
+    return model, values
 
 
 def drawn(seed: int) -> np.ndarray:
     """A random material as MERL's apparatus would have stored it, (3, 90, 90, 180), 1/sr."""
     rng, grid = _generator(seed), merl_grid()
-    effects, values = truth(seed, rng)
+    model, values = truth(seed, rng)
     half = len(grid.phi_d) // 2
     where = directions(grid.theta_h, grid.theta_d, grid.cos_i[..., :half], grid.cos_o[..., :half])
-    folded = predict(effects, values, where)
+    folded = predict(model, values, where)
     brdf = np.concatenate([folded, folded[..., ::-1]], -1)
     return np.where(grid.above, brdf * np.exp(NOISE * rng.normal(size=brdf.shape)), np.nan)
 
@@ -134,16 +135,16 @@ def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[
         best, free = seen.further, [bound == "no" for bound in seen.further.at_bound]
         np.savez(
             kept, z=best.solution.z, values=best.values, errors=best.standard_errors, free=free,
-            kind=KINDS.index(best.effects.kind),
+            variant=best.material.variant,
         )  # fmt: skip
     with np.load(kept, allow_pickle=False) as reference:
         best = {key: reference[key] for key in reference}
-    kind = KINDS[int(best["kind"])]
-    target = REFERENCE.settings(config).layout_of(kind), best["z"]
-    same = kind == fitted.effects.kind
+    reference = REFERENCE.settings(config)
+    (model,) = [each for each in reference.candidates if each.variant == str(best["variant"])]
+    target, same = (reference.layout_of(model), best["z"]), model.variant == fitted.material.variant
     away = np.abs(fitted.values - best["values"]) / best["errors"] if same else np.array([])
     return {
-        "body": " ".join(fitted.effects.kind), "status": fitted.status.name, "cost": fitted.solution.cost,
+        "body": fitted.material.variant, "status": fitted.status.name, "cost": fitted.solution.cost,
         "rmse": fitted.errors.rmse, "error": distance((fitted.layout, fitted.solution.z), target, seen.problem),
         "estimate": seen.estimate, "seconds": seconds, "estimate_seconds": seen.seconds, "other_body": not same,
         "parameters": float(np.max(away[best["free"]], initial=0.0)) if same else None,

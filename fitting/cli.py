@@ -81,6 +81,14 @@ def fit(
     config: Annotated[
         Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
     ] = None,
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Model to fit, one of `merlfit models`; given several times, they are compared "
+            "\\[default: two-scale].",
+            show_default=False,
+        ),
+    ] = None,
     preset: Annotated[
         str | None, typer.Option(help="What is simulated: hp17, conserving, microfacet, preview or fast.")
     ] = None,
@@ -109,7 +117,7 @@ def fit(
     from .files import aim_of, fit_files, settings_of, summarise
 
     settings = settings_of(
-        config, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
+        config, model=model, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
     )
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within))
     summarise(outcomes)

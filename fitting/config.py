@@ -13,11 +13,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import ErrorDetails
 
 from ..model.acquisition import Apparatus
+from ..model.measured import GrazingLoss, Measured
 from ..model.parameters import PRIORS, LogNormal, Priors
+from ..model.reflectance import Reflectance
+from ..model.registry import made
 from ..model.two_scale import (
     KINDS,
     PRESETS,
-    Acquisition,
     Colour,
     Diffraction,
     Fresnel,
@@ -31,6 +33,12 @@ from .problem import AZIMUTHS, Precision
 from .transforms import Layout, layout_of
 from .weights import RUNGS, THETA_MAX, Bend, Weights
 
+UNIONS = {
+    "acquisition.grazing_loss": "'off', 'free', 'derived' or a number in [0, 1]",
+    "model.name": "a model's name, or a list of them",
+}
+MOVED = {"effects.acquisition": "acquisition.grazing_loss"}
+
 
 class ConfigError(ValueError):
     """Settings that cannot be used; the message is one line that names the key and the mend."""
@@ -40,13 +48,41 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+class ModelSection(_Section):
+    """[model]: which reflectance models are fitted.
+
+    Attributes:
+        name: of one of ``merlfit models``, or a list of several, which are compared. Other keys are settings of the
+            model; those of the two-scale model are in [effects].
+    """
+
+    model_config = ConfigDict(extra="allow")
+    name: str | list[str] = TwoScale.name
+
+    @property
+    def names(self) -> list[str]:
+        """As a list."""
+        return [self.name] if isinstance(self.name, str) else self.name
+
+    @model_validator(mode="after")
+    def _known(self) -> "ModelSection":
+        if not self.names or len(set(self.names)) < len(self.names):
+            raise ValueError(f"name {self.name!r} should be one model, or several different ones")
+        if self.model_extra and len(self.names) > 1:
+            raise ValueError(f"{next(iter(self.model_extra))} is a setting of one model, and several are compared")
+        if self.model_extra and self.names == [TwoScale.name]:
+            raise ValueError(f"{next(iter(self.model_extra))}: settings of the two-scale model belong into [effects]")
+        for name in self.names:
+            made(name, self.model_extra or {})
+        return self
+
+
 class EffectsSection(_Section):
     """[effects]: which effects are simulated, as :class:`merlfit.model.two_scale.TwoScale` describes them.
 
     Attributes:
         preset: effects by name (``merlfit.model.two_scale.PRESETS``); keys given beside it replace its own.
         index, body: ``auto`` compares those of ``model.two_scale.KINDS`` that agree with what is given here.
-        acquisition: MERL's loss at grazing angles; unlike a material, a fit has it by default.
     """
 
     preset: Literal["hp17", "conserving", "microfacet", "preview", "fast"] = "hp17"
@@ -60,7 +96,6 @@ class EffectsSection(_Section):
     renormalised: bool = TwoScale.renormalised
     split: Split = TwoScale.split
     colour: Colour = TwoScale.colour
-    acquisition: Acquisition | Annotated[float, Field(ge=0, le=1)] = "free"
 
     @model_validator(mode="before")
     @classmethod
@@ -71,11 +106,17 @@ class EffectsSection(_Section):
         preset = asdict(PRESETS[name])
         if "exact" in (preset["diffraction"], data.get("diffraction")):
             raise ValueError("exact is a reference that takes hours on MERL's grid: fit with quadrature")
-        return {**{k: v for k, v in preset.items() if k not in ("index", "body", "acquisition", "apparatus")}, **data}
+        return {**{k: v for k, v in preset.items() if k not in ("index", "body")}, **data}
+
+
+class AcquisitionSection(_Section):
+    """[acquisition]: what the apparatus does to a material (:class:`merlfit.model.measured.Measured`)."""
+
+    grazing_loss: GrazingLoss | Annotated[float, Field(ge=0, le=1)] = "free"
 
 
 class ApparatusSection(_Section):
-    """[apparatus]: what ``acquisition = "derived"`` assumes (:class:`merlfit.model.acquisition.Apparatus`)."""
+    """[apparatus]: what a ``derived`` grazing loss assumes (:class:`merlfit.model.acquisition.Apparatus`)."""
 
     sphere_radius_px: Annotated[float, Field(gt=0)] = Apparatus.sphere_radius_px
     pixel_sigma_px: Annotated[float, Field(gt=0)] = Apparatus.pixel_sigma_px
@@ -159,7 +200,9 @@ class Config(_Section):
     """All settings. ``seed`` fixes the sampler's random numbers; fits use none."""
 
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    model: ModelSection = ModelSection()
     effects: EffectsSection = EffectsSection()
+    acquisition: AcquisitionSection = AcquisitionSection()
     apparatus: ApparatusSection = ApparatusSection()
     priors: PriorsSection = PriorsSection()
     fit: FitSection = FitSection()
@@ -180,12 +223,25 @@ class Config(_Section):
                 raise ValueError(f"effects.{key} has an effect only where {when}: leave it out")
         if effects.index == "complex" and effects.body in ("plastic", "subsurface"):
             raise ValueError(f"effects.body {effects.body!r} has a real index: leave effects.index out")
-        if self.apparatus != ApparatusSection() and effects.acquisition != "derived":
-            raise ValueError("[apparatus] has an effect only where effects.acquisition is derived: leave it out")
+        if self.apparatus != ApparatusSection() and self.acquisition.grazing_loss != "derived":
+            raise ValueError("[apparatus] has an effect only where acquisition.grazing_loss is derived: leave it out")
+        if TwoScale.name not in self.model.names and (idle := _changed(effects)):
+            raise ValueError(f"effects.{idle[0]} is of the two-scale model, which is not fitted: leave it out")
         return self
 
     @property
-    def kinds(self) -> list[Kind]:
+    def candidates(self) -> list[Measured]:
+        """Models to compare, those with the fewest parameters first; of the two-scale model every kind asked for."""
+        found: list[Measured] = []
+        for name in self.model.names:
+            if name == TwoScale.name:
+                found += [self.two_scale(kind) for kind in self._kinds]
+            else:
+                found.append(self.measured(made(name, self.model.model_extra or {})))
+        return sorted(found, key=lambda model: _numbers(model.material))
+
+    @property
+    def _kinds(self) -> list[Kind]:
         """Interfaces and bodies to compare, the simplest first."""
         given = self.effects.index, self.effects.body
         found = [kind for kind in KINDS if all(g in ("auto", k) for g, k in zip(given, kind, strict=True))]
@@ -196,20 +252,35 @@ class Config(_Section):
         """Weights of the last grid, one after the other."""
         return RUNGS[self.fit.weights]
 
-    def effects_of(self, kind: Kind) -> TwoScale:
-        """The effects to fit with one interface and body."""
+    def two_scale(self, kind: Kind) -> Measured:
+        """The two-scale model to fit with one interface and body."""
         chosen = self.effects.model_copy(update=dict(zip(("index", "body"), kind, strict=True)))
-        return TwoScale(**chosen.model_dump(exclude={"preset"}), apparatus=Apparatus(**self.apparatus.model_dump()))
+        return self.measured(TwoScale(**chosen.model_dump(exclude={"preset"})))
 
-    def layout_of(self, kind: Kind) -> Layout:
-        """The parameters to fit with one interface and body, in the coordinates that the priors make."""
+    def measured(self, material: Reflectance) -> Measured:
+        """A material as the apparatus sees it."""
+        return Measured(material, self.acquisition.grazing_loss, Apparatus(**self.apparatus.model_dump()))
+
+    def layout_of(self, model: Reflectance) -> Layout:
+        """The parameters of a model to fit, in the coordinates that the priors make."""
         priors = Priors(**{name: LogNormal(**given) for name, given in self.priors.model_dump().items()})
-        return layout_of(self.effects_of(kind), priors)
+        return layout_of(model, priors)
+
+
+def _changed(effects: EffectsSection) -> list[str]:
+    """Keys that are not as they are by default."""
+    return [key for key in EffectsSection.model_fields if getattr(effects, key) != getattr(EffectsSection(), key)]
+
+
+def _numbers(material: Reflectance) -> int:
+    """How many numbers its parameters are, of three channels."""
+    return sum(3 if q.per_channel else 1 for q in material.parameters)
 
 
 class Replaced(TypedDict, total=False):
     """What the command line, or a call from Python, gives beside a file of settings; None for nothing."""
 
+    model: str | list[str] | None
     preset: str | None
     index: str | None
     body: str | None
@@ -234,11 +305,13 @@ def load(
     if unknown := replaced.keys() - Replaced.__annotations__.keys():
         raise TypeError(f"no setting is called {', '.join(sorted(unknown))}: {', '.join(Replaced.__annotations__)}")
     places = {
-        "preset": ("effects", "preset"), "index": ("effects", "index"), "body": ("effects", "body"),
-        "weights": ("fit", "weights"), "posterior": ("posterior", "enabled"),
+        "model": ("model", "name"), "preset": ("effects", "preset"), "index": ("effects", "index"),
+        "body": ("effects", "body"), "weights": ("fit", "weights"), "posterior": ("posterior", "enabled"),
     }  # fmt: skip
     for name, (section, key) in places.items():
         value = replaced.get(name)
+        if name == "model" and isinstance(value, list) and len(value) < 2:
+            value = value[0] if value else None
         if value is not None and isinstance(data.setdefault(section, {}), dict):
             data[section][key] = value
     if (seed := replaced.get("seed")) is not None:
@@ -266,13 +339,15 @@ def parse(data: dict[str, Any], where: str) -> Config:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        if key.startswith("effects.acquisition."):  # each alternative of the union complains apart
-            wanted = "'off', 'free', 'derived' or a number in [0, 1]"
-            raise ConfigError(f"{where}: effects.acquisition: should be {wanted}, not {first.get('input')!r}") from None
+        for union, wanted in UNIONS.items():  # each alternative complains apart
+            if key.startswith(f"{union}."):
+                raise ConfigError(f"{where}: {union}: should be {wanted}, not {first.get('input')!r}") from None
         if first["type"] == "value_error":  # raised here, complete
             said = first["msg"].removeprefix("Value error, ")
             raise ConfigError(f"{where}: {said}" if not key else f"{where}: {key}: {said}") from None
         if first["type"] == "extra_forbidden":
+            if key in MOVED:
+                raise ConfigError(f"{where}: {key!r} is called {MOVED[key]!r} now") from None
             near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.3) or difflib.get_close_matches(
                 str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0
             )

@@ -128,7 +128,7 @@ def write_markdown(frontier: Frontier, path: Path) -> None:
     console.print(f"\n{MARK} the defaults. {gains(frontier)}", markup=False, soft_wrap=True)
     console.print(
         f"\nMeasured by `merlfit cost` on {frontier.machine}, {frontier.taken}; seconds are those of one file from "
-        "reading to the metrics, all four bodies, once compiled and without posterior; the estimate of the error, for "
-        "`--accuracy` and `--time`, comes on top.", markup=False, soft_wrap=True,
+        "reading to the metrics, all five kinds of material, once compiled and without posterior; the estimate of the "
+        "error, for `--accuracy` and `--time`, comes on top.", markup=False, soft_wrap=True,
     )  # fmt: skip
     path.write_text("\n".join(line.rstrip() for line in text.getvalue().strip().splitlines()) + "\n")

@@ -38,7 +38,7 @@ class Occupied(ValueError):
 def settings(seed: int | None = None) -> Config:
     """Of the fit: no apparatus took light from a synthetic material; one kind of material is compiled and compared."""
     kind = {"index": EFFECTS.index, "body": EFFECTS.body}
-    return parse({"seed": seed or 0, "effects": {"acquisition": EFFECTS.acquisition, **kind}}, "demo")
+    return parse({"seed": seed or 0, "effects": kind, "acquisition": {"grazing_loss": "off"}}, "demo")
 
 
 def values() -> np.ndarray:

@@ -9,22 +9,39 @@ import platform
 import re
 import sys
 from collections.abc import Sized
+from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib import metadata
 from itertools import pairwise
 from pathlib import Path, PurePath
-from typing import IO, Annotated, Any, Literal, Self, get_args, get_type_hints
+from typing import IO, Annotated, Any, ClassVar, Literal, Self, get_origin, get_type_hints
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import from_json
 
 from ..merl_io.atomic import write_atomically
-from ..model.acquisition import Apparatus
-from ..model.parameters import CHANNELS
+from ..model.acquisition import APPARATUS, Apparatus
+from ..model.measured import GrazingLoss, Measured
+from ..model.parameters import CHANNELS, WAVELENGTHS_UM
+from ..model.reflectance import Reflectance, Values
+from ..model.registry import made, models
 from ..model.two_scale import ANY, BODIES, TwoScale
 from .choice import Choice
+from .upgrade import upgraded
 
-SCHEMA_VERSION = "1.4"
+SCHEMA_VERSION = "2.0"
+OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4")  # versions that are read, too: `upgraded` makes them this one
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
 
@@ -81,17 +98,28 @@ class Source(_Part):
     """Number of valid bins that are very much brighter than their neighbours."""
 
 
-class Model(_Part):
-    """What was fitted."""
+class Acquisition(_Part):
+    """What the apparatus does to the material."""
 
-    name: Literal["two-scale"] = "two-scale"
-    """Name of the model."""
-    effects: TwoScale
-    """Which physical effects it simulates."""
-    grazing_exponent: float
-    """Exponent of the specular light that the apparatus lost at grazing angles; 0 where no loss was simulated."""
-    grazing_exponent_diffracted: float | None = None
-    """The same of diffracted light; null in results of schema 1.2 and older, which had one exponent for all light."""
+    grazing_loss: Annotated[float, Field(ge=0, le=1)] | GrazingLoss
+    """Loss of light at grazing angles: ``off``, ``free`` (exponents are parameters), ``derived`` from the widths of the
+    lobes, or the exponent itself."""
+    apparatus: Apparatus | None = None
+    """Sphere, pixel and lamp that a derived loss assumes; null otherwise."""
+    exponents: dict[str, float | None]
+    """Exponent of the loss by sharp lobe, ``specular`` or ``diffracted`` (HP17 Eq. 60); 0 where no light is lost. Null
+    of diffracted light in results of schema 1.2 and older, which had one exponent for all light."""
+
+
+class Model(_Part):
+    """What was fitted: a material, and what the apparatus made of it."""
+
+    name: str
+    """Name of the material's model (``merlfit models``)."""
+    settings: dict[str, Any]
+    """Settings of the model by name; of the two-scale model, which physical effects it simulates."""
+    acquisition: Acquisition
+    """What the apparatus does to the material."""
     channels: list[str]
     """Names of the colour channels; lists by channel have this order."""
     colour_space: Literal["linear RGB of MERL, as stored"] = "linear RGB of MERL, as stored"
@@ -102,10 +130,13 @@ class Model(_Part):
     @model_validator(mode="after")
     def _of_a_fit(self) -> Self:
         low, high = PLAUSIBLE_UM
-        if self.effects.body == ANY:
-            raise ValueError(f"body should be {', '.join(BODIES)}, not {ANY!r}")
-        if self.effects.diffraction == "exact":
-            raise ValueError("diffraction 'exact' is a reference that takes hours; no fit uses it")
+        if isinstance(self.material, TwoScale):
+            if self.material.body == ANY:
+                raise ValueError(f"body should be {', '.join(BODIES)}, not {ANY!r}")
+            if self.material.diffraction == "exact":
+                raise ValueError("diffraction 'exact' is a reference that takes hours; no fit uses it")
+        if unknown := self.acquisition.exponents.keys() - {*self.material.lobes}:
+            raise ValueError(f"exponents of {', '.join(sorted(unknown))}: the model has no such lobe")
         if self.channels != list(CHANNELS):
             raise ValueError(f"channels should be {', '.join(CHANNELS)}, not {', '.join(self.channels) or 'none'}")
         _same_length("channels", len(self.channels), wavelengths_um=self.wavelengths_um)
@@ -113,6 +144,31 @@ class Model(_Part):
             if not low <= x <= high:
                 raise ValueError(f"wavelengths_um {x:g} is not between {low:g} and {high:g}")
         return self
+
+    @classmethod
+    def of(cls, model: Measured, values: Values) -> Self:
+        """What a fit with these parameter values was of."""
+        material, derived = model.material, model.grazing_loss == "derived"
+        return cls(
+            name=material.name,
+            settings=asdict(material),  # pyright: ignore[reportArgumentType] - models are dataclasses
+            acquisition=Acquisition(
+                grazing_loss=model.grazing_loss, apparatus=model.apparatus if derived else None,
+                exponents={lobe: float(model.exponent(lobe, values)) for lobe in model.lobes},
+            ),
+            channels=list(CHANNELS), wavelengths_um=list(WAVELENGTHS_UM),
+        )  # fmt: skip
+
+    @cached_property
+    def measured(self) -> Measured:
+        """The model that was fitted: the material as the apparatus sees it."""
+        a = self.acquisition
+        return Measured(made(self.name, self.settings), a.grazing_loss, a.apparatus or APPARATUS)
+
+    @property
+    def material(self) -> Reflectance:
+        """The material, without the apparatus."""
+        return self.measured.material
 
 
 class Quantiles(_Part):
@@ -231,12 +287,13 @@ class Identifiability(_Part):
 
 
 class Candidate(_Part):
-    """One kind of material that was compared on the coarse grid."""
+    """One model, or variant of a model, that was compared on the coarse grid."""
 
-    index: str = "usual"
-    """Interface: ``complex`` (a metal), ``real`` (a dielectric); ``usual`` before version 1.3."""
-    body: str
-    """What lies under the interface."""
+    model: str
+    """Name of the model."""
+    variant: str
+    """Variant in short words: interface and body of a two-scale model, ``complex none`` (a metal) or ``real lambert``;
+    the model's name where it has no variants."""
     cost: float | None
     """Cost on the coarse grid, as in `fit.cost`."""
     bic: float | None = None
@@ -273,7 +330,7 @@ class Fit(_Part):
     bins: int
     """Bins with a weight."""
     candidates: list[Candidate]
-    """Kinds of material that were compared."""
+    """Models and their variants that were compared."""
     weights: float | Literal["log"] | None = None
     """Exponent of the compressive weight that the fit was made with, or ``log``."""
     cautions: list[str] = []
@@ -424,9 +481,10 @@ def this_run() -> Run:
 class Result(_Part):
     """What merlfit found out about one material."""
 
-    schema_version: Literal["1.0", "1.1", "1.2", "1.3", "1.4"] = SCHEMA_VERSION
-    """Version of this format. 1.0 had no `accuracy`; 1.1 no `identifiability` and no `derived`; 1.2 no errors of
-    pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`."""
+    schema_version: Literal["2.0"] = SCHEMA_VERSION
+    """Version of this format. Older ones are read as this one: 1.0 had no `accuracy`; 1.1 no `identifiability` and no
+    `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
+    and before no other model than the two-scale one, its acquisition among its effects."""
     run: Run | None = Field(default_factory=this_run)
     """When and how it was computed; null before version 1.4."""
     source: Source
@@ -485,10 +543,10 @@ class Result(_Part):
 
 
 def _expected_parameters(model: Model) -> list[tuple[str, str, str | None]]:
-    """Name, parameter and channel of every number that these effects have."""
+    """Name, parameter and channel of every number that this model has."""
     return [
         (f"{q.name}_{channel}" if channel else q.name, q.name, channel)
-        for q in model.effects.parameters
+        for q in model.measured.parameters
         for channel in (model.channels if q.per_channel else [None])
     ]
 
@@ -531,8 +589,11 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     path = Path(path)
     try:
         text = path.read_bytes().removeprefix(codecs.BOM_UTF8)
-        _check_version(path, _Versioned.model_validate_json(text).schema_version)
-        result = Result.model_validate_json(text)
+        version = _Versioned.model_validate_json(text).schema_version
+        _check_version(path, version)
+        result = (
+            Result.model_validate(upgraded(from_json(text))) if version in OLDER else Result.model_validate_json(text)
+        )
     except OSError as error:
         raise ResultError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValidationError as error:
@@ -543,7 +604,7 @@ def read_result(path: str | os.PathLike[str]) -> Result:
 
 
 def _check_version(path: Path, version: str) -> None:
-    known = get_args(Result.model_fields["schema_version"].annotation)
+    known = (*OLDER, SCHEMA_VERSION)
     if version in known:
         return
     numbers = [version.split("."), known[-1].split(".")]
@@ -576,11 +637,20 @@ def _in_words(error: ValidationError) -> str:
 def schema() -> dict[str, Any]:
     """JSON Schema of a result; the package ships it as ``fitting/result.schema.json``."""
     found = Result.model_json_schema(mode="serialization")
-    told = _below_fields() | {kind.__name__: _attributes(kind) for kind in (TwoScale, Apparatus, Choice)}
+    kinds = models()
+    for kind in kinds.values():
+        found["$defs"][kind.__name__] = {**TypeAdapter(kind).json_schema(), "additionalProperties": False}
+    told = _below_fields() | {kind.__name__: _attributes(kind) for kind in (*kinds.values(), Apparatus, Choice)}
     for kind, part in {**found["$defs"], Result.__name__: found}.items():
         for name, field in part["properties"].items():
             field["description"] = told[kind][name]
     found["$defs"][TwoScale.__name__]["properties"]["body"]["enum"].remove(ANY)
+    model = found["$defs"][Model.__name__]
+    model["properties"]["name"]["enum"] = list(kinds)
+    model["oneOf"] = [
+        {"properties": {"name": {"const": name}, "settings": {"$ref": f"#/$defs/{kind.__name__}"}}}
+        for name, kind in kinds.items()
+    ]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"merlfit/result-{SCHEMA_VERSION}",
@@ -610,7 +680,10 @@ def _below_fields() -> dict[str, dict[str, str]]:
 def _attributes(kind: type) -> dict[str, str]:
     """Descriptions by attribute from the docstring of a class."""
     text = re.sub(r":[a-z]+:`([^`]+)`", r"\1", " ".join((kind.__doc__ or "").partition("Attributes:")[2].split()))
-    parts = re.split(rf"\b({'|'.join(get_type_hints(kind))}): ", text)
+    names = [name for name, hint in get_type_hints(kind).items() if get_origin(hint) is not ClassVar]
+    if not names:
+        return {}
+    parts = re.split(rf"\b({'|'.join(names)}): ", text)
     return dict(zip(parts[1::2], map(str.strip, parts[2::2]), strict=True))
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from ..merl_io.binary import OUTLIER, Measurement
 from ..merl_io.samples import Samples
 from ..model.derived import quantities
+from ..model.measured import Measured
 from ..model.parameters import WAVELENGTHS_UM
-from ..model.terms import grazing_exponent, grazing_exponent_diffracted
+from ..model.reflectance import Reflectance
 from ..model.two_scale import TwoScale
 from . import export, metrics
 from .config import Config
@@ -44,7 +45,7 @@ class Fitted:
     Attributes:
         layout: what was fitted, and in which coordinates. solution: where it ended.
         count: effective sample count of the residuals. errors: metrics.
-        candidates: interfaces and bodies that were compared on the coarse grid.
+        candidates: models and their variants that were compared on the coarse grid.
         bend: of the weights that it was made with.
     """
 
@@ -56,9 +57,9 @@ class Fitted:
     bend: Bend = BEND
 
     @property
-    def effects(self) -> TwoScale:
-        """What was fitted."""
-        return self.layout.effects
+    def material(self) -> Reflectance:
+        """What was fitted, without the apparatus."""
+        return self.layout.material
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -133,25 +134,26 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
             "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
         )
     floor = max((x for name, x in values.items() if name.startswith("albedo")), default=0.0)
-    if fitted.effects.index == "complex" and floor > METAL_FLOOR:
+    if isinstance(fitted.material, TwoScale) and fitted.material.index == "complex" and floor > METAL_FLOOR:
         found.append("a body this bright lies under no metal: n and k are effective values, not those of a material")
     return found
 
 
 def others(fitted: Fitted) -> list[str]:
-    """Which other interfaces and bodies describe the file about as well."""
+    """Which other models, or variants of the model, describe the file about as well."""
     known = [(c, c.objective, c.cube_root, c.score) for c in fitted.candidates]
     full = [(c, j, e, score) for c, j, e, score in known if j is not None and e is not None and score is not None]
-    own = [k for k, (c, *_) in enumerate(full) if (c.index, c.body) == fitted.effects.kind]
+    fits = fitted.material.name, fitted.material.variant
+    own = [k for k, (c, *_) in enumerate(full) if (c.model, c.variant) == fits]
     if not own:
         return []
-    kinds, *figures = zip(*full, strict=True)
+    compared, *figures = zip(*full, strict=True)
     near = [
-        f"{c.index} {c.body} ({figures[-1][k] - figures[-1][own[0]]:+.1f})"
-        for k, c in enumerate(kinds)
+        f"{c.variant} ({figures[-1][k] - figures[-1][own[0]]:+.1f})"
+        for k, c in enumerate(compared)
         if k != own[0] and alike(k, own[0], *figures)
     ]
-    return [f"other kinds describe the file about as well (score against this one): {', '.join(near)}"] if near else []
+    return [f"other models describe the file about as well (score against this one): {', '.join(near)}"] if near else []
 
 
 def make_result(
@@ -229,7 +231,7 @@ def _intervals(sampled: "Sampled", values: np.ndarray) -> list[export.Quantiles 
 def derived_results(fitted: Fitted, sampled: "Sampled") -> list[export.DerivedResult]:
     """Every derived quantity with its value at the fit and posterior quantiles."""
     found, channels = [], fitted.layout.channels
-    for q in quantities(fitted.effects):
+    for q in quantities(fitted.material):
         values = sampled.derived[q.name].reshape(len(sampled.values), -1)
         given = zip(np.ravel(sampled.at_fit[q.name]).tolist(), _intervals(sampled, values), strict=True)
         for k, (value, interval) in enumerate(given):
@@ -242,12 +244,8 @@ def derived_results(fitted: Fitted, sampled: "Sampled") -> list[export.DerivedRe
 
 
 def _model_part(layout: Layout, z: np.ndarray) -> export.Model:
-    effects, values = layout.effects, layout.values(jnp.asarray(z))
-    return export.Model(
-        effects=effects, grazing_exponent=float(grazing_exponent(values, effects)),
-        grazing_exponent_diffracted=float(grazing_exponent_diffracted(values, effects)),
-        channels=list(layout.channels), wavelengths_um=list(WAVELENGTHS_UM),
-    )  # fmt: skip
+    measured = layout.model if isinstance(layout.model, Measured) else Measured(layout.model, "off")
+    return export.Model.of(measured, layout.values(jnp.asarray(z)))
 
 
 def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, object]:

@@ -20,7 +20,7 @@ from ..merl_io.atomic import write_atomically
 from ..merl_io.binary import Measurement
 from ..merl_io.grid import MerlGrid, merl_grid
 from ..model.geometry import Geometry
-from ..model.two_scale import TwoScale, two_scale
+from ..model.reflectance import Reflectance, evaluate
 from .export import Model, ParameterResult, Result
 from .report import in_words_of, number
 from .tables import UNSOUND
@@ -73,23 +73,24 @@ def measured_lobe(
     return np.stack([RegularGridInterpolator(axes, plane)(points) for plane in measurement.values])
 
 
-def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray) -> np.ndarray:
-    """What the apparatus would have measured of the fitted material, (3, N)."""
-    return _brdf(model, values, Geometry.from_vectors(i, o))
+def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
+    """BRDF of the fitted material, (3, N): as the apparatus would have measured it, or without its loss."""
+    return _brdf(model, values, Geometry.from_vectors(i, o), loss)
 
 
-def _brdf(model: Model, values: dict, geometry: Geometry) -> np.ndarray:
-    return np.asarray(_compiled(model.effects, values, geometry, jnp.asarray(model.wavelengths_um)))
-
-
-@partial(jax.jit, static_argnums=0)
-def _compiled(effects: TwoScale, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
-    return two_scale(values, geometry, effects, wavelengths_um)
+def _brdf(model: Model, values: dict, geometry: Geometry, loss: bool) -> np.ndarray:
+    seen = model.measured if loss else model.material
+    return np.asarray(_compiled(seen, values, geometry, jnp.asarray(model.wavelengths_um)))
 
 
 @partial(jax.jit, static_argnums=0)
-def _compiled_of_many(effects: TwoScale, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
-    return jax.lax.map(lambda v: two_scale(v, geometry, effects, wavelengths_um), values)
+def _compiled(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+    return evaluate(model, values, geometry, wavelengths_um)
+
+
+@partial(jax.jit, static_argnums=0)
+def _compiled_of_many(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+    return jax.lax.map(lambda v: evaluate(model, v, geometry, wavelengths_um), values)
 
 
 def chain_file(result: Result, folder: Path) -> dict[str, np.ndarray]:
@@ -123,7 +124,7 @@ def band(result: Result, chain: dict[str, np.ndarray], i: np.ndarray, o: np.ndar
     values = [result.values(chain["values"][k]) for k in drawn]
     stacked = {name: jnp.asarray([each[name] for each in values]) for name in values[0]}
     geometry, wavelengths = Geometry.from_vectors(i, o), jnp.asarray(result.model.wavelengths_um)
-    lobes = _compiled_of_many(result.model.effects, stacked, geometry, wavelengths)
+    lobes = _compiled_of_many(result.model.measured, stacked, geometry, wavelengths)
     return np.quantile(np.asarray(lobes), [0.05, 0.95], axis=0)
 
 
@@ -150,16 +151,9 @@ def lobe_figure(result: Result, measurement: Measurement, chain: dict[str, np.nd
     peak, by_half, by_difference = (figure.add_subplot(specs[2][k]) for k in range(3))
     _peak(peak, result, measurement)
     _ratios(by_half, by_difference, result, measurement)
-    body = in_words_of(result.model.effects)
     origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
-    figure.suptitle(f"{result.source.material} ({origin}): two-scale fit, {body}")
+    figure.suptitle(f"{result.source.material} ({origin}): fit of {in_words_of(result.model.material)}")
     return figure
-
-
-def _without_loss(model: Model) -> Model | None:
-    """The material alone; None where no loss was fitted."""
-    lossless = model.effects.acquisition == "off"
-    return None if lossless else model.model_copy(update={"effects": model.effects.material})
 
 
 def _lobes(
@@ -168,21 +162,21 @@ def _lobes(
 ) -> None:  # fmt: skip
     """File and fit in the plane of incidence, on two scales."""
     assert result.model is not None
-    grid, values, lossless = merl_grid(), result.values(), _without_loss(result.model)
+    grid, values, loses = merl_grid(), result.values(), result.model.measured.loses
     brightest, darkest = 0.0, np.inf
     for k, degrees in enumerate(INCIDENCES_DEG):
         degrees_o, is_datum = viewers(degrees, np.degrees(grid.theta_h))
         i, o = plane_of_incidence(np.radians(degrees), np.radians(degrees_o))
         measured = measured_lobe(measurement, grid, *half_difference(i, o))
         fitted = predicted_lobe(result.model, values, i, o)
-        alone = fitted if lossless is None else predicted_lobe(lossless, values, i, o)
+        alone = predicted_lobe(result.model, values, i, o, loss=False) if loses else fitted
         shaded = None if chain is None else band(result, chain, i, o)
         for c, name in enumerate(result.model.channels):
             colour, m = CHANNEL_COLOURS.get(name, "black"), measured[c]
             drawn = shown(np.where(is_datum, m, np.nan), np.cumsum(is_datum) % len(measured) == c)
             for axis, scale in ((cubic[k], np.cbrt), (logarithmic[k], np.asarray)):
                 axis.plot(degrees_o, scale(fitted[c]), "-", linewidth=1.0, color=colour, label=f"{name} fitted")
-                if lossless is not None:
+                if loses:
                     axis.plot(degrees_o, scale(alone[c]), "--", linewidth=0.8, color=colour, alpha=0.7)
                 if shaded is not None:
                     axis.fill_between(degrees_o, *scale(shaded[:, c]), alpha=0.2, linewidth=0, color=colour)
@@ -201,7 +195,7 @@ def _lobes(
     cubic[0].set_ylim(0, 1.1 * np.cbrt(brightest))  # without the loss a fit is far brighter at grazing angles
     logarithmic[0].set_ylim(max(darkest, brightest / 1e6) / 2, 3 * brightest)
     cubic[0].plot([], [], "o", color="gray", fillstyle="none", markersize=2.4, label="file (every datum of the peak)")
-    if lossless is not None:
+    if loses:
         cubic[0].plot([], [], "--", color="gray", linewidth=0.8, label="fitted, without the grazing loss")
     if chain is not None:
         cubic[0].fill_between([], [], [], color="gray", alpha=0.3, linewidth=0, label="5 to 95 % of the posterior")
@@ -251,10 +245,12 @@ def _peak(axis: Axes, result: Result, measurement: Measurement) -> None:
     axis.grid(alpha=0.2, which="both")
 
 
-def _predicted(model: Model, values: dict, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> np.ndarray:
+def _predicted(
+    model: Model, values: dict, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, loss: bool = True
+) -> np.ndarray:
     """The fit's BRDF by half and difference angles, (3, ...)."""
     geometry = Geometry.from_half_difference(jnp.asarray(theta_h), jnp.asarray(theta_d), jnp.asarray(phi_d))
-    return _brdf(model, values, geometry)
+    return _brdf(model, values, geometry, loss)
 
 
 def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Measurement) -> None:
@@ -267,10 +263,10 @@ def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Mea
     limit = float(result.config["fit"].get("theta_max", THETA_MAX))
     inside = (measurement.valid & grid.above & within(grid, limit))[here]
     widest = LEAST_RATIO
-    models = [m for m in (result.model, _without_loss(result.model)) if m is not None]
-    for model, line in zip(models, ("-", "--"), strict=False):
-        fitted = _predicted(model, result.values(), *where)
-        for k, name in enumerate(model.channels):
+    lines = {"-": True, "--": False} if result.model.measured.loses else {"-": True}  # with the loss, without
+    for line, loss in lines.items():
+        fitted = _predicted(result.model, result.values(), *where, loss=loss)
+        for k, name in enumerate(result.model.channels):
             file = measurement.values[k][here]
             ratio = np.where(inside & (file > 0), fitted[k] / np.where(inside & (file > 0), file, 1.0), np.nan)
             for axis, angle, others in ((by_half, grid.theta_h, (1, 2)), (by_difference, grid.theta_d[d], (0, 2))):
@@ -296,7 +292,7 @@ def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Mea
         axis.set_yticks([], minor=True)
         axis.grid(alpha=0.2)
     by_difference.plot([], [], "-", color="gray", label="median (shaded: 10 to 90 %)")
-    if len(models) > 1:
+    if len(lines) > 1:
         by_difference.plot([], [], "--", color="gray", label="median without the grazing loss")
     by_difference.legend(fontsize=8.5)
 

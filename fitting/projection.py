@@ -23,6 +23,8 @@ from jax import Array
 
 from ..model import body as bodies
 from ..model.fresnel import fresnel, schlick
+from ..model.measured import material_of, with_material
+from ..model.reflectance import Reflectance
 from ..model.two_scale import TwoScale
 from .problem import Part, Problem
 from .residuals import _evaluate, _weigh, with_tables
@@ -53,22 +55,28 @@ class Sums(NamedTuple):
 
 
 def project(
-    kinds: Sequence[TwoScale], shared: Mapping[str, np.ndarray], problem: Problem, over: Callable[..., Iterable] = map
+    models: Sequence[Reflectance],
+    shared: Mapping[str, np.ndarray],
+    problem: Problem,
+    over: Callable[..., Iterable] = map,
 ) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Costs, about, and values of all parameters with the best of the optical constants that are tried.
 
     Args:
-        kinds: effects that differ in interface and body alone; the lobes are evaluated once for all.
+        models: two-scale ones that differ in interface and body alone; the lobes are evaluated once for all.
         shared: values (N,) by name of the parameters that are not per channel, of N candidates.
         over: maps a function over batches of them.
 
     Returns:
-        for every kind costs (N,), and values by name, (N,) and (N, C).
+        for every model costs (N,), and values by name, (N,) and (N, C).
     """
+    kinds = [material for model in models if isinstance(material := material_of(model), TwoScale)]
     count = len(next(iter(shared.values())))
     padded = {name: np.pad(x, (0, -count % BATCH), "edge") for name, x in shared.items()}
     batches = [{name: x[k : k + BATCH] for name, x in padded.items()} for k in range(0, count, BATCH)]
-    mirror = replace(kinds[0], body="none", index="complex", colour="fresnel", split="printed")
+    mirror = with_material(
+        models[0], replace(kinds[0], body="none", index="complex", colour="fresnel", split="printed")
+    )
     under = tuple(sorted({effects.body for effects in kinds} - {"none"}))
     below = [_under(under, part) for part in problem.parts]
     energy = np.sum([np.sum(np.asarray(part.target) ** 2, (0, 2, 3, 4)) for part in problem.parts], 0)
@@ -148,7 +156,7 @@ def _under(names: tuple[str, ...], part: Part) -> tuple[Bodies, Bodies]:
 
 
 @partial(jax.jit, static_argnums=0)
-def _sums(mirror: TwoScale, shared: Mapping[str, Array], part: Part, under: Bodies) -> tuple[Array, Array, Bodies]:
+def _sums(mirror: Reflectance, shared: Mapping[str, Array], part: Part, under: Bodies) -> tuple[Array, Array, Bodies]:
     """|RT|^2, q.RT and RT.RB of one part, for all candidates."""
 
     def of_one(shared: Mapping[str, Array]) -> tuple[Array, Array, Bodies]:

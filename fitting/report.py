@@ -11,9 +11,10 @@ from rich.table import Table
 
 from ..merl_io.binary import BRIGHTEST, DIMS, OUTLIER
 from ..merl_io.check import FileReport
+from ..model.reflectance import Reflectance
 from ..model.registry import models
 from ..model.two_scale import KINDS, TwoScale
-from .export import Accuracy, DerivedResult, ParameterResult, Result
+from .export import Accuracy, DerivedResult, Model, ParameterResult, Result
 from .identifiability import in_words
 
 WIDE = 110  # columns, from which on a table has room for sentences
@@ -77,7 +78,7 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
         r = o.result
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
-            r.source.material, " ".join(r.model.effects.kind) if r.model else "-", r.fit.status,
+            r.source.material, r.model.material.variant if r.model else "-", r.fit.status,
             number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.picture, 2),
             number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
@@ -88,7 +89,7 @@ def models_table() -> Table:
     """What `merlfit models` prints."""
     table = Table(
         title="reflectance models; RGB: one value per channel. `merlfit fit` fits the two-scale model, in the variants "
-        "that --body and --index name; the others are fitted from Python (docs/architecture.md)",
+        "that --body and --index name, or another one by --model NAME",
         title_justify="left", box=box.SIMPLE_HEAD,
     )  # fmt: skip
     for head in ("model", "parameter", "unit", "meaning"):
@@ -110,10 +111,12 @@ def interval(q: ParameterResult | DerivedResult) -> str:
     return f"{number(q.quantiles.q05)} .. {number(q.quantiles.q95)}"
 
 
-def in_words_of(effects: TwoScale) -> str:
-    """Interface and body."""
-    interface = "conductor" if effects.index == "complex" else "dielectric"
-    return interface if effects.body == "none" else f"{interface} over {effects.body}"
+def in_words_of(material: Reflectance) -> str:
+    """Model, and interface and body of a two-scale one."""
+    if not isinstance(material, TwoScale):
+        return material.name
+    interface = "conductor" if material.index == "complex" else "dielectric"
+    return f"{material.name}, {interface}" + ("" if material.body == "none" else f" over {material.body}")
 
 
 def parameter_table(result: Result, width: int) -> Table:
@@ -131,6 +134,18 @@ def parameter_table(result: Result, width: int) -> Table:
     return table
 
 
+def _fitted_line(m: Model) -> str:
+    """What was fitted: model, what of its settings matters, and the loss of the apparatus."""
+    material, a = m.material, m.acquisition
+    said = [in_words_of(material)]
+    if isinstance(material, TwoScale):
+        said += [f"diffraction by {material.diffraction}", f"energy split {material.split}"]
+    if m.measured.loses:
+        exponents = [f"{number(k, 3)} of {lobe} light" for lobe, k in a.exponents.items()]
+        said.append(f"grazing exponent {' and '.join(exponents)} ({a.grazing_loss})")
+    return ", ".join(said)
+
+
 def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
@@ -139,13 +154,7 @@ def print_result(console: Console, result: Result) -> None:
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
         return
-    m = result.model
-    e = m.effects
-    console.print(
-        f"two-scale, {in_words_of(e)}, diffraction by {e.diffraction}, energy split {e.split}, "
-        f"grazing exponent {m.grazing_exponent:.3f}, of diffracted light {number(m.grazing_exponent_diffracted, 3)} "
-        f"({e.acquisition})"
-    )
+    console.print(_fitted_line(result.model))
     console.print(parameter_table(result, console.width))
     console.print(f"{f.status}: {f.message}")
     console.print(
@@ -161,8 +170,8 @@ def print_result(console: Console, result: Result) -> None:
         console.print(f"caution: {caution}")
     if len(f.candidates) > 1:
         console.print(
-            "kinds of material compared on the coarse grid, with their scores (the lowest is best): "
-            + ", ".join(f"{c.index} {c.body} {number(c.score, 3)}" for c in f.candidates)
+            "models compared on the coarse grid, with their scores (the lowest is best): "
+            + ", ".join(f"{c.variant} {number(c.score, 3)}" for c in f.candidates)
         )
     if result.identifiability is not None:
         for line in in_words(result.identifiability):

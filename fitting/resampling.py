@@ -1,6 +1,5 @@
 """The posterior of a fit that is already in a file."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -44,7 +43,7 @@ def resample(
     samples = weighted_samples(
         measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
     )
-    layout = replace(config.layout_of(result.model.effects.kind), model=result.model.effects)  # as it was carried on
+    layout = config.layout_of(result.model.measured)  # which may have been carried on with other settings
     chain = chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
     normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))

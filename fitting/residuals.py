@@ -49,6 +49,16 @@ def cost(model: Reflectance, values: Mapping[str, Array], problem: Problem) -> A
     return reduce(add, side_by_side(lambda part: _cost(model, values, part), problem.parts), problem.rest)
 
 
+def costs_of_many(model: Reflectance, values: Mapping[str, Array], problem: Problem) -> Array:
+    """:func:`cost` of N candidates, (N, C); values with a leading axis."""
+    return reduce(add, side_by_side(lambda part: _costs_of_many(model, values, part), problem.parts), problem.rest)
+
+
+@partial(jax.jit, static_argnums=0)
+def _costs_of_many(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
+    return jax.lax.map(lambda v: _cost(model, v, part), values)
+
+
 @partial(jax.jit, static_argnums=0)
 def _cost(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     values = with_tables(model, values, part.directions)
@@ -213,9 +223,9 @@ def _block_gram(
         result = []
         for q in model.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
-            change = lambda part: model.assemble({**at, **part}, s)  # noqa: E731
+            change = lambda part: model.assemble({**at, **part}, s).brdf(s)  # noqa: E731
             result.append(_weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
-        return [*result, b.target - _weigh(b.root, model.assemble(at, s))]
+        return [*result, b.target - _weigh(b.root, model.assemble(at, s).brdf(s))]
 
     always = _true_of(b.target[0, 0, 0, 0])
     at, slopes = _materialised(factor_derivatives, always, values, b.directions)

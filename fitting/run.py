@@ -13,6 +13,7 @@ import numpy as np
 from ..merl_io.binary import Measurement, read
 from ..merl_io.grid import merl_grid
 from ..merl_io.samples import Samples, thin
+from ..model.two_scale import TwoScale
 from . import export, metrics
 from .clock import Clock, Report, silent
 from .config import Config
@@ -97,7 +98,7 @@ def fit(
     clock: Clock | None = None,
     first: Mapping[str, float] | None = None,
 ) -> Fitted | None:
-    """Coarse grid first for every kind asked for, then all valid bins for the best; None without enough light.
+    """Coarse grid first for every candidate, then all valid bins for the best; None without enough light.
 
     Args:
         first: shared parameters to start from instead of those read off the data.
@@ -107,20 +108,20 @@ def fit(
     if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
-        kinds = config.kinds
-        report(f"coarse grid: {', '.join(' '.join(kind) for kind in kinds)}")
+        models = config.candidates
+        report(f"coarse grid: {', '.join(model.variant for model in models)}")
         coarse, seen = thin(samples, COARSE), read_off(samples)
         seen = seen._replace(first=first or seen.first)
-        cheap = [cheaper(config.layout_of(kind), COARSE_ORDER) for kind in kinds]
-        printed = [replace(each, model=replace(each.effects, split="printed")) for each in cheap]
+        cheap = [cheaper(config.layout_of(model), COARSE_ORDER) for model in models]
+        printed = [printed_split(layout) for layout in cheap]
         problem, roughly = make_coarse(samples)
         found = fit_coarse(printed, seen, problem, roughly, config)
         candidates, chosen = compare(printed, found, coarse)
         z = found[chosen].z
         if cheap[chosen] != printed[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
             z = solve(cheap[chosen], z, problem, config.fit.coarse_steps, backend=config.fit.backend).z
-    report(f"{config.fit.grid} grid: {' '.join(kinds[chosen])}")
-    tried = descend(config.layout_of(kinds[chosen]), z, measurement, samples, config, clock)
+    report(f"{config.fit.grid} grid: {models[chosen].variant}")
+    tried = descend(config.layout_of(models[chosen]), z, measurement, samples, config, clock)
     return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=candidates)
 
 
@@ -161,10 +162,11 @@ def make_coarse(samples: Samples) -> tuple[Problem, Problem]:
 
 
 def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> tuple[list[export.Candidate], int]:
-    """Fits of the same samples, the simplest kind first, and which of them to take (`selection`)."""
+    """Fits of the same samples, the simplest model first, and which of them to take (`selection`)."""
+    materials = [layout.material for layout in layouts]
     if len(found) == 1:
-        index, body = layouts[0].effects.kind
-        return [export.Candidate(index=index, body=body, cost=export.finite(found[0].cost))], 0
+        only = materials[0]
+        return [export.Candidate(model=only.name, variant=only.variant, cost=export.finite(found[0].cost))], 0
     predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
     objectives = [float(np.nan_to_num(s.objective, nan=np.inf)) for s in found]
     count = count_of(samples, predicted[int(np.argmin(objectives))])
@@ -172,10 +174,10 @@ def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> t
     scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
     candidates = [
         export.Candidate(
-            index=layout.effects.index, body=layout.effects.body, cost=export.finite(s.cost),
-            objective=export.finite(j), cube_root=export.finite(e), score=export.finite(each), converged=s.converged,
+            model=material.name, variant=material.variant, cost=export.finite(s.cost), objective=export.finite(j),
+            cube_root=export.finite(e), score=export.finite(each), converged=s.converged,
         )
-        for layout, s, j, e, each in zip(layouts, found, objectives, roots, scores, strict=True)
+        for material, s, j, e, each in zip(materials, found, objectives, roots, scores, strict=True)
     ]  # fmt: skip
     return candidates, choose(objectives, roots, scores)
 
@@ -255,6 +257,14 @@ def _leaders(found: list[Solution], most: int) -> list[Solution]:
         if len(chosen) < most and all(np.linalg.norm(s.z - other.z) > APART for other in chosen):
             chosen.append(s)
     return chosen
+
+
+def printed_split(layout: Layout) -> Layout:
+    """The same with the printed split of energy, which costs a hundredth of the conserving one."""
+    material = layout.material
+    if not isinstance(material, TwoScale):
+        return layout
+    return layout.with_material(replace(material, split="printed"))
 
 
 def cheaper(layout: Layout, order: int) -> Layout:

@@ -42,7 +42,7 @@ class Sampled:
 
 @partial(jax.jit, static_argnums=0)
 def _physical(layout: Layout, draws: Array) -> tuple[Array, dict[str, Array]]:
-    return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: derived(layout.values(z), layout.effects), draws)
+    return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: derived(layout.values(z), layout.material), draws)
 
 
 def physical(layout: Layout, draws: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:

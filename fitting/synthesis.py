@@ -9,7 +9,7 @@ import numpy as np
 from ..merl_io.grid import merl_grid
 from ..model import published
 from ..model.geometry import Geometry
-from ..model.two_scale import two_scale
+from ..model.reflectance import evaluate
 from .export import ResultError, read_result
 
 ROWS = 10  # of theta_h evaluated at a time
@@ -57,10 +57,10 @@ def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
-    effects = m.effects if grazing_loss else m.effects.material
-    values = tabulate(lambda g: two_scale(params, g, effects, m.wavelengths_um))
-    said = f"synthetic MERL file from the two-scale fit of {result.source.material}"
-    if m.effects.acquisition == "off":
+    model = m.measured if grazing_loss else m.material
+    values = tabulate(lambda g: evaluate(model, params, g, m.wavelengths_um))
+    said = f"synthetic MERL file from the {m.name} fit of {result.source.material}"
+    if not m.measured.loses:
         return values, said
     if grazing_loss:
         return values, f"{said}, with the grazing loss of MERL's apparatus, as the file that was fitted has it"

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ..merl_io.atomic import write_atomically
-from ..model import chebyshev, convolution, ndf, numerics, quadrature, scaled
+from ..model import chebyshev, convolution, numerics, quadrature, scaled
+from ..model.ndf import epd
 
-MAKERS = (scaled, convolution, chebyshev, ndf, numerics, quadrature)
+MAKERS = (scaled, convolution, chebyshev, epd, numerics, quadrature)
 UNSOUND = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)  # what reading a broken file raises
 
 

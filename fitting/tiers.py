@@ -20,6 +20,7 @@ from ..merl_io.binary import read
 from ..merl_io.grid import merl_grid
 from ..model import scaled
 from ..model.geometry import Geometry
+from ..model.measured import Measured
 from ..model.parameters import WAVELENGTHS_UM
 from ..model.two_scale import TwoScale, two_scale
 from .frontier import Spread
@@ -113,7 +114,7 @@ def _with_derivatives(evaluate: Callable[[dict[str, Array]], Array], values: dic
 def _fit_times(effects: TwoScale, file: Path) -> dict[str, float]:
     """Cost and normal equations of all bins as a fit evaluates them."""
     problem, bins = make_problem(weighted_samples(read(file))), merl_grid().above.size
-    fitted = TwoScale(effects.body, effects.diffraction, effects.order, effects.zonal_order, acquisition="free")
+    fitted = Measured(TwoScale(effects.body, effects.diffraction, effects.order, effects.zonal_order))
     layout = layout_of(fitted)
     z = jnp.asarray(layout.free({**TYPICAL, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3}))
     _, value = _clock(lambda z: cost(fitted, layout.values(z), problem), z)

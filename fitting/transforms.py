@@ -24,9 +24,9 @@ from jax import Array
 from jax.scipy.special import expit, ndtr, ndtri
 from jax.typing import ArrayLike
 
+from ..model.measured import material_of, with_material
 from ..model.parameters import CHANNELS, PRIORS, WAVELENGTHS_UM, LogNormal, Parameter, Priors
 from ..model.reflectance import Reflectance
-from ..model.two_scale import TwoScale
 
 INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved
 MIDDLE_UM = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
@@ -56,15 +56,13 @@ class Layout:
         return len(self.channels) if parameter.per_channel else 1
 
     @property
-    def effects(self) -> TwoScale:
-        """The model, where only a two-scale one will do.
+    def material(self) -> Reflectance:
+        """The model without the apparatus."""
+        return material_of(self.model)
 
-        Raises:
-            TypeError: it is another.
-        """
-        if not isinstance(self.model, TwoScale):
-            raise TypeError(f"{self.model.name} is not the two-scale model")
-        return self.model
+    def with_material(self, material: Reflectance) -> "Layout":
+        """The same of another material, seen by the same apparatus."""
+        return replace(self, model=with_material(self.model, material))
 
     @property
     def slices(self) -> dict[str, slice]:
@@ -318,11 +316,9 @@ def layout_of(model: Reflectance, priors: Priors = PRIORS) -> Layout:
     """
     for q in model.parameters:
         if q.scale == "log" and q.prior is None and not hasattr(priors, q.quantity or q.name):
-            raise ValueError(f"{model.name}: {q.name} has a logarithmic scale, but no prior: declare one")
+            raise ValueError(f"{model}: {q.name} has a logarithmic scale, but no prior: declare one")
         if q.quantity == ODDS and (q.lower, q.upper) != (0.0, 1.0):
-            raise ValueError(f"{model.name}: {q.name} has odds: its bounds should be 0 and 1")
+            raise ValueError(f"{model}: {q.name} has odds: its bounds should be 0 and 1")
         if q.name == "eta" and not q.per_channel:
-            raise ValueError(
-                f"{model.name}: eta is an index of refraction per channel: name another parameter otherwise"
-            )
+            raise ValueError(f"{model}: eta is an index of refraction per channel: name another parameter otherwise")
     return Layout(model, priors)

@@ -130,10 +130,10 @@ def mirror_loss(theta: tuple[float, ...], beta: Scalar, p: Scalar, apparatus: Ap
     Accuracy: 1e-4 of a simulation in the image plane, 2e-3 with distances of 8 radii or more or a lamp of 0.01 rad
     (``tests/model/test_acquisition.py``). Gradient in beta and p finite everywhere.
     """
-    return loss_of_lobe(theta, _epd_of_rings(beta, p), apparatus)
+    return loss_of_lobe(theta, epd_of_rings(beta, p), apparatus)
 
 
-def _epd_of_rings(beta: Scalar, p: Scalar) -> Real:
+def epd_of_rings(beta: Scalar, p: Scalar) -> Real:
     """D over its peak at RINGS_RAD."""
     # exp(-e^8) is 0, and its derivative too, where the power itself would overflow
     exponent = jnp.exp(jnp.minimum(2 * p * (np.log(np.tan(RINGS_RAD)) - jnp.log(beta)), 8.0))
@@ -165,7 +165,7 @@ def derived_exponent(beta: Scalar, p: Scalar, apparatus: Apparatus = APPARATUS) 
     The law itself misses the loss by up to 0.13 where the lobe is a few footprints wide, whose loss sets in abruptly;
     least squares on the loss instead of its logarithm would give k lower by up to 0.03 there.
     """
-    return exponent_of_lobe(_epd_of_rings(beta, p), apparatus).astype(jnp.result_type(beta))
+    return exponent_of_lobe(epd_of_rings(beta, p), apparatus).astype(jnp.result_type(beta))
 
 
 def exponent_of_lobe(lobe: Real, apparatus: Apparatus) -> Real:

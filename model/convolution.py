@@ -26,7 +26,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.scipy.special import digamma
 
 from . import chebyshev
-from .ndf import log_p22_peak
+from .ndf.epd import log_p22_peak
 from .numerics import Real, Scalar, safe_divide, safe_sqrt, sin_quarter, softplus, total
 from .quadrature import gauss_legendre
 

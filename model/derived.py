@@ -1,7 +1,6 @@
 """What a set of parameters comes to: quantities that mean the same whatever the parameters behind them."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ from jax.typing import ArrayLike
 from . import diffraction, energy
 from .fresnel import fresnel
 from .parameters import WAVELENGTHS_UM
+from .reflectance import Reflectance
 from .two_scale import TwoScale, two_scale
 
 ALBEDO_INCIDENCES_DEG = (0, 60)
@@ -37,12 +37,14 @@ ALBEDOS = tuple(
 )
 
 
-def quantities(effects: TwoScale) -> tuple[Quantity, ...]:
-    """Those that a material with these effects has."""
-    return (LOBE, *((DIFFRACTED,) if effects.diffraction != "off" else ()), F0, *ALBEDOS)
+def quantities(material: Reflectance) -> tuple[Quantity, ...]:
+    """Those that a material has; so far only two-scale ones have any."""
+    if not isinstance(material, TwoScale):
+        return ()
+    return (LOBE, *((DIFFRACTED,) if material.diffraction != "off" else ()), F0, *ALBEDOS)
 
 
-def derived(values: Mapping[str, ArrayLike], effects: TwoScale) -> dict[str, Array]:
+def derived(values: Mapping[str, ArrayLike], material: Reflectance) -> dict[str, Array]:
     """Derived quantities by name, scalars and (C,) for those per channel; of the material, without the apparatus.
 
     - lobe_half_width (degrees): arctan(beta (ln 2)^(1 / 2p)), where exp(-(tan/beta)^(2p)) of HP17 Eq. 35 is a half.
@@ -53,31 +55,32 @@ def derived(values: Mapping[str, ArrayLike], effects: TwoScale) -> dict[str, Arr
     Args:
         values: by name, as for :func:`merlfit.model.two_scale.two_scale`.
     """
+    if not isinstance(material, TwoScale):
+        return {}
     v = {name: jnp.asarray(x) for name, x in values.items()}
     n, k = (v["n"], v["k"]) if "n" in v else (v["eta"], jnp.zeros_like(v["eta"]))
     found = {
         LOBE.name: jnp.degrees(jnp.arctan(v["beta"] * np.log(2.0) ** (1 / (2 * v["p"])))),
         F0.name: fresnel(jnp.ones(()), n, k),
     }
-    if effects.diffraction != "off":
+    if material.diffraction != "off":
         wavelength = jnp.asarray(WAVELENGTHS_UM)
         share = jnp.ones(())
-        if effects.renormalised:
+        if material.renormalised:
             share = diffraction.renormalisation(jnp.zeros(()), v["b"] / wavelength, v["c"])
         phase = diffraction.phase_variance(share * v["sigma_s"] ** 2, jnp.ones(()), wavelength)
         found[DIFFRACTED.name] = -jnp.expm1(-phase)
     incidences = jnp.radians(jnp.asarray(ALBEDO_INCIDENCES_DEG, float))
-    return found | dict(zip((q.name for q in ALBEDOS), directional_albedo(v, effects, incidences).T, strict=True))
+    return found | dict(zip((q.name for q in ALBEDOS), directional_albedo(v, material, incidences).T, strict=True))
 
 
-def directional_albedo(values: Mapping[str, Array], effects: TwoScale, theta_i: Array) -> Array:
+def directional_albedo(values: Mapping[str, Array], material: TwoScale, theta_i: Array) -> Array:
     """Int of the BRDF times cos_o over all viewers for light at ``theta_i`` (rad), (A,): shape (C, A).
 
     Accuracy: 5e-3, relative, for incidences up to 60 degrees (``tests/model/test_derived.py``).
     """
     largest_B = 2 * values["b"] / min(WAVELENGTHS_UM) if "b" in values else jnp.ones(())
-    degree = effects.zonal_order if effects.diffraction == "zonal" else 0
+    degree = material.zonal_order if material.diffraction == "zonal" else 0
     incidences = jnp.maximum(theta_i, LEAST_INCIDENCE)
     geometry, measure = energy.half_vectors(incidences, values["beta"], values["p"], largest_B, degree)
-    inner = replace(effects.material, order=min(effects.order, ORDER))
-    return jnp.sum(two_scale(values, geometry, inner) * measure, (-2, -1))
+    return jnp.sum(two_scale(values, geometry, material.coarse(ORDER)) * measure, (-2, -1))

@@ -137,7 +137,7 @@ def _position(theta: Real, beta: Scalar) -> Real:
     """Where an incidence lies among the nodes, as beta is now: 0 is the first, within 0.1 degrees of the normal.
 
     Even in 1 - sqrt(cos) plus 1 - 1/(1 + sqrt(beta tan)), from 0 to 2, in which a surface's albedo is smooth: the first
-    resolves Fresnel's rise, the second masking, whatever the width beta (see `shadowing.masking`).
+    resolves Fresnel's rise, the second masking, whatever the width beta (see `masking.smith.masking`).
     """
     theta = jnp.clip(theta, 0.0, np.pi / 2 - 1e-9)
     root = safe_sqrt(jax.lax.stop_gradient(beta) * jnp.tan(theta))

@@ -22,7 +22,7 @@ import numpy as np
 from jax import Array
 
 from .fresnel import diffraction_colour
-from .ndf import log_p22_peak
+from .ndf.epd import log_p22_peak
 from .numerics import Real, Scalar, safe_acos, safe_divide, safe_sqrt
 from .quadrature import gauss_legendre
 

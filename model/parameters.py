@@ -137,3 +137,5 @@ GRAZING = Parameter("grazing_exponent", "k_g", "exponent of the acquisition's lo
                     "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
 GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "k_d", "the same of diffracted light", "1", 0.2, 0.0, 1.0,
                                "linear", source="HP17 Eq. 60")  # fmt: skip
+LOSSES = {"specular": GRAZING, "diffracted": GRAZING_DIFFRACTED}
+"""The apparatus's exponent of each sharp lobe that a model may have."""

@@ -4,11 +4,14 @@ A model is a frozen, hashable value: its settings are its fields, and equal mode
 together from factors, each a function of some of the parameters and of a part of the directions. On a grid a factor of
 theta_h alone is computed for every theta_h, not for every bin, and whoever differentiates needs a factor's derivatives
 by those parameters only that it reads. Which these are is found by recording what it asks for (:func:`reads`).
+
+A model is a material. What an apparatus makes of it is :class:`merlfit.model.measured.Measured`, a model, too.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, reduce
+from operator import add
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -17,9 +20,10 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from .acquisition import RINGS_RAD
 from .geometry import Geometry
 from .numerics import floats
-from .parameters import WAVELENGTHS_UM, Parameter
+from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
 
 Values = Mapping[str, Array]
 LEAST_ORDER = 6  # of a quadrature
@@ -35,17 +39,45 @@ class Setting(NamedTuple):
     log_base: Array | None  # of the acquisition's loss (acquisition.grazing_log_base), if it is known already
 
 
+class Lobes(NamedTuple):
+    """What a BRDF is the sum of (1/sr): ``common`` times every sharp lobe, and the body.
+
+    Attributes:
+        sharp: lobes by name, (C, ...) or what broadcasts to it. common: factor of all of them. body: None for none.
+    """
+
+    sharp: Mapping[str, Array]
+    common: Array | None = None
+    body: Array | None = None
+
+    def brdf(self, s: Setting) -> Array:
+        """The sum, shape ``(C, ...)`` in the precision of the angles; 0 below the horizon."""
+        found = reduce(add, self.sharp.values()) if self.sharp else None
+        if found is not None and self.common is not None:
+            found = self.common * found
+        if self.body is not None:
+            found = self.body if found is None else found + self.body
+        brdf = jnp.where(s.above, 0.0 if found is None else found, 0.0).astype(jnp.result_type(s.geometry.theta_h))
+        return jnp.broadcast_to(brdf, jnp.broadcast_shapes(brdf.shape, s.wavelength_um.shape))
+
+
 Factor = Callable[[Values, Setting], Array]
 
 
 class Reflectance(ABC):
     """A reflectance model. Subclasses are frozen dataclasses, static under jit; their fields are their settings.
 
-    ``name`` is that in configurations and results, ``citation`` where the model is from.
+    ``name`` is that in configurations and results, ``citation`` where the model is from, ``lobes`` the names of its
+    sharp lobes: keys of :data:`merlfit.model.parameters.LOSSES`.
     """
 
     name: ClassVar[str]
     citation: ClassVar[str]
+
+    @property
+    def lobes(self) -> tuple[str, ...]:
+        """Names of the sharp lobes; an apparatus that blurs dims them, and leaves the body as it is."""
+        return ("specular",)
 
     @property
     @abstractmethod
@@ -60,8 +92,26 @@ class Reflectance(ABC):
         """
 
     @abstractmethod
-    def assemble(self, at: Values, s: Setting) -> Array:
-        """The BRDF (1/sr), shape ``(C, ...)``, from the values of its factors; 0 below the horizon."""
+    def assemble(self, at: Values, s: Setting) -> Lobes:
+        """The sharp lobes and the body from the values of the factors."""
+
+    @property
+    def variant(self) -> str:
+        """Short words for tables, by which those variants of a model that a fit compares are told apart."""
+        return self.name
+
+    def profile(self, lobe: str, v: Values) -> Array:
+        """A sharp lobe over theta_h at ``acquisition.RINGS_RAD``, at theta_d = 0 and of any unit: its width matters.
+
+        In the middle channel; masking and foreshortening are left out, which vary little over a lobe that is narrow,
+        and so are derivatives by parameters per channel.
+        """
+        zero, one = jnp.zeros((1, 1)), jnp.ones((1, 1))
+        s = setting(Geometry(jnp.asarray(RINGS_RAD)[:, None], zero, one, one), self)
+        still = jax.lax.stop_gradient
+        own = {q.name: still(jnp.reshape(v[q.name], -1)) if q.per_channel else v[q.name] for q in self.parameters}
+        found = self.assemble(factor_values(shaped(own, s), s), s).sharp[lobe]
+        return jnp.broadcast_to(found, (len(WAVELENGTHS_UM), len(RINGS_RAD), 1))[len(WAVELENGTHS_UM) // 2, :, 0]
 
     def tables(self) -> Mapping[str, Factor]:
         """What depends on parameters and on theta_d at the most, so that many directions can share it.
@@ -110,27 +160,36 @@ class Reflectance(ABC):
         return {}
 
     def ignored(self) -> frozenset[str]:
-        """Names of parameters that other settings have: values of theirs are not refused, but not used either."""
-        return frozenset()
+        """Names of parameters that other settings have: values of theirs are not refused, but not used either.
+
+        So what was fitted to a measurement may be evaluated without the apparatus.
+        """
+        return frozenset(q.name for q in LOSSES.values())
+
+    def __str__(self) -> str:
+        """Name and variant."""
+        return self.name if self.variant == self.name else f"{self.name} ({self.variant})"
 
 
 class OneFormula(Reflectance):
-    """Base of models that are one formula: what is ``sharp`` and what is the ``body``, each by all its parameters."""
+    """Base of models that are one formula: what is ``sharp`` and what is the ``body``, each by all its parameters.
 
-    @abstractmethod
+    A model without one of them leaves its method out; without a sharp lobe, its ``lobes`` are none.
+    """
+
     def sharp(self, v: Values, s: Setting) -> Array:
         """Light reflected by the surface (1/sr), ``(C, ...)``."""
+        return jnp.zeros(())
 
-    @abstractmethod
     def body(self, v: Values, s: Setting) -> Array:
         """Light from below it (1/sr)."""
+        return jnp.zeros(())
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102 - as declared
-        return {"sharp": self.sharp, "body": self.body}
+        return {**{lobe: self.sharp for lobe in self.lobes}, "body": self.body}
 
-    def assemble(self, at: Values, s: Setting) -> Array:  # noqa: D102
-        brdf = jnp.where(s.above, at["sharp"] + at["body"], 0.0)
-        return jnp.broadcast_to(brdf, jnp.broadcast_shapes(brdf.shape, s.wavelength_um.shape))
+    def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
+        return Lobes({lobe: at[lobe] for lobe in self.lobes}, body=at["body"])
 
 
 def setting(
@@ -175,7 +234,7 @@ def evaluate(
 
 def assembled(values: Values, s: Setting) -> Array:
     """The same of values from :func:`shaped`."""
-    return s.model.assemble(factor_values(values, s), s)
+    return s.model.assemble(factor_values(values, s), s).brdf(s)
 
 
 def factor_values(values: Values, s: Setting) -> dict[str, Array]:
@@ -188,13 +247,13 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
     model = s.model
     needed, extra = [q.name for q in model.parameters], [*model.tables(), *model.switches]
     if missing := [name for name in (*needed, *model.switches) if name not in params]:
-        raise KeyError(f"{model.name} needs {', '.join(missing)} for {model}")
+        raise KeyError(f"{model} needs {', '.join(missing)}: {model!r}")
     if unknown := params.keys() - model.ignored() - {*needed, *extra}:
-        raise KeyError(f"{model.name} has no parameter {', '.join(sorted(unknown))}")
+        raise KeyError(f"{model} has no parameter {', '.join(sorted(unknown))}")
     channels = s.wavelength_um.shape[0]
     for q in model.parameters:
         if q.per_channel and np.size(params[q.name]) not in (1, channels):
-            raise ValueError(f"{model.name} needs {channels} values of {q.name}, not {np.size(params[q.name])}")
+            raise ValueError(f"{model} needs {channels} values of {q.name}, not {np.size(params[q.name])}")
     precision = jnp.result_type(s.geometry.theta_h)
     given = {name: jnp.asarray(params[name]) for name in extra if name in params}
     given = {name: x if name in model.switches else x.astype(precision) for name, x in given.items()}

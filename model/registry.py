@@ -1,11 +1,14 @@
 """All models by name: the two-scale one, and every :class:`Reflectance` of a file in ``rivals/``."""
 
+import difflib
 import inspect
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from .reflectance import Reflectance
 from .two_scale import TwoScale
@@ -23,3 +26,31 @@ def models() -> Mapping[str, type[Reflectance]]:
                     raise ValueError(f"two reflectance models are named {kind.name}: {found[kind.name]}, {kind}")
                 found[kind.name] = kind
     return MappingProxyType(found)
+
+
+def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
+    """A model by its name and its settings, as a result or a configuration has them.
+
+    Raises:
+        ValueError: there is no such model, or setting, or value of it; the message is one line that says what there is.
+    """
+    known = models()
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+        raise ValueError(f"there is no model {name!r}; the nearest is {near[0]!r} (`merlfit models` lists all)")
+    declared, hints = [field.name for field in fields(known[name])], get_type_hints(known[name])  # pyright: ignore[reportArgumentType] - models are dataclasses
+    for key, value in settings.items():
+        if key not in declared:
+            said = f"its settings are {', '.join(declared)}" if declared else "it has no settings"
+            raise ValueError(f"model {name} has no setting {key!r}: {said}")
+        _check(f"{name}: {key}", value, hints[key])
+    return known[name](**settings)
+
+
+def _check(where: str, value: object, kind: Any) -> None:  # noqa: ANN401 - a type, or a form of several
+    """Refuse a value that is none of a setting's choices, or of another type."""
+    if get_origin(kind) is Literal:
+        if value not in get_args(kind):
+            raise ValueError(f"{where} {value!r} is none of {', '.join(map(str, get_args(kind)))}")
+    elif not (type(value) is kind or (kind is float and type(value) is int)):
+        raise ValueError(f"{where} {value!r} should be of type {kind.__name__}")

@@ -11,14 +11,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from . import acquisition, body, convolution, diffraction, energy, exact, scaled, zonal
+from . import body, convolution, diffraction, energy, exact, scaled, zonal
+from .acquisition import RINGS_RAD
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
-from .ndf import epd
+from .masking.smith import height_correlated, masking
+from .ndf.epd import epd
 from .numerics import safe_divide
-from .parameters import GRAZING, GRAZING_DIFFRACTED, WAVELENGTHS_UM
+from .parameters import WAVELENGTHS_UM
 from .reflectance import Setting, Values, setting
-from .shadowing import height_correlated, masking
 
 if TYPE_CHECKING:  # which imports this module
     from .two_scale import TwoScale
@@ -154,13 +155,13 @@ def surface_albedo(v: Values, s: Setting) -> Array:
     incidences = energy.incidences(v["beta"])
     placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
     geometry, measure = energy.half_vectors(incidences, *placed, degree)
-    inner = replace(effects.material, order=min(effects.order, energy.ORDER))
+    inner = effects.coarse(energy.ORDER)
     s = setting(geometry, inner, wavelengths_um)
     if inner.renormalised and inner.diffraction != "off":
         one_minus_sin = 2 * jnp.sin(jnp.pi / 4 - geometry.theta_d[None] / 2) ** 2
         own["relative_variance"] = energy.share_of(v["b"] / wavelengths_um, v["c"])(one_minus_sin)
     lobes = {name: f(own, s) for name, f in inner.factors().items() if name not in ("body", "conservation")}
-    return jnp.sum(inner.assemble(lobes, s) * measure, (-2, -1))
+    return jnp.sum(inner.assemble(lobes, s).brdf(s) * measure, (-2, -1))
 
 
 def conservation(v: Values, s: Setting) -> Array:
@@ -175,50 +176,14 @@ def conservation(v: Values, s: Setting) -> Array:
     return jnp.stack([kept, safe_divide(through, mean)])
 
 
-def specular_loss(v: Values, s: Setting) -> Array:
-    """p(i, o) of specular light, HP17 Eq. 59-60."""
-    return jnp.exp(grazing_exponent(v, _effects(s)) * _log_base(s))
-
-
-def diffracted_loss(v: Values, s: Setting) -> Array:
-    """p(i, o) of diffracted light."""
-    return jnp.exp(grazing_exponent_diffracted(v, _effects(s)) * _log_base(s))
-
-
-def _log_base(s: Setting) -> Array:
-    return acquisition.grazing_log_base(s.geometry) if s.log_base is None else s.log_base
-
-
-def grazing_exponent(values: Values, effects: "TwoScale") -> Array:
-    """The acquisition's grazing exponent k of specular light at these parameter values; 0 where it is off."""
-    if effects.acquisition == "free":
-        return values[GRAZING.name]
-    if effects.acquisition == "derived":
-        return acquisition.derived_exponent(values["beta"], values["p"], effects.apparatus)
-    return jnp.asarray(0.0 if effects.acquisition == "off" else float(effects.acquisition))
-
-
-def grazing_exponent_diffracted(values: Values, effects: "TwoScale") -> Array:
-    """The same of diffracted light, from the width of (S * D) at normal incidence and the middle wavelength."""
-    if effects.diffraction == "off":
-        return jnp.zeros(())
-    if effects.acquisition == "free":
-        return values[GRAZING_DIFFRACTED.name]
-    if effects.acquisition == "derived":
-        if "diffracted_exponent" in values:
-            return values["diffracted_exponent"]
-        return derived_diffracted_exponent(values, effects)
-    return jnp.asarray(0.0 if effects.acquisition == "off" else float(effects.acquisition))
-
-
-def derived_diffracted_exponent(v: Values, effects: "TwoScale") -> Array:
-    """What the apparatus does to (S * D) over the rings that a footprint sees."""
-    rings = jnp.asarray(acquisition.RINGS_RAD)[:, None]
+def blurred_over_rings(v: Values, model: "TwoScale") -> Array:
+    """(S * D) over the rings that a footprint sees, at normal incidence and the middle wavelength."""
+    rings = jnp.asarray(RINGS_RAD)[:, None]
     ones = jnp.ones((1, 1))
-    inner = replace(effects.material, diffraction="quadrature", order=RING_ORDER)
+    inner = replace(model, diffraction="quadrature", order=RING_ORDER)
     middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
     s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), inner, (middle,))
-    return acquisition.exponent_of_lobe(blurred_lobe(v, s)[0, :, 0], effects.apparatus)
+    return blurred_lobe(v, s)[0, :, 0]
 
 
 def blurred_lobe(v: Values, s: Setting) -> Array:

@@ -7,12 +7,11 @@
 
 It is evaluated as factors, each a function of a part of the directions and of a part of the parameters (`terms`):
 
-    rho = masking (p_s specular / (cos_i cos_o) + p_d colour diffracted) + body,
+    rho = masking (specular / (cos_i cos_o) + colour diffracted) + body,
 
-specular being A_spec F D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). The two losses p(i, o) belong to the
-acquisition, not to the material: a blurred footprint dims what is sharp, each lobe as its width has it, and leaves the
-body as it is (docs/physics.md). On a grid specular and diffracted live on (theta_h, theta_d) alone and masking is a
-one-dimensional table. The conserving split (:mod:`merlfit.model.energy`) multiplies lobes and body once more.
+specular being A_spec F D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). On a grid specular and diffracted live on
+(theta_h, theta_d) alone and masking is a one-dimensional table. The conserving split (:mod:`merlfit.model.energy`)
+multiplies lobes and body once more.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,12 +26,13 @@ from jax.typing import ArrayLike
 
 from . import parameters as declared
 from . import terms
-from .acquisition import APPARATUS, Apparatus
+from .acquisition import epd_of_rings
 from .diffraction import renormalisation
 from .geometry import Geometry
+from .masking.smith import masking_table
+from .measured import Measured
 from .parameters import WAVELENGTHS_UM, Parameter
-from .reflectance import LEAST_ORDER, Factor, Reflectance, Setting, Values, evaluate
-from .shadowing import masking_table
+from .reflectance import LEAST_ORDER, Factor, Lobes, Reflectance, Setting, Values, evaluate
 from .terms import ANY, BODIES, WHICH
 
 HALF = float(np.log(np.log(2.0))) / 2  # tan(theta_h) is beta exp(HALF / p) where D has fallen to half
@@ -43,7 +43,6 @@ Split = Literal["printed", "conserving"]
 Colour = Literal["rayleigh_rice", "fresnel"]
 Index = Literal["usual", "complex", "real"]
 Body = Literal["none", "lambert", "plastic", "subsurface", "any"]
-Acquisition = Literal["off", "free", "derived"]
 Kind = tuple[Index, Body]
 KINDS: tuple[Kind, ...] = (
     ("complex", "none"), ("real", "lambert"), ("real", "plastic"), ("real", "subsurface"), ("complex", "lambert"),
@@ -75,10 +74,6 @@ class TwoScale(Reflectance):
             ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives.
         colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
             formula chosen for the mirror term).
-        acquisition: MERL's loss at grazing angles (HP17 Eq. 59-60), no part of the material. It acts on the lobes,
-            not on the body, and on each with an exponent of its own (docs/physics.md): ``off``; both exponents ``free``
-            (parameters); both ``derived`` from the widths of D and of (S * D); or a number in [0, 1] for both.
-        apparatus: the sphere, pixel and lamp that ``derived`` assumes.
         index: of refraction of the interface, per channel: ``complex`` (n + i k, a conductor), ``real`` (a
             dielectric), or ``usual``: complex over no body, real over one. A Lambert floor under a complex index is
             stray light and dust on a metal; plastic and subsurface ask how light gets through the interface, and so
@@ -99,8 +94,6 @@ class TwoScale(Reflectance):
     renormalised: bool = True
     split: Split = "printed"
     colour: Colour = "rayleigh_rice"
-    acquisition: Acquisition | float = "off"
-    apparatus: Apparatus = APPARATUS
     index: Index = "usual"
 
     def __post_init__(self) -> None:
@@ -109,21 +102,17 @@ class TwoScale(Reflectance):
             value, choices = getattr(self, field.name), get_args(field.type)
             if get_origin(field.type) is Literal and value not in choices:
                 raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
-            if field.type in (bool, int, Apparatus) and type(value) is not field.type:
+            if field.type in (bool, int) and type(value) is not field.type:
                 raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
         if not LEAST_ORDER <= self.order <= 256:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
         if not 1 <= self.zonal_order <= 1000:
             raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
-        number = type(self.acquisition) in (int, float)
-        if not (0 <= float(self.acquisition) <= 1 if number else self.acquisition in get_args(Acquisition)):
-            raise ValueError(f"acquisition {self.acquisition!r} is neither off, free, derived nor a number in [0, 1]")
         used = {
             "order": self.diffraction in ("quadrature", "scaled"),
             "zonal_order": self.diffraction == "zonal",
             "renormalised": self.diffraction != "off",
             "colour": self.diffraction != "off",
-            "apparatus": self.acquisition == "derived",
         }
         for name in (name for name, asked in used.items() if not asked):
             object.__setattr__(self, name, getattr(type(self), name))
@@ -135,6 +124,14 @@ class TwoScale(Reflectance):
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
         return _parameters(self)
+
+    @property
+    def lobes(self) -> tuple[str, ...]:  # noqa: D102
+        return ("specular",) if self.diffraction == "off" else ("specular", "diffracted")
+
+    @property
+    def variant(self) -> str:  # noqa: D102
+        return " ".join(self.kind)
 
     def factors(self) -> dict[str, Factor]:  # noqa: D102
         diffracts = self.diffraction != "off"
@@ -149,41 +146,31 @@ class TwoScale(Reflectance):
             table["body"] = terms.body_term
         if self._renormalises:
             table["conservation"] = terms.conservation
-        if self.acquisition not in ("off", 0.0):
-            table["specular_loss"] = terms.specular_loss
-            if diffracts:
-                table["diffracted_loss"] = terms.diffracted_loss
         return table
 
     def tables(self) -> dict[str, Factor]:  # noqa: D102
-        diffracts, found = self.diffraction != "off", {}
+        found: dict[str, Factor] = {}
         if self.masking != "none":
             found["masking_curve"] = lambda v, s: masking_table(v["p"])
-        if diffracts and self.renormalised:
+        if self.diffraction != "off" and self.renormalised:
             found["relative_variance"] = terms.relative_variance
         if self._renormalises:
             found["surface_albedo"] = terms.surface_albedo
-        if diffracts and self.acquisition == "derived":
-            found["diffracted_exponent"] = lambda v, s: terms.derived_diffracted_exponent(v, self)
         return found
 
-    def assemble(self, at: Values, s: Setting) -> Array:  # noqa: D102
-        rho = at["specular"] / (s.geometry.cos_i * s.geometry.cos_o)
-        if "specular_loss" in at:
-            rho = at["specular_loss"] * rho
+    def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
+        sharp = {"specular": at["specular"] / (s.geometry.cos_i * s.geometry.cos_o)}
         if "diffracted" in at:
-            diffracted = at["colour"] * at["diffracted"] if "colour" in at else at["diffracted"]
-            rho = rho + (at["diffracted_loss"] * diffracted if "diffracted_loss" in at else diffracted)
-        if "masking" in at:
-            rho = at["masking"] * rho
-        body = at.get("body")
+            sharp["diffracted"] = at["colour"] * at["diffracted"] if "colour" in at else at["diffracted"]
+        common, body = at.get("masking"), at.get("body")
         if "conservation" in at:
-            rho = at["conservation"][0] * rho
-            body = None if body is None else at["conservation"][1] * body
-        if body is not None:
-            rho = rho + body
-        rho = jnp.where(s.above, rho, 0.0)
-        return rho.astype(jnp.result_type(s.geometry.theta_h))  # reference and conserving split work in float64
+            kept, through = at["conservation"][0], at["conservation"][1:]
+            common = kept if common is None else common * kept
+            body = None if body is None else through[0] * body
+        return Lobes(sharp, common, body)
+
+    def profile(self, lobe: str, v: Values) -> Array:  # noqa: D102
+        return epd_of_rings(v["beta"], v["p"]) if lobe == "specular" else terms.blurred_over_rings(v, self)
 
     @property
     def _renormalises(self) -> bool:
@@ -215,10 +202,7 @@ class TwoScale(Reflectance):
     @property
     def chart(self) -> "TwoScale":  # noqa: D102
         body, diffraction = "none" if self.body == "none" else "lambert", "off" if self.diffraction == "off" else None
-        acquisition = "free" if self.acquisition == "free" else "off"
-        return TwoScale(
-            body, diffraction or "quadrature", renormalised=self.renormalised, acquisition=acquisition, index=self.index
-        )
+        return TwoScale(body, diffraction or "quadrature", renormalised=self.renormalised, index=self.index)
 
     @property
     def general(self) -> "TwoScale":
@@ -248,12 +232,7 @@ class TwoScale(Reflectance):
         return {WHICH: 0} if self.body == ANY else {}
 
     def ignored(self) -> frozenset[str]:  # noqa: D102
-        return _names_of_all()
-
-    @property
-    def material(self) -> "TwoScale":
-        """The same without what the apparatus adds."""
-        return replace(self, acquisition="off")
+        return super().ignored() | _names_of_all()
 
 
 @cache
@@ -263,18 +242,16 @@ def _general(model: TwoScale) -> TwoScale:
 
 @cache
 def _parameters(model: TwoScale) -> tuple[Parameter, ...]:
-    diffracts, free = model.diffraction != "off", model.acquisition == "free"
-    shared = declared.SURFACE + (declared.DIFFRACTION if diffracts else ())
-    losses = (declared.GRAZING, declared.GRAZING_DIFFRACTED) if diffracts else (declared.GRAZING,)
+    shared = declared.SURFACE + (() if model.diffraction == "off" else declared.DIFFRACTION)
     interface = declared.CONDUCTOR if model.index == "complex" else declared.INTERFACE
-    return shared + (losses if free else ()) + interface + (() if model.body == "none" else (declared.ALBEDO,))
+    return shared + interface + (() if model.body == "none" else (declared.ALBEDO,))
 
 
 @cache
 def _names_of_all() -> frozenset[str]:
     """Names that parameters and tables may have, so that values of a material do for fewer effects as well."""
-    every = [TwoScale(body, index=index, acquisition="free") for index, body in KINDS]
-    tables = [*TwoScale("lambert", split="conserving", acquisition="derived").tables()]
+    every = [TwoScale(body, index=index) for index, body in KINDS]
+    tables = [*TwoScale("lambert", split="conserving").tables()]
     return frozenset([*(q.name for model in every for q in model.parameters), *tables])
 
 
@@ -293,7 +270,7 @@ looks; the table instead of the quadrature; Eq. 27 itself."""
 def two_scale(
     params: Mapping[str, ArrayLike],
     geometry: Geometry,
-    model: TwoScale,
+    model: TwoScale | Measured,
     wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
 ) -> Array:
     """BRDF (1/sr) of a two-scale material for any directions and any number of wavelengths.
@@ -302,7 +279,7 @@ def two_scale(
         params: values by name, those of ``model.parameters``: scalars, and arrays of shape ``(C,)`` for those that
             are per channel.
         geometry: directions, scattered or as a broadcast grid.
-        model: which effects to simulate (static).
+        model: which effects to simulate (static), of the material alone or as an apparatus sees it.
         wavelengths_um: shape ``(C,)``, in micrometres.
 
     Returns:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import convolution
-from .ndf import epd
+from .ndf.epd import epd
 from .numerics import Real, Scalar
 from .quadrature import gauss_legendre
 

@@ -51,7 +51,7 @@ def compared(path, body):
     material, start = refit.Material(path), time.perf_counter()
     printed = material.searched(body)
     middle = time.perf_counter()
-    conserving = material.continued(printed, replace(printed.effects, split="conserving"))
+    conserving = material.continued(printed, replace(printed.material, split="conserving"))
     seconds = middle - start, time.perf_counter() - middle
     both = {"printed": told(printed, seconds[0]), "conserving": told(conserving, seconds[1])}
     return {"material": path.stem, "body": body, **both}

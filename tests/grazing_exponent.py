@@ -8,14 +8,13 @@ of materials may be given.
 import json
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.compilation import use_persistent_cache
 from merlfit.model.acquisition import APPARATUS, Apparatus, derived_exponent
-from merlfit.model.terms import grazing_exponent, grazing_exponent_diffracted
+from merlfit.model.measured import Measured
 
 from . import refit
 from .reconstructions import make
@@ -38,7 +37,7 @@ def told(fitted):
     values = layout.values(jnp.asarray(solution.z))
     where = layout.names.index("grazing_exponent") if "grazing_exponent" in layout.names else None
     free = where is not None and fitted.at_bound[where] == "no"
-    k, diffracted = (float(f(values, fitted.effects)) for f in (grazing_exponent, grazing_exponent_diffracted))
+    k, diffracted = (float(fitted.layout.model.exponent(lobe, values)) for lobe in ("specular", "diffracted"))
     return {
         "status": fitted.status.name, "converged": solution.converged, "cost": solution.cost,
         "rmse": fitted.errors.rmse, "beta": float(values["beta"]), "p": float(values["p"]), "k": k,
@@ -68,7 +67,7 @@ def compared(path, body):
     material = refit.Material(path)
     free = material.searched(body, STEPS)
     others = {
-        name: told(material.continued(free, replace(free.effects, acquisition=how), STEPS, STEPS))
+        name: told(material.continued(free, Measured(free.material, how), STEPS, STEPS))
         for name, how in (("derived", "derived"), ("none", 0.0))
     }
     return with_derived({"material": path.stem, "body": body, "free": told(free), **others})

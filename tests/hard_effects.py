@@ -4,8 +4,10 @@ from dataclasses import fields
 from functools import cache
 
 import jax.numpy as jnp
-from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel, ndf, scaled, shadowing, zonal
+from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel, scaled, zonal
 from merlfit.model.geometry import Geometry
+from merlfit.model.masking import smith
+from merlfit.model.ndf.epd import epd
 from merlfit.model.two_scale import TwoScale, two_scale
 
 if __package__:  # python -m tests.hard_cases; pytest has tests/ on its path
@@ -27,7 +29,7 @@ def specular_share(theta_d, wavelength_um, b, c, sigma_s):
 
 def masking_table(cos_theta, beta, p):
     """Masking where there are more directions than the table has nodes."""
-    return shadowing.masking(jnp.full(shadowing.TABLE_SIZE + 1, cos_theta), beta, p)[0]
+    return smith.masking(jnp.full(smith.TABLE_SIZE + 1, cos_theta), beta, p)[0]
 
 
 def grazing(cos_i, cos_o, exponent):
@@ -76,9 +78,9 @@ PAIRS = {
     "fresnel": (fresnel.fresnel, precise.fresnel),
     "schlick": (fresnel.schlick, precise.schlick),
     "diffraction_colour": (fresnel.diffraction_colour, precise.diffraction_colour),
-    "epd": (ndf.epd, precise.epd),
-    "smith_lambda": (shadowing.smith_lambda, precise.smith_lambda),
-    "masking": (shadowing.masking, precise.masking),
+    "epd": (epd, precise.epd),
+    "smith_lambda": (smith.smith_lambda, precise.smith_lambda),
+    "masking": (smith.masking, precise.masking),
     "masking_table": (masking_table, precise.masking),
     "renormalisation": (diffraction.renormalisation, precise.renormalisation),
     "lobe": (convolution.lobe, precise.lobe),

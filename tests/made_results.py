@@ -1,8 +1,10 @@
 """Results made by hand: what a fit would have written, without a fit."""
 
+import jax.numpy as jnp
 from merlfit.fitting import export
 from merlfit.fitting.config import Config
 from merlfit.fitting.transforms import layout_of
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 
@@ -10,9 +12,10 @@ def quantiles(value):
     return export.Quantiles(q05=0.9 * value, q50=value, q95=1.1 * value)
 
 
-def made(material="nickel", path="nickel.binary", effects=None, posterior=None, sha1="0" * 40, succeeded=True):
+def made(material="nickel", path="nickel.binary", model=None, posterior=None, sha1="0" * 40, succeeded=True):
     """A result with typical values; posterior: None, or whether it is sufficient."""
-    layout = layout_of(effects or TwoScale("none", acquisition="free"))
+    model = model or Measured(TwoScale("none"))
+    layout = layout_of(model)
     parameters = [
         export.ParameterResult(
             name=name, parameter=q.name, symbol=q.symbol, channel=name[-1] if q.per_channel else None,
@@ -27,9 +30,9 @@ def made(material="nickel", path="nickel.binary", effects=None, posterior=None, 
             path=path, material=material, sha1=sha1, git_blob_sha1="0" * 40, genuine_merl=None, fraction_valid=0.9,
             outliers=0,
         ),
-        model=export.Model(
-            effects=layout.effects, grazing_exponent=0.5, channels=["R", "G", "B"],
-            wavelengths_um=[0.645, 0.526, 0.444],
+        model=export.Model.of(
+            model if isinstance(model, Measured) else Measured(model, "off"),
+            {q.name: jnp.asarray(q.default) for q in model.parameters},
         ),
         parameters=parameters,
         fit=export.Fit(

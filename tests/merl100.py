@@ -35,7 +35,7 @@ def told(fitted, seconds):
     """What is kept of one fit."""
     s, names = fitted.solution, fitted.layout.names
     return {
-        "index": fitted.effects.index, "body": fitted.effects.body, "status": fitted.status.name,
+        "index": fitted.material.index, "body": fitted.material.body, "status": fitted.status.name,
         "weights": fitted.bend,
         "cost": s.cost, "steps": s.steps, "effective_bins": fitted.count, "seconds": seconds,
         "at_bound": [n for n, bound in zip(names, fitted.at_bound, strict=True) if bound != "no"],
@@ -58,7 +58,7 @@ def ladder(path, row):
     """The same material with one weight after the other, from where the compressive one ended."""
     start, config = time.perf_counter(), load(posterior=False, weights="adaptive")
     first = row["compressive"]
-    layout, measurement = config.layout_of((first["index"], first["body"])), read(path)
+    layout, measurement = config.layout_of(config.two_scale((first["index"], first["body"]))), read(path)
     samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     tried = descend(layout, layout.free(by_name(layout, first)), measurement, samples, config, Clock())
     spent = first["seconds"] + time.perf_counter() - start

@@ -71,7 +71,7 @@ def judged(row, path, pixels):
     found, spheres = {}, {"measured": pixels.render(np.where(lit, samples.value, 0.0))}
     for objective in filter(row.__contains__, OBJECTIVES):
         fit = row[objective]
-        layout = config.layout_of((fit["index"], fit["body"]))
+        layout = config.layout_of(config.two_scale((fit["index"], fit["body"])))
         predicted = predict_samples(layout, layout.free(by_name(layout, fit["parameters"])), samples)
         unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)
         found[objective] = errors(measured, unfolded[:, *BINS], used)

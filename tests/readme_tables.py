@@ -23,7 +23,7 @@ def fits(results):
     for r in results:
         t = r.seconds
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else "too short, no intervals"
-        body = r.model.effects.body if r.model else "-"
+        body = r.model.material.body if r.model else "-"
         rows.append(
             f"| {r.source.material} | {body} | {r.fit.status} | {number(r.fit.cost, 3)} "
             f"| {number(r.metrics.rmse, 3)} | {number(r.metrics.smape, 3)} "

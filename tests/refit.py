@@ -8,6 +8,7 @@ from merlfit.fitting.transforms import layout_of
 from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
+from merlfit.model.measured import Measured
 
 WHAT = (
     "Neural reconstructions of MERL materials (Sztrajman et al. 2021), not measurements: their sharp peaks are lower "
@@ -39,9 +40,11 @@ class Material:
         )
         return run.fit(self.measurement, self.samples, config)
 
-    def continued(self, fitted, effects, coarse_steps=60, max_steps=20):
-        """A fit with other effects from where another one ended, coarse grid first."""
-        layout = layout_of(effects, fitted.layout.priors)
+    def continued(self, fitted, model, coarse_steps=60, max_steps=20):
+        """A fit of another model from where another one ended, coarse grid first; a material is seen as before."""
+        layout = fitted.layout.with_material(model)
+        if isinstance(model, Measured):
+            layout = layout_of(model, fitted.layout.priors)
         near = solve(layout, layout.free(fitted.layout.values(fitted.solution.z)), self.coarse, coarse_steps)
         solution = solve(layout, near.z, self.whole, max_steps)
         return run.assess(layout, solution, self.measurement, self.samples)

@@ -10,7 +10,7 @@ ALLOWED = {"model": {"model"}, "merl_io": {"merl_io"}, "fitting": {"model", "mer
 LIBRARIES = {"model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"}}
 STANDARD = {
     "abc", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools",
-    "json", "math", "os", "pathlib", "stat", "struct", "tempfile", "threading", "types", "typing",
+    "json", "math", "operator", "os", "pathlib", "stat", "struct", "tempfile", "threading", "types", "typing",
 }  # fmt: skip
 
 

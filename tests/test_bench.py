@@ -18,6 +18,7 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.convolution import convolve
 from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale, two_scale
 
 METAL = {
@@ -61,7 +62,7 @@ def test_its_lobes_within_the_bounds_of_the_fit():
 
 
 def test_scipy_is_given_the_same_problem():
-    grid, layout = merl_grid(), layout_of(TwoScale("lambert", "off", acquisition="free"))
+    grid, layout = merl_grid(), layout_of(Measured(TwoScale("lambert", "off")))
     weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
     samples = thin(fold(grid, 0.3 + 0 * weight, weight), (10, 10, 45))
     z = np.random.default_rng(1).normal(size=layout.size) / 2

@@ -21,6 +21,8 @@ from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.acquisition import Apparatus
 from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
+from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import KINDS, PRESETS, TwoScale, two_scale
 from typer.testing import CliRunner
 
@@ -222,7 +224,7 @@ def test_unknown_material_and_source_name_the_nearest(tmp_path):
         ("[fit\n", "is not TOML"),
         ('[fit]\nmax_steps = "40"\n', "fit.max_steps"),
         ("[effects]\norder = true\n", "effects.order"),
-        ("[effects]\nacquisition = 2\n", "effects.acquisition: should be 'off', 'free', 'derived' or a number in"),
+        ("[acquisition]\ngrazing_loss = 2\n", "grazing_loss: should be 'off', 'free', 'derived' or a number in"),
         ("seed = -1\n", "seed"),
         ('[effects]\nindex = "usual"\n', "effects.index"),
         ('[fit]\nweights = "squared"\n', "fit.weights"),
@@ -268,22 +270,29 @@ def test_default_toml_is_the_defaults():
     assert parse(tomllib.loads(text), "default.toml") == Config()
     data = tomllib.loads(re.sub(r"^# (?=\w+ = )", "", text, flags=re.M))  # with the keys that presets set
     assert parse(data, "default.toml") == Config()
-    sections = ("effects", "apparatus", "priors", "fit", "posterior")
+    sections = ("model", "effects", "acquisition", "apparatus", "priors", "fit", "posterior")
     assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", *sections} == set(known_keys())
 
 
 def test_settings_of_effects_are_those_of_the_model():
     section = type(Config().effects).model_fields
     for field in dataclasses.fields(TwoScale):
-        if field.name not in ("index", "body", "acquisition", "apparatus"):
+        if field.name not in ("index", "body"):
             assert section[field.name].default == field.default
-    assert set(section) == {field.name for field in dataclasses.fields(TwoScale)} - {"apparatus"} | {"preset"}
+    assert set(section) == {field.name for field in dataclasses.fields(TwoScale)} | {"preset"}
+    chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False}
+    found = parse({"effects": chosen, "acquisition": {"grazing_loss": 0.5}}, "here")
+    assert found.two_scale(("complex", "none")) == Measured(TwoScale(**chosen), 0.5)
+
+
+def test_settings_of_the_acquisition_are_those_of_the_model():
+    assert Config().acquisition.grazing_loss == Measured.grazing_loss
     assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
-    chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False, "acquisition": 0.5}
-    assert parse({"effects": chosen}, "here").effects_of(("complex", "none")) == TwoScale(**chosen)
-    derived = {"effects": {"acquisition": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
-    lamp = parse(derived, "here").effects_of(("complex", "none")).apparatus
-    assert lamp == Apparatus(lamp_sigma_rad=0.01)
+    derived = {"acquisition": {"grazing_loss": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
+    lamp = parse(derived, "here").two_scale(("complex", "none"))
+    assert lamp == Measured(TwoScale(), "derived", Apparatus(lamp_sigma_rad=0.01))
+    with pytest.raises(ConfigError, match=r"'effects.acquisition' is called 'acquisition.grazing_loss' now"):
+        parse({"effects": {"acquisition": "off"}}, "here")
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -292,20 +301,19 @@ def test_presets_are_those_of_the_model(name):
         with pytest.raises(ConfigError, match="fit with quadrature"):
             parse({"effects": {"preset": name}}, "here")
         return
-    expected = dataclasses.replace(PRESETS[name], index="real", body="plastic", acquisition="free")
-    assert parse({"effects": {"preset": name}}, "here").effects_of(("real", "plastic")) == expected
-    assert load(preset=name, body="plastic").effects_of(("real", "plastic")) == expected
+    expected = dataclasses.replace(PRESETS[name], index="real", body="plastic")
+    assert parse({"effects": {"preset": name}}, "here").two_scale(("real", "plastic")) == Measured(expected)
+    assert load(preset=name, body="plastic").candidates == [Measured(expected)]
     beside = parse({"effects": {"preset": name, "masking": "none"}}, "here")
-    assert beside.effects_of(("real", "plastic")) == dataclasses.replace(expected, masking="none")
+    assert beside.two_scale(("real", "plastic")).material == dataclasses.replace(expected, masking="none")
 
 
 def test_the_command_line_replaces_the_preset_and_leaves_the_keys_beside_it(tmp_path):
     path = tmp_path / "settings.toml"
-    path.write_text('seed = 3\n[effects]\npreset = "conserving"\nmasking = "none"\nacquisition = 0.5\n')
+    path.write_text('seed = 3\n[effects]\npreset = "conserving"\nmasking = "none"\n[acquisition]\ngrazing_loss = 0.5\n')
     found = load(path, preset="preview", body="plastic", posterior=False)
     kind = {"index": "real", "body": "plastic"}
-    expected = dataclasses.replace(PRESETS["preview"], **kind, masking="none", acquisition=0.5)
-    assert found.effects_of(("real", "plastic")) == expected
+    assert found.candidates == [Measured(dataclasses.replace(PRESETS["preview"], **kind, masking="none"), 0.5)]
     assert found.seed == 3
     assert not found.posterior.enabled
     assert load(path, seed=5).seed == 5
@@ -338,10 +346,37 @@ def test_the_command_line_replaces_index_and_weights(tmp_path):
 )
 def test_kinds_are_those_that_agree_with_what_is_given(given, kinds):
     config = load(**given)
-    assert config.kinds == list(kinds)
-    for kind in kinds:
-        assert config.effects_of(kind).kind == kind
-        assert config.layout_of(kind).effects == config.effects_of(kind)
+    assert [model.material.kind for model in config.candidates] == list(kinds)
+    for model in config.candidates:
+        assert config.layout_of(model).model == model == config.two_scale(model.material.kind)
+
+
+def test_models_are_candidates_the_fewest_parameters_first():
+    assert load(model="ggx").candidates == [Measured(GGX())]
+    assert load(model=["ggx"]).model.name == "ggx"
+    found = load(model=["two-scale", "oren-nayar-qualitative", "ggx"]).candidates
+    assert [model.variant for model in found] == ["oren-nayar-qualitative", "ggx", *map(" ".join, KINDS)]
+    assert found[0].grazing_loss == "off"  # it has nothing sharp
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"model": {"name": "gx"}}, "model: there is no model 'gx'; the nearest is 'ggx'"),
+        ({"model": {"name": []}}, "should be one model, or several different ones"),
+        ({"model": {"name": ["ggx", "ggx"]}}, "should be one model, or several different ones"),
+        ({"model": {"name": 3}}, "model.name: should be a model's name, or a list of them, not 3"),
+        ({"model": {"name": "ggx", "order": 3}}, "model ggx has no setting 'order': it has no settings"),
+        ({"model": {"order": 3}}, r"order: settings of the two-scale model belong into \[effects\]"),
+        ({"model": {"name": ["ggx", "two-scale"], "order": 3}}, "order is a setting of one model"),
+        ({"model": {"name": "ggx"}, "effects": {"body": "lambert"}}, "effects.body is of the two-scale model"),
+        ({"acquisition": {"grazing_loss": 2}}, "acquisition.grazing_loss: should be 'off', 'free', 'derived' or a"),
+    ],
+    ids=str,
+)
+def test_models_that_cannot_be_fitted_are_refused(data, words):
+    with pytest.raises(ConfigError, match=words):
+        parse(data, "here")
 
 
 @pytest.mark.parametrize("body", ["plastic", "subsurface"])
@@ -366,7 +401,7 @@ def test_the_reference_is_refused_in_fits():
         ({"effects": {"zonal_order": 50}}, "diffraction is zonal"),
         ({"effects": {"preset": "microfacet", "colour": "fresnel"}}, "colour has an effect only where"),
         ({"effects": {"diffraction": "off", "renormalised": False}}, "renormalised has an effect only where"),
-        ({"apparatus": {"lamp_sigma_rad": 0.01}}, "acquisition is derived"),
+        ({"apparatus": {"lamp_sigma_rad": 0.01}}, "grazing_loss is derived"),
     ],
 )
 def test_keys_that_would_have_no_effect_are_refused(data, words):

@@ -9,6 +9,7 @@ import pytest
 import readme_commands
 import typer.main
 from merlfit.fitting import cli
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 TEXT = (readme_commands.ROOT / "README.md").read_text()
@@ -28,7 +29,7 @@ def test_the_readme_shows_every_command_but_the_demo():
 
 
 def test_the_readme_says_what_every_parameter_means():
-    every = {q.name for e in (TwoScale("none", acquisition="free"), TwoScale("lambert")) for q in e.parameters}
+    every = {q.name for e in (Measured(TwoScale("none")), TwoScale("lambert")) for q in e.parameters}
     assert every == set(re.findall(r"`([a-z_]+)`", "".join(re.findall(r"^(\|[^|]*\|).*Eq\. ", TEXT, re.MULTILINE))))
 
 

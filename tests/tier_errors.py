@@ -63,7 +63,8 @@ def evaluate(effects, values, wavelength, geometry):
         v = {name: x[None] if name in ("n", "k") else x for name, x in v.items()}
         s = setting(g, effects, wavelength[None])
         at = factor_values(shaped(v, s), s)
-        return effects.assemble(at, s)[0], effects.assemble({**at, "specular": jnp.zeros_like(at["specular"])}, s)[0]
+        diffracted = {**at, "specular": jnp.zeros_like(at["specular"])}
+        return tuple(effects.assemble(each, s).brdf(s)[0] for each in (at, diffracted))
 
     return jax.lax.map(one, (values, wavelength, geometry))
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file l
     from .merl_io.atomic import WriteError
     from .merl_io.binary import Measurement, MerlError, read, write
     from .model.geometry import Geometry
+    from .model.reflectance import evaluate
     from .model.registry import models
     from .model.two_scale import TwoScale, two_scale
 
@@ -35,13 +36,14 @@ _HOMES = {
     "merl_io.atomic": ("WriteError",),
     "merl_io.binary": ("Measurement", "MerlError", "read", "write"),
     "model.geometry": ("Geometry",),
+    "model.reflectance": ("evaluate",),
     "model.registry": ("models",),
     "model.two_scale": ("TwoScale", "two_scale"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "ChainError", "ConfigError", "Fit", "Geometry", "Measurement", "MerlError", "NoPicture", "ResultError", "TwoScale",
-    "WriteError", "fit", "load", "models", "read", "sample", "two_scale", "write",
+    "WriteError", "evaluate", "fit", "load", "models", "read", "sample", "two_scale", "write",
 ]  # fmt: skip
 
 

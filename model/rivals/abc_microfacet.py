@@ -6,8 +6,9 @@ from jax import Array
 
 from ..fresnel import fresnel
 from ..geometry import Geometry
+from ..masking.v_groove import v_groove
 from ..parameters import Parameter
-from .common import v_groove, visible, with_channels
+from .common import visible, with_channels
 from .smooth import lobe
 
 SOURCE = "Loew et al. 2012"

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..geometry import Geometry
-from ..numerics import floats, safe_divide
+from ..numerics import floats
 
 
 def with_channels(geometry: Geometry) -> tuple[Geometry, Array]:
@@ -30,18 +30,3 @@ def visible(diffuse_albedo: Array, specular: Array, above: Array) -> Array:
 def projected_half_squared(geometry: Geometry) -> Array:
     """Squared length of i + o projected on the surface, ``|i + o|^2 sin^2 theta_h = 4 cos_d^2 sin_h^2``."""
     return (2 * geometry.cos_d * jnp.sin(geometry.theta_h)) ** 2
-
-
-def v_groove(geometry: Geometry) -> Array:
-    """Masking and shadowing in V-grooves, min(1, 2 n.h n.i / h.i, 2 n.h n.o / h.i) (Cook & Torrance 1982)."""
-    lower = jnp.minimum(geometry.cos_i, geometry.cos_o)
-    return jnp.minimum(1.0, safe_divide(2 * jnp.cos(geometry.theta_h) * lower, geometry.cos_d))
-
-
-def beckmann_shape(theta_h: Array, roughness: Array) -> Array:
-    """``exp(-tan^2(theta_h) / m^2) / (m^2 cos^4 theta_h)``: Cook & Torrance's D; divided by pi it is normalised.
-
-    0 at the horizon, where the exponential beats every power. ``m`` is the root mean square slope.
-    """
-    tan2 = jnp.tan(theta_h) ** 2
-    return jnp.exp(-tan2 / roughness**2 + 2 * jnp.log1p(tan2)) / roughness**2

@@ -19,8 +19,10 @@ from jax import Array
 
 from ..fresnel import fresnel
 from ..geometry import Geometry
+from ..masking.v_groove import v_groove
+from ..ndf.beckmann import beckmann_shape
 from ..parameters import Parameter
-from .common import beckmann_shape, v_groove, visible, with_channels
+from .common import visible, with_channels
 
 
 class CookTorrance(eqx.Module):

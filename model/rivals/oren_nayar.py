@@ -30,8 +30,9 @@ class OrenNayarQualitative(OneFormula):
                               1.5, source="Oren & Nayar 1994, Eq. 17", prior=LogNormal(0.3, 2.5))  # fmt: skip
         return (roughness, ALBEDO)
 
-    def sharp(self, v: Values, s: Setting) -> Array:  # noqa: D102
-        return jnp.zeros_like(s.geometry.cos_i)
+    @property
+    def lobes(self) -> tuple[str, ...]:  # noqa: D102
+        return ()
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         g, square = s.geometry, v["roughness"] ** 2

@@ -30,7 +30,7 @@ class Whole:
         root = np.sqrt(samples.weight / energy(samples))
         self.shape, self.used = root.shape, root > 0
         self.root, self.target = root[self.used], (root * samples.value)[self.used]
-        predicted = lambda z, part: _predict(layout.effects, layout.values(z), part)  # noqa: E731
+        predicted = lambda z, part: _predict(layout.model, layout.values(z), part)  # noqa: E731
         self.predicted, self.jacobian = jax.jit(predicted), jax.jit(jax.jacfwd(predicted))
 
     def rows(self, compute, z):

@@ -60,7 +60,7 @@ def measure(seed):
     """Rank of the truth by coordinate, and how the fit and the chain ended."""
     config, layout, truth, measurement, samples = synthetic(int(seed))
     fitted = fit(measurement, samples, config)
-    told = {"body": layout.effects.body}
+    told = {"body": layout.material.body}
     if fitted is None or not fitted.status.succeeded:
         return {**told, "message": "no fit" if fitted is None else fitted.status.name, "ranks": None}
     with tempfile.TemporaryDirectory() as folder:

@@ -27,8 +27,8 @@ def measure(path, body, starts):
     """The runs from random points, the one from the data, and one of a longer search."""
     config = load(body=body, posterior=False)
     measurement = read(path)
-    (kind,) = config.kinds
-    samples, layout = weighted_samples(measurement, config.rungs[0], config.fit.theta_max), config.layout_of(kind)
+    (model,) = config.candidates
+    samples, layout = weighted_samples(measurement, config.rungs[0], config.fit.theta_max), config.layout_of(model)
 
     def run(config, first=None):
         return told(fit(measurement, samples, config, first=first))

@@ -71,7 +71,7 @@ def run(folder, out, every, on_cpu=False):
         return
     counts = COUNTS if device.platform == "gpu" else COUNTS_ON_CPU
     config = load(body=BODY, posterior=False)
-    layout = config.layout_of(*config.kinds)
+    layout = config.layout_of(*config.candidates)
     everything, preparing = prepared(materials(SOURCE)[: max(counts)], config)
     record = Record(
         "gpu", "Fits batched over materials",

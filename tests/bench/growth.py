@@ -27,7 +27,7 @@ NEVER = 1e-14  # tolerance that no step meets
 def measure(path, grid, azimuths, precision):
     """Seconds a step of a solve that has not converged, and the peaks before and after it (MiB)."""
     config = load(body=BODY)
-    layout = config.layout_of(*config.kinds)
+    layout = config.layout_of(*config.candidates)
     samples = thin(weighted_samples(read(path)), GRIDS[grid])
     problem = make_problem(samples, int(azimuths), precision)
     start = layout.free({**OPTICS, **read_off(samples).first})

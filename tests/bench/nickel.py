@@ -67,7 +67,7 @@ def lowest(layout, problem, fixed):
         x = np.log([*({**OTHERWISE, "p": p}[name] for name in own), *(1.0,) * 3, *(1.5,) * 3])
         best = values(least_squares(lambda x: np.asarray(near(x).value), x, slope, x_scale="jac", max_nfev=60).x)
         at = layout.values(jnp.asarray(layout.free(best)))
-        found.append((float(jnp.sum(cost(layout.effects, at, problem))), best))
+        found.append((float(jnp.sum(cost(layout.model, at, problem))), best))
     return min(found, key=lambda each: each[0])
 
 

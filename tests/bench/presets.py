@@ -26,7 +26,7 @@ def measure(preset, *paths):
             start = time.perf_counter()
             result = fit_file(path, Path(out), config)
             found.append({
-                "seconds": time.perf_counter() - start, "kind": " ".join(result.model.effects.kind),
+                "seconds": time.perf_counter() - start, "kind": result.model.material.variant,
                 "cost": result.fit.cost, "rmse": result.metrics.rmse, "smape": result.metrics.smape,
                 "status": result.fit.status,
             })  # fmt: skip

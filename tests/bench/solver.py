@@ -68,7 +68,7 @@ def ours(layout, z, problem):
 def measure(path, body):
     """Costs, evaluations and ends of both from random starting points, and seconds an evaluation of each."""
     config = load(body=body)
-    layout = cheaper(config.layout_of(*config.kinds), COARSE_ORDER)
+    layout = cheaper(config.layout_of(*config.candidates), COARSE_ORDER)
     problem = make_problem(thin(weighted_samples(read(path)), COARSE), COARSE_AZIMUTHS)
     rng, rows = np.random.default_rng(0), {"stock": [], "ours": []}
     for _ in range(STARTS):

@@ -18,8 +18,8 @@ TOLERANCES = {"ftol": 1e-6, "xtol": 1e-5}
 def coarse_optimum(path, body):
     """Config, layout, samples of all bins, and the coarse optimum from which `run.fit` goes on."""
     config = load(body=body, posterior=False)
-    (kind,) = config.kinds
-    layout, samples = config.layout_of(kind), weighted_samples(read(path), config.rungs[0], config.fit.theta_max)
+    (model,) = config.candidates
+    layout, samples = config.layout_of(model), weighted_samples(read(path), config.rungs[0], config.fit.theta_max)
     (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], read_off(samples), *make_coarse(samples), config)
     return config, layout, samples, found.z
 

@@ -17,6 +17,7 @@ from merlfit.fitting.problem import energy
 from merlfit.fitting.report import accuracy_line
 from merlfit.fitting.request import Request
 from merlfit.fitting.transforms import layout_of
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
@@ -50,10 +51,6 @@ def test_what_was_asked_and_reached_is_in_the_result():
     assert Result.model_fields["accuracy"].default is None
 
 
-# Part 4: points and held cases were chosen for the objective before theta_max and the grazing loss on the lobes
-NOT_CALIBRATED = pytest.mark.xfail(reason="to be calibrated anew, `merlfit cost`, for this objective", run=False)
-
-
 @pytest.fixture(scope="module")
 def one():
     """A material, its samples, and the best fit of it: from the parameters that it was made of."""
@@ -67,7 +64,7 @@ def one():
 def test_the_distance_is_that_of_all_bins(one):
     samples, _, fitted, problem = one
     layout, z = fitted.layout, fitted.solution.z
-    cheap = layout_of(TwoScale(layout.effects.body, "lobe", index=layout.effects.index, acquisition="free"))
+    cheap = layout_of(Measured(TwoScale(layout.material.body, "lobe", index=layout.material.index)))
     for a, b in (((layout, z), (layout, z + 0.1)), ((layout, z), (cheap, z))):
         here, there = (run.predict_samples(*model, samples) for model in (a, b))
         expected = np.sqrt(np.sum(samples.weight * (here - there) ** 2) / energy(samples))
@@ -78,20 +75,19 @@ def test_the_distance_is_that_of_all_bins(one):
 def test_the_step_that_remains_is_the_way_to_the_reference(one):
     _, config, fitted, problem = one
     layout, z = fitted.layout, fitted.solution.z
-    assert layout.effects.order == REFERENCE.order
+    assert layout.material.order == REFERENCE.order
     rng = np.random.default_rng(0)
     for size in (0.01, 0.1):
         moved = z + size * rng.normal(size=len(z))
         away = distance((layout, moved), (layout, z), problem)
         assert remaining((layout, moved), problem) == pytest.approx(away, rel=0.2)
         assert estimate((layout, moved), problem, config) == remaining((layout, moved), problem)
-    cheap = layout_of(TwoScale(layout.effects.body, index=layout.effects.index, order=8, acquisition="free"))
+    cheap = layout_of(Measured(TwoScale(layout.material.body, index=layout.material.index, order=8)))
     both = estimate((cheap, z), problem, config)
     assert both == pytest.approx(distance((cheap, z), (layout, z), problem) + remaining((layout, z), problem))
 
 
 @pytest.mark.slow
-@NOT_CALIBRATED
 def test_a_fit_that_misses_is_taken_on(one):
     samples, config, fitted, _ = one
     measured, *_ = measurement(HELD[0])
@@ -195,7 +191,6 @@ def held_case(name, wanted):
 
 
 @pytest.mark.slow
-@NOT_CALIBRATED
 def test_the_estimate_keeps_its_word_on_twenty_held_cases():
     assert len(set(HELD)) == 20
     assert not set(HELD) & set(calibration.names())

@@ -51,7 +51,7 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     up, slanted = np.array([0.0, 0.0, 1.0]), np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
     alone, measured = fit.brdf(up, slanted), fit.brdf(up, slanted, with_grazing_loss=True)
     assert alone.shape == (3, 2)
-    material = fit.result.model.effects.material
+    material = fit.result.model.material
     np.testing.assert_allclose(
         alone, merlfit.two_scale(fit.values, merlfit.Geometry.from_vectors(up, slanted), material)
     )

@@ -18,9 +18,10 @@ from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
-LAYOUT = layout_of(TwoScale("lambert", "off", acquisition="free"))
+LAYOUT = layout_of(Measured(TwoScale("lambert", "off")))
 
 
 def measured(seed):

@@ -82,5 +82,5 @@ def test_predictions_and_target_are_those_of_the_thinned_problem():
     rows = Rows.of(LAYOUT, samples, (5, COLUMNS, 1))
     away = z + 0.1
     found = np.sum((rows.predicted(away[None])[0] - rows.target) ** 2)
-    expected = float(np.sum(cost(LAYOUT.effects, LAYOUT.values(jnp.asarray(away)), make_problem(samples))))
+    expected = float(np.sum(cost(LAYOUT.model, LAYOUT.values(jnp.asarray(away)), make_problem(samples))))
     assert found == pytest.approx(expected, rel=0.2)

@@ -149,7 +149,6 @@ def test_errors_beyond_their_estimate_are_counted_as_astray():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="not run to its end since the objective changed (Part 4)", strict=False)
 def test_a_file_is_measured_from_beginning_to_end(monkeypatch, tmp_path, file):
     """With two cheap points, the second as reference, and three tiers of few directions, all in this process."""
     monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))

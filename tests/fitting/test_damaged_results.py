@@ -9,6 +9,7 @@ from made_results import made
 from merlfit.fitting import cli, plots
 from merlfit.fitting.export import ResultError, Source, read_result, write_result
 from merlfit.fitting.posterior import ChainError, read_chain
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
@@ -41,18 +42,25 @@ EDITS = {
     "1e999": (set_value("beta", math.inf), "value: is not a finite number"),
     "a missing parameter": (lambda d: drop(d, "beta"), "beta is missing"),
     "a missing channel": (lambda d: drop(d, "n_G"), "n_G is missing"),
-    "another body": (lambda d: d["model"]["effects"].update(body="plastic", index="real"), "eta_R is missing"),
-    "no such body": (lambda d: d["model"]["effects"].update(body="wood"), "should be 'none'"),
-    "complex under plastic": (lambda d: d["model"]["effects"].update(body="plastic"), "its index is real, not complex"),
+    "another body": (lambda d: d["model"]["settings"].update(body="plastic", index="real"), "eta_R is missing"),
+    "no such body": (lambda d: d["model"]["settings"].update(body="wood"), "body 'wood' is none of none, lambert"),
+    "no such model": (lambda d: d["model"].update(name="gx"), "there is no model 'gx'; the nearest is 'ggx'"),
+    "no such setting": (lambda d: d["model"]["settings"].update(bodies="none"), "two-scale has no setting 'bodies'"),
+    "an order that is text": (lambda d: d["model"]["settings"].update(order="32"), "order '32' should be of type int"),
+    "a lobe that is none": (lambda d: d["model"]["acquisition"]["exponents"].update(body=0.1), "exponents"),
+    "complex under plastic": (
+        lambda d: d["model"]["settings"].update(body="plastic"),
+        "its index is real, not complex",
+    ),
     "no wavelengths": (lambda d: d["model"].update(wavelengths_um=[]), "wavelengths_um has 0 entries, channels 3"),
     "four wavelengths": (lambda d: d["model"].update(wavelengths_um=[0.6] * 4), "wavelengths_um has 4 entries"),
     "negative wavelengths": (lambda d: d["model"].update(wavelengths_um=[-0.6] * 3), "-0.6 is not between 0.1 and 10"),
-    "exact": (lambda d: d["model"]["effects"].update(diffraction="exact"), "no fit uses it"),
+    "exact": (lambda d: d["model"]["settings"].update(diffraction="exact"), "no fit uses it"),
     "no channels": (lambda d: d["model"].update(channels=[]), "channels should be R, G, B, not none"),
     "empty sizes": (lambda d: d["posterior"].update(effective_size=[]), "effective_size has 0 entries, coordinates 13"),
     "no version": (lambda d: d.pop("schema_version") and None, "schema_version: is missing"),
     "newer": (lambda d: d.update(schema_version="9.0"), r"by a newer merlfit \(schema 9.0.*: update merlfit"),
-    "newer minor": (lambda d: d.update(schema_version="1.999"), "by a newer merlfit"),
+    "newer minor": (lambda d: d.update(schema_version="2.999"), "by a newer merlfit"),
     "unknown version": (lambda d: d.update(schema_version="one"), "schema_version 'one' is none of 1.0"),
     "an absolute name": (lambda d: d["source"].update(material="/tmp/abs"), "is not the name of a file"),
     "a name elsewhere": (lambda d: d["source"].update(material="../../evil"), "is not the name of a file"),
@@ -88,11 +96,9 @@ def test_every_command_refuses_an_edited_result_and_writes_nothing(command, tmp_
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "b", "edited.json"]
 
 
-@pytest.mark.parametrize(
-    "effects", [TwoScale("plastic", acquisition="free"), TwoScale("none", "off"), TwoScale("lambert")]
-)
+@pytest.mark.parametrize("effects", [Measured(TwoScale("plastic")), TwoScale("none", "off"), TwoScale("lambert")])
 def test_results_of_a_fit_come_back_as_they_were(effects, tmp_path):
-    result = made(effects=effects, posterior=True)
+    result = made(model=effects, posterior=True)
     write_result(tmp_path / "x.json", result)
     assert read_result(tmp_path / "x.json") == result
 

@@ -1,13 +1,12 @@
 """The demo: a file of known parameters that does not get in the way of others, and what is said of its fit."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from made_results import made, quantiles
 from merlfit.fitting import cli, demo, files
 from merlfit.fitting.export import write_result
 from merlfit.merl_io.binary import genuine_names, read, write
+from merlfit.model.measured import Measured
 from typer.testing import CliRunner
 
 
@@ -18,7 +17,7 @@ def stand_in(monkeypatch, tmp_path):
     monkeypatch.setattr(demo, "values", lambda: np.full((3, 90, 90, 180), 0.5))
 
     def fit(path, out, settings, *_):
-        result = made(path.stem, str(path), effects=demo.EFFECTS)
+        result = made(path.stem, str(path), model=demo.EFFECTS)
         true = [x for q in demo.EFFECTS.parameters for x in np.ravel(demo.TRUTH[q.name])]
         for k, (q, x) in enumerate(zip(result.parameters, true, strict=True)):
             q.value, q.quantiles = float(x), quantiles(float(x) if k else 2 * float(x))
@@ -61,9 +60,8 @@ def test_its_name_is_none_of_merl():
 def test_no_apparatus_is_fitted_to_a_synthetic_material():
     settings = demo.settings(3)
     assert settings.seed == 3
-    assert settings.effects_of(demo.EFFECTS.kind) == replace(demo.EFFECTS, acquisition="off")
-    assert settings.kinds == [demo.EFFECTS.kind]
+    assert settings.candidates == [Measured(demo.EFFECTS, "off")]
 
 
 def test_without_intervals_the_verdict_says_so():
-    assert "no intervals" in demo.verdict(made(effects=demo.EFFECTS))
+    assert "no intervals" in demo.verdict(made(model=demo.EFFECTS))

@@ -16,6 +16,7 @@ from merlfit.fitting.terminal import Stopped
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, MerlError, write
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
@@ -208,7 +209,7 @@ def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
 def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monkeypatch):
     monkeypatch.setattr("merlfit.fitting.synthesis.tabulate", lambda evaluate: evaluate)
     seen = []
-    monkeypatch.setattr("merlfit.fitting.synthesis.two_scale", lambda *words: seen.append(words[2]))
+    monkeypatch.setattr("merlfit.fitting.synthesis.evaluate", lambda *words: seen.append(words[0]))
     monkeypatch.setattr("merlfit.merl_io.binary.write", lambda out, values: values(None))
     monkeypatch.setattr("merlfit.fitting.compilation.use_persistent_cache", lambda: None)
     put_result(tmp_path)
@@ -217,7 +218,7 @@ def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monk
     assert "--with-grazing-loss" in alone.stdout
     lossy = call("synth", tmp_path / "nickel.json", "-o", tmp_path / "x.binary", "--with-grazing-loss")
     assert "with the grazing loss of MERL's apparatus" in " ".join(lossy.stdout.split())
-    assert [e.acquisition for e in seen] == ["off", "free"]
+    assert seen == [TwoScale("none"), Measured(TwoScale("none"))]
     refused = call("synth", "nickel", "-o", tmp_path / "x.binary", "--with-grazing-loss")
     assert refused.exit_code == cli.BAD_INPUT
 

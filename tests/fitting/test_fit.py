@@ -1,6 +1,5 @@
 """From a file on disk to parameters: known materials are recovered, solvers agree, statuses tell the truth."""
 
-import dataclasses
 from pathlib import Path
 
 import equinox as eqx
@@ -24,6 +23,7 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
 from merlfit.model.acquisition import derived_exponent
 from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import KINDS, TwoScale, two_scale
 from plain_jacobian import difference, plain
 
@@ -36,15 +36,14 @@ PLASTIC = {
     "albedo": np.array([0.5, 0.2, 0.05]),
 }  # fmt: skip
 EXPONENTS = {"grazing_exponent": 0.35, "grazing_exponent_diffracted": 0.15}
-FREE = layout_of(TwoScale("none", acquisition="free"))
+FREE = layout_of(Measured(TwoScale("none")))
 
 
 def tabulate(values, effects, exponents=EXPONENTS):
     """What MERL's apparatus would have stored of a material: synthetic data."""
     grid = merl_grid()
     parts = []
-    measured = dataclasses.replace(effects, acquisition="free")
-    compiled = jax.jit(lambda g: two_scale({**values, **exponents}, g, measured))
+    compiled = jax.jit(lambda g: two_scale({**values, **exponents}, g, Measured(effects)))
     for rows in np.split(np.arange(90), 9):
         g = Geometry.from_half_difference(
             grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]
@@ -75,10 +74,10 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
         np.testing.assert_allclose(found, truth[parameter], err_msg=parameter, **close)
     assert result.fit.cost < 1e-6
     if body == "auto":
-        assert result.model.effects.kind == ("real", "plastic")
-        assert [(c.index, c.body) for c in result.fit.candidates] == list(KINDS)
+        assert result.model.material.kind == ("real", "plastic")
+        assert [c.variant for c in result.fit.candidates] == [" ".join(kind) for kind in KINDS]
         best = min(result.fit.candidates, key=lambda c: c.score)
-        assert (best.index, best.body) == ("real", "plastic")
+        assert (best.model, best.variant) == ("two-scale", "real plastic")
     assert (tmp_path / f"{name}.json").is_file()
 
 
@@ -90,7 +89,7 @@ def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):
     make_merl.main(tmp_path, "nickel")
     result = run.fit_file(tmp_path / "nickel.binary", tmp_path, load(index="complex", posterior=False))
     assert result.fit.succeeded
-    assert result.model.effects.kind == ("complex", "lambert")
+    assert result.model.material.kind == ("complex", "lambert")
     assert all(0 < x < 0.02 for x in result.values()["albedo"])
     assert result.fit.cost < 0.0105
     assert result.metrics.rmse < 0.05
@@ -126,19 +125,19 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     """Rows of three azimuths and as many nodes: nothing is gathered but the bins themselves."""
     samples = thin(coarse[0], (run.COARSE[0], 5, 30))
     problem = make_problem(samples)
-    others = [TwoScale("plastic", acquisition="derived"), TwoScale("lambert", "zonal", acquisition=0.3)]
+    others = [Measured(TwoScale("plastic"), "derived"), Measured(TwoScale("lambert", "zonal"), 0.3)]
     for layout in (FREE, *map(layout_of, [*others, TwoScale("lambert", "off", split="conserving")])):
         z = jnp.asarray(np.random.default_rng(1).normal(size=layout.size))
         expected, found = plain(layout, z, samples), np.asarray(normal_equations(layout, z, problem))
         assert difference(found, expected) < 1e-9
-        alone = np.asarray(cost(layout.effects, layout.values(z), problem))
+        alone = np.asarray(cost(layout.model, layout.values(z), problem))
         np.testing.assert_allclose(alone, found[:, -1, -1], rtol=1e-10)
 
 
 @pytest.mark.slow
 def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
     samples = thin(coarse[0], (10, 10, 1))
-    other = TwoScale("subsurface", "lobe", masking="height_correlated", acquisition="free")
+    other = Measured(TwoScale("subsurface", "lobe", masking="height_correlated"))
     for layout in (FREE, layout_of(other)):
         z = jnp.asarray(np.random.default_rng(2).normal(size=layout.size))
         expected = plain(layout, z, samples)
@@ -151,10 +150,10 @@ def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
 def test_the_program_of_all_kinds_has_the_normal_equations_of_each(coarse, kind):
     """A dielectric as a conductor with k = 0, a body chosen when the program runs, albedo 0 for none."""
     problem = make_problem(thin(coarse[0], run.CANDIDATES), 2)
-    layout = run.cheaper(layout_of(TwoScale(kind[1], index=kind[0], acquisition="free")), 8)
+    layout = run.cheaper(layout_of(Measured(TwoScale(kind[1], index=kind[0]))), 8)
     z = jnp.asarray(np.random.default_rng(3).normal(size=layout.size))
     values, slopes = layout.values_and_slopes(z)
-    alone = sum(np.asarray(_normal_equations(layout.effects, values, part)) for part in problem.parts)
+    alone = sum(np.asarray(_normal_equations(layout.model, values, part)) for part in problem.parts)
     expected = spread_out(layout, np.asarray(slopes), alone, np.asarray(problem.rest))
     assert difference(normal_equations(layout, z, problem), expected) < 1e-12
 
@@ -180,7 +179,7 @@ def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
 def test_solvers_of_three_libraries_agree(coarse):
     samples = coarse[0]
     problem = make_problem(thin(samples, (10, 10, 45)))
-    layout = layout_of(TwoScale("none", "lobe", acquisition="free"))
+    layout = layout_of(Measured(TwoScale("none", "lobe")))
     start = layout.free({**CONDUCTOR, **EXPONENTS}) + 0.1
     ours, minpack, jaxopt = (solve(layout, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
     assert ours.cost < solve(layout, start, problem, 1).cost / 10
@@ -236,7 +235,7 @@ def test_data_below_the_horizon_are_left_out():
     assert not np.any(samples.weight[:, ~grid.above[..., :90]])
     problem = make_problem(thin(samples, (1, 3, 10)))
     for grazing_loss in ("free", 0.0):
-        layout = layout_of(TwoScale("lambert", "off", acquisition=grazing_loss))
+        layout = layout_of(Measured(TwoScale("lambert", "off"), grazing_loss))
         assert np.all(np.isfinite(normal_equations(layout, jnp.zeros(layout.size), problem)))
 
 

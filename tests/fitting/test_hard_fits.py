@@ -12,6 +12,7 @@ from merlfit.fitting.problem import make_problem
 from merlfit.fitting.transforms import layout_of
 from merlfit.fitting.weights import weighted_samples
 from merlfit.merl_io.samples import thin
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 FILES = {file["name"]: file for file in hard_table.table()[2]}
@@ -37,7 +38,7 @@ def test_the_check_of_fits_sees_a_wrong_status_and_a_parameter_that_is_not_finit
 
 # --- Starts at the edges, with everything that the model has
 
-WHOLE = layout_of(TwoScale("none", acquisition="free"))
+WHOLE = layout_of(Measured(TwoScale("none")))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ OTHERS = {
     "conserving": layout_of(TwoScale("plastic", "lobe", split="conserving")),
     "zonal": layout_of(TwoScale(diffraction="zonal", zonal_order=25)),
     "scaled": layout_of(TwoScale(diffraction="scaled", order=8)),
-    "subsurface, derived": layout_of(TwoScale("subsurface", "lobe", acquisition="derived")),
+    "subsurface, derived": layout_of(Measured(TwoScale("subsurface", "lobe"), "derived")),
 }
 MARKS = {**dict.fromkeys(OTHERS, ()), "conserving": pytest.mark.slow}  # seconds a step
 

@@ -49,7 +49,7 @@ def test_the_likelihood_is_that_of_so_many_residuals_of_the_size_at_the_fit(fitt
     _, problem, best = fitted
     assert log_likelihood(LAYOUT, best.z, problem, COUNT, best.cost) == pytest.approx(-COUNT / 2)
     z = best.z + 0.1
-    expected = -COUNT / 2 * float(jnp.sum(cost(LAYOUT.effects, LAYOUT.values(jnp.asarray(z)), problem))) / best.cost
+    expected = -COUNT / 2 * float(jnp.sum(cost(LAYOUT.model, LAYOUT.values(jnp.asarray(z)), problem))) / best.cost
     assert log_likelihood(LAYOUT, z, problem, COUNT, best.cost) == pytest.approx(expected)
     assert log_likelihood(LAYOUT, np.full(len(z), np.nan), problem, COUNT, best.cost) == -np.inf
 

@@ -6,24 +6,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from merlfit.fitting import cli
+from merlfit.fitting.export import read_result
 from merlfit.fitting.levenberg_marquardt import solve
 from merlfit.fitting.problem import directions, make_problem
 from merlfit.fitting.residuals import cost, normal_equations, predict
+from merlfit.fitting.synthesis import tabulate
 from merlfit.fitting.transforms import layout_of
+from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
+from merlfit.model.ndf.ggx import D
 from merlfit.model.parameters import Parameter
 from merlfit.model.reflectance import evaluate, reads
 from merlfit.model.registry import models
-from merlfit.model.rivals.ggx import GGX, D
+from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar import OrenNayarQualitative
 from oracles import rivals
 from oracles.facets import direction
 from plain_jacobian import difference, plain
+from typer.testing import CliRunner
 
 UP = np.array([0.0, 0.0, 1.0])
 MODELS = [kind() for kind in models().values()]
+MEASURED = [Measured(model, how) for model in MODELS for how in ("free", "derived") if model.lobes]
 RIVALS = [m for m in MODELS if m.name != "two-scale"]
 TRUTH = {
     "ggx": {"alpha": 0.15, "F0": np.array([0.9, 0.6, 0.3]), "albedo": np.array([0.02, 0.1, 0.3])},
@@ -44,7 +52,7 @@ def of_model(model, samples, values):
     return dataclasses.replace(samples, value=predict(model, values, where))
 
 
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize("model", [*MODELS, *MEASURED], ids=lambda m: f"{m.name} {m}")
 def test_normal_equations_are_those_of_the_plain_jacobian(model, few):
     layout, rng = layout_of(model), np.random.default_rng(5)
     samples = dataclasses.replace(few, value=rng.uniform(0.1, 1.0, few.value.shape))
@@ -54,6 +62,41 @@ def test_normal_equations_are_those_of_the_plain_jacobian(model, few):
     np.testing.assert_allclose(
         cost(model, layout.values(z), make_problem(samples)), found[:, -1, -1], rtol=1e-10
     )  # which does without derivatives
+
+
+@pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)
+def test_the_commands_do_with_a_rival_what_they_do_with_the_two_scale_model(model, tmp_path):
+    """Fitted among all models, sampled, inspected, tabulated; every number comes back."""
+    truth, exponents = TRUTH[model.name], {"grazing_exponent": 0.3} if model.lobes else {}
+    seen = Measured(model)
+    values = tabulate(lambda g: evaluate(seen, truth | exponents, g))
+    path, rng = tmp_path / "made.binary", np.random.default_rng(0)
+    write(path, values * np.exp(0.05 * rng.standard_normal(values.shape)))
+
+    def call(*words):
+        shown = CliRunner().invoke(cli.app, [str(word) for word in words], env={"COLUMNS": "120"})
+        assert shown.exit_code == 0, shown.output
+        return " ".join(shown.output.split())
+
+    others = [word for name in models() if name != "two-scale" for word in ("--model", name)]
+    said = call("fit", path, *others, "--posterior", "-o", tmp_path)
+    assert f"made {model.name} CONVERGED" in said
+    result = read_result(tmp_path / "made.json")
+    assert result.model.measured == seen
+    assert {c.model for c in result.fit.candidates} == {m.name for m in RIVALS}
+    for name, value in result.values().items():
+        np.testing.assert_allclose(value, (truth | exponents)[name], rtol=0.05, err_msg=name)
+        quantiles = [q.quantiles for q in result.parameters if q.parameter == name]
+        assert all(q.q05 < q.q50 < q.q95 for q in quantiles)
+        np.testing.assert_allclose([q.q50 for q in quantiles], (truth | exponents)[name], rtol=0.01, err_msg=name)
+    assert f"{model.name}, grazing exponent" in call("inspect", tmp_path / "made.json") or not model.lobes
+    assert {"made.lobes.png", "made.corner.png"} <= {p.name for p in tmp_path.iterdir()}
+    loss = ["--with-grazing-loss"] if model.lobes else []
+    assert f"from the {model.name} fit of made" in call(
+        "synth", tmp_path / "made.json", "-o", tmp_path / "again.binary", *loss
+    )
+    again, valid = read(tmp_path / "again.binary"), merl_grid().above
+    np.testing.assert_allclose(again.values[:, valid], values[:, valid], rtol=0.05)
 
 
 @pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)

@@ -11,9 +11,10 @@ from merlfit.fitting.metrics import Errors
 from merlfit.fitting.outcome import METAL_FLOOR, POOR, Fitted, cautions
 from merlfit.fitting.selection import ALIKE, MARGIN
 from merlfit.fitting.transforms import layout_of
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
-LAYOUT = layout_of(TwoScale("lambert", index="complex", acquisition="free"))
+LAYOUT = layout_of(Measured(TwoScale("lambert", index="complex")))
 VALUES = {
     "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
     "grazing_exponent_diffracted": 0.2, "n": np.full(3, 1.5), "k": np.full(3, 3.0), "albedo": np.full(3, 0.01),
@@ -80,7 +81,7 @@ def test_other_kinds_are_named_by_the_rule_that_chooses():
     figures = [(0.01, 0.02, 0.0), (0.0101, 0.0201, 0.9 * ALIKE), (0.0099, 0.0199, 1.1 * ALIKE)]
     figures.append((0.01 * 1.1 * MARGIN, 0.02, 0.5 * ALIKE))
     candidates = [
-        Candidate(index=index, body=body, cost=j, objective=j, cube_root=e, score=score)
+        Candidate(model="two-scale", variant=f"{index} {body}", cost=j, objective=j, cube_root=e, score=score)
         for (index, body), (j, e, score) in zip(kinds, figures, strict=True)
     ]
     words = said(fitted(candidates=candidates))

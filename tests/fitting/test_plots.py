@@ -9,6 +9,7 @@ from merlfit.fitting import plots
 from merlfit.fitting.plots import corner_figure, lobe_figure
 from merlfit.merl_io.binary import DIMS, Measurement
 from merlfit.merl_io.grid import merl_grid
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 
@@ -30,7 +31,7 @@ def measurement():
 
 def test_every_datum_of_a_peak_is_drawn():
     """A narrow peak: the brightest datum of every channel is among the marks, at its own angle and height."""
-    grid, result = merl_grid(), made(effects=TwoScale("none"))
+    grid, result = merl_grid(), made(model=TwoScale("none"))
     lobe = np.exp(-((np.degrees(grid.theta_h) / 0.6) ** 2))[:, None, None] + 0.01
     values = np.where(grid.above, lobe * np.ones((3, 1, 1, 1)), np.nan)
     figure = lobe_figure(result, Measurement(Path("nickel.binary"), values, np.isfinite(values[0]), 0, 0, 0, "", ""))
@@ -123,7 +124,7 @@ def test_a_chain_too_short_for_intervals_is_drawn_and_gives_the_lobes_no_band(tm
 
 @pytest.mark.parametrize("acquisition", ["free", "off"])
 def test_the_lobe_plot_has_a_log_view_a_peak_and_residuals(acquisition, measurement):
-    result = made(effects=TwoScale("none", acquisition=acquisition))
+    result = made(model=Measured(TwoScale("none"), acquisition))
     figure = lobe_figure(result, measurement)
     cubic, logarithmic, (peak, by_half, by_difference) = figure.axes[:5], figure.axes[5:10], figure.axes[10:]
     assert {a.get_yscale() for a in cubic} == {"linear"}
@@ -139,11 +140,10 @@ def test_the_lobe_plot_has_a_log_view_a_peak_and_residuals(acquisition, measurem
 
 def test_residuals_are_fit_over_file(measurement, monkeypatch):
     """A fit that is twice the file everywhere."""
-    result = made(effects=TwoScale("none"))
+    result = made(model=TwoScale("none"))
     file = np.array([0.3, 0.2, 0.1])
-    monkeypatch.setattr(
-        plots, "_predicted", lambda model, values, h, d, p: 2 * np.ones((3, 90, 45, 7)) * file[:, None, None, None]
-    )
+    twice = 2 * np.ones((3, 90, 45, 7)) * file[:, None, None, None]
+    monkeypatch.setattr(plots, "_predicted", lambda *_, loss: twice)
     figure = plots.Figure()
     plots._ratios(*figure.subplots(1, 2), result, measurement)
     for axis in figure.axes:

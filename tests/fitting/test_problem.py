@@ -10,10 +10,11 @@ from merlfit.fitting.problem import make_problem
 from merlfit.fitting.residuals import cost, predict
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 DRAWS = 24
-EFFECTS = TwoScale("none", "lobe", acquisition="free"), TwoScale("subsurface", "lobe", acquisition="free")
+EFFECTS = Measured(TwoScale("none", "lobe")), Measured(TwoScale("subsurface", "lobe"))
 
 
 def predictions(effects, samples, draws):

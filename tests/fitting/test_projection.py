@@ -13,6 +13,7 @@ from merlfit.fitting.run import predict_samples
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import KINDS, TwoScale
 
 SHARED = {"beta": 0.15, "p": 0.7, "b": 1.5, "c": 1.8, "sigma_s": 0.03, "grazing_exponent": 0.3,
@@ -28,10 +29,10 @@ OPTICS = {
 }
 
 
-def effects_of(kind):
+def measured(kind):
     """F colours the diffracted light, which makes projection exact."""
     index, body = kind
-    return TwoScale(body, "lobe", index=index, colour="fresnel", acquisition="free")
+    return Measured(TwoScale(body, "lobe", index=index, colour="fresnel"))
 
 
 def batch(candidates):
@@ -58,11 +59,11 @@ def blank():
 @pytest.fixture(scope="module", params=OPTICS, ids=" ".join)
 def made(request, blank):
     """Effects with a body, a problem of data that they explain, and what projection finds for three candidates."""
-    layout = layout_of(effects_of(request.param))
+    layout = layout_of(measured(request.param))
     value = predict_samples(layout, layout.free({**SHARED, **OPTICS[request.param]}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)
-    together = project([effects_of(kind) for kind in OPTICS], batch([SHARED, *OTHERS]), problem)
-    return layout.effects, problem, *together[list(OPTICS).index(request.param)]
+    together = project([measured(kind) for kind in OPTICS], batch([SHARED, *OTHERS]), problem)
+    return layout.model, problem, *together[list(OPTICS).index(request.param)]
 
 
 def test_every_candidate_has_the_model_s_cost(made):
@@ -73,7 +74,7 @@ def test_every_candidate_has_the_model_s_cost(made):
     for k, shared in enumerate([SHARED, *OTHERS]):
         values = one(found, k)
         assert {name: float(values[name]) for name in SHARED} == shared
-        assert all(values[name].shape == (3,) for name in OPTICS[effects.kind])
+        assert all(values[name].shape == (3,) for name in OPTICS[effects.material.kind])
         assert costs[k] == pytest.approx(cost_of(effects, values, problem), rel=1e-5)
 
 
@@ -92,9 +93,9 @@ def test_what_the_data_were_made_of_is_found(made):
     effects, _, costs, found = made
     assert np.argmin(costs) == 0
     assert costs[0] < 0.02
-    if effects.index == "real":
+    if effects.material.index == "real":
         assert np.all(np.abs(found["eta"][0] - 1.6) < 0.15)
-    if effects.body != "none":
+    if effects.material.body != "none":
         assert np.all(np.abs(np.log(found["albedo"][0] / ALBEDO)) < np.log(1.8))
 
 
@@ -117,11 +118,11 @@ def test_batches_do_not_mix_their_candidates(made, monkeypatch):
 
 def test_diffracted_light_coloured_by_q_is_projected_roughly(blank):
     """Between F and Q are 9 % of the energy of data made with F; with other constants it is nearly always more."""
-    layout = layout_of(effects_of(("complex", "none")))
+    layout = layout_of(measured(("complex", "none")))
     alike = {**SHARED, "grazing_exponent_diffracted": SHARED["grazing_exponent"]}
     value = predict_samples(layout, layout.free({**alike, **METAL}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)
-    effects = replace(layout.effects, colour="rayleigh_rice")
+    effects = Measured(replace(layout.material, colour="rayleigh_rice"))
     values = one(project([effects], batch([alike]), problem)[0][1], 0)
     here, rng = cost_of(effects, values, problem), np.random.default_rng(3)
     assert here < 0.12

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
 import jax.numpy as jnp
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 from made_results import made
 from merlfit.fitting import export
-from merlfit.fitting.config import Config
+from merlfit.fitting.config import Config, parse
 from merlfit.fitting.identifiability import identifiability, priors
 from merlfit.fitting.laplace import laplace_covariance
 from merlfit.fitting.run import fit_file
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.binary import DIMS, write
+from merlfit.model.acquisition import Apparatus
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from scipy.stats import norm
 
@@ -28,7 +31,7 @@ def test_every_field_of_the_schema_is_described():
             assert not re.search(":[a-z]+:`", told["description"])
 
 
-LAYOUT = layout_of(TwoScale("lambert", acquisition="free"))
+LAYOUT = layout_of(Measured(TwoScale("lambert")))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +65,7 @@ def test_results_before_covariances_can_be_read(found):
     assert export.Identifiability.model_validate(data).priors is None
 
 
-@pytest.mark.parametrize("effects", [TwoScale("lambert", acquisition="free"), TwoScale("none")], ids=str)
+@pytest.mark.parametrize("effects", [Measured(TwoScale("lambert")), TwoScale("none")], ids=str)
 def test_priors_for_programs_are_those_of_the_coordinates(effects):
     """The cut log-normal distribution function of the quantity, less its offset, is that of z."""
     layout = layout_of(effects)
@@ -91,7 +94,7 @@ def test_priors_for_programs_are_those_of_the_coordinates(effects):
 
 def test_a_prior_that_was_changed_is_told_as_it_is():
     changed = Config.model_validate({"priors": {"b": {"median": 5.0, "factor": 2.0}}})
-    told = {p.parameter: p for p in priors(changed.layout_of(("complex", "none")))}
+    told = {p.parameter: p for p in priors(changed.layout_of(changed.two_scale(("complex", "none"))))}
     assert (told["b"].median, told["b"].factor, told["b"].quantity) == (5.0, 2.0, "b")
     assert told["c"].offset == 1.0
 
@@ -115,11 +118,65 @@ def test_when_and_how_a_result_was_computed(words, command, monkeypatch):
 
 
 def test_of_an_older_result_nobody_knows_when_it_was_computed(tmp_path):
-    data = json.loads(made().model_dump_json(exclude={"run"}))
     path = tmp_path / "old.json"
-    path.write_text(json.dumps({**data, "schema_version": "1.3"}))
+    path.write_text(json.dumps(older(made(), "1.3")))
     assert export.read_result(path).run is None
     assert export.read_result(path).model.colour_space == "linear RGB of MERL, as stored"
+
+
+def older(result, version):
+    """A result as schema 1.x had it."""
+    data = json.loads(result.model_dump_json(exclude={"run"}))
+    model, acquisition = data["model"], data["model"].pop("acquisition")
+    model["effects"] = {
+        **model.pop("settings"), "acquisition": acquisition["grazing_loss"],
+        "apparatus": acquisition["apparatus"] or asdict(Apparatus()),
+    }  # fmt: skip
+    model |= {"grazing_exponent": acquisition["exponents"]["specular"]}
+    if version != "1.2":
+        model |= {"grazing_exponent_diffracted": acquisition["exponents"].get("diffracted", 0.0)}
+    del model["colour_space"]
+    config = data["config"]
+    config["effects"]["acquisition"] = config.pop("acquisition")["grazing_loss"]
+    del config["model"]
+    kinds = [("complex", "none"), ("real", "plastic")]
+    data["fit"]["candidates"] = [
+        {**({} if version == "1.2" else {"index": index}), "body": body, "cost": 0.1} for index, body in kinds
+    ]
+    return {**data, "schema_version": version}
+
+
+@pytest.mark.parametrize("version", ["1.2", "1.3", "1.4"])
+@pytest.mark.parametrize(
+    "model", [Measured(TwoScale("lambert")), Measured(TwoScale("none", "off"), "derived"), Measured(TwoScale(), 0.3)]
+)
+def test_results_of_older_versions_are_read_as_this_one(version, model, tmp_path):
+    new = made(model=model)
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(older(new, version)))
+    found = export.read_result(path)
+    assert found.schema_version == export.SCHEMA_VERSION
+    assert found.model.measured == model
+    assert [(c.model, c.variant) for c in found.fit.candidates] == [
+        ("two-scale", "complex none"), ("two-scale", "real plastic"),
+    ]  # fmt: skip
+    assert parse(found.config, "old").candidates == Config().candidates
+    assert found.values().keys() == new.values().keys()
+    exponents = dict(new.model.acquisition.exponents)
+    if version == "1.2" and "diffracted" in exponents:
+        exponents["diffracted"] = None
+    assert found.model.acquisition.exponents == exponents
+    export.write_result(path, found)
+    assert export.read_result(path) == found
+
+
+@pytest.mark.parametrize("version", export.OLDER)
+def test_an_older_result_without_sense_is_refused_in_one_line(version, tmp_path):
+    path = tmp_path / "old.json"
+    for wrong in ({}, {"model": 3, "fit": [], "config": None}, {"model": {"effects": {}}, "fit": {"candidates": [1]}}):
+        path.write_text(json.dumps({**wrong, "schema_version": version}))
+        with pytest.raises(export.ResultError, match="is not a merlfit result: "):
+            export.read_result(path)
 
 
 def test_equal_runs_differ_in_nothing_but_time(tmp_path):

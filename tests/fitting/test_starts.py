@@ -8,8 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from merlfit.fitting.levenberg_marquardt import solve
 from merlfit.fitting.problem import make_problem
 from merlfit.fitting.projection import ALBEDOS, ETAS, project
+from merlfit.fitting.residuals import costs_of_many
 from merlfit.fitting.run import predict_samples
 from merlfit.fitting.starts import (
     CLASSES,
@@ -17,20 +19,31 @@ from merlfit.fitting.starts import (
     NEAR,
     RIM,
     SCATTER,
+    THIRDS,
     TYPICAL,
     ReadOff,
     half_width,
     read_off,
+    scattered,
     starting_points,
 )
 from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
+from merlfit.model.measured import Measured
 from merlfit.model.parameters import PRIORS, LogNormal
+from merlfit.model.rivals.ggx import GGX
+from merlfit.model.rivals.oren_nayar import OrenNayarQualitative
 from merlfit.model.two_scale import TwoScale
 from scipy.special import ndtr, ndtri
 
-LAYOUT = layout_of(TwoScale("lambert", "lobe", acquisition="free"))
+LAYOUT = layout_of(Measured(TwoScale("lambert", "lobe")))
+NARROW = {
+    "alpha": 0.01,
+    "grazing_exponent": 0.2,
+    "F0": np.array([0.04, 0.05, 0.3]),
+    "albedo": np.array([0.5, 0.1, 0.02]),
+}
 SHARED = [q.name for q in LAYOUT.parameters if not q.per_channel]
 TRUTH = {
     "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
@@ -90,7 +103,7 @@ def test_they_are_of_every_kind_the_best_of_each_first(points, problem):
     assert len(set(best)) == number
     assert max(Counter(second).values()) <= 2
     values = values_of(points)
-    ((costs, _),) = project([LAYOUT.effects], {name: values[name] for name in SHARED}, problem)
+    ((costs, _),) = project([LAYOUT.model], {name: values[name] for name in SHARED}, problem)
     first, then = costs[1 : 2 * number + 1], costs[2 * number + 1 :]
     for some in (first, then):
         assert np.all(np.diff(some) >= -1e-9 * some[1:])
@@ -111,7 +124,7 @@ def test_in_half_of_them_the_highlight_is_diffracted_light(points):
 
 
 def test_those_of_one_kind_are_the_same_beside_others(points, problem):
-    others = [layout_of(replace(LAYOUT.effects, body=body, index="usual")) for body in ("plastic", "none")]
+    others = [LAYOUT.with_material(replace(LAYOUT.material, body=body, index="usual")) for body in ("plastic", "none")]
     together = starting_points([others[0], LAYOUT, others[1]], SEEN, problem, 36)
     np.testing.assert_allclose(together[1], points, rtol=1e-12)
     assert [each.shape[1] for each in together] == [others[0].size, LAYOUT.size, others[1].size]
@@ -142,7 +155,7 @@ def test_they_are_the_same_every_time_and_another_first_moves_all(problem):
 
 
 def test_another_prior_scatters_them_otherwise(problem):
-    narrow = layout_of(LAYOUT.effects, replace(PRIORS, half_width=LogNormal(0.05, 1.2), p=LogNormal(1.0, 1.2)))
+    narrow = layout_of(LAYOUT.model, replace(PRIORS, half_width=LogNormal(0.05, 1.2), p=LogNormal(1.0, 1.2)))
     found = points_of(narrow, SEEN, problem, 24)
     values = [narrow.values(jnp.asarray(z)) for z in found]
     widths = [float(v["beta"] * np.log(2) ** (1 / (2 * v["p"]))) for v in values]
@@ -162,7 +175,7 @@ def test_a_first_one_at_a_bound_leaves_all_within_bounds(name, problem):
 
 
 def test_effects_without_diffraction_are_scattered_too(problem):
-    layout = layout_of(replace(LAYOUT.effects, diffraction="off"))
+    layout = LAYOUT.with_material(replace(LAYOUT.material, diffraction="off"))
     points = points_of(layout, SEEN, problem, 6)
     assert points.shape == (7, layout.size)
     assert np.all(np.isfinite(points))
@@ -227,3 +240,30 @@ def test_the_half_width_of_nothing_is_a_number():
     value, used = np.zeros((3, 90, 90, 90)), np.broadcast_to(grid.above[..., :90], (3, 90, 90, 90))
     for nothing in (used, np.zeros_like(used)):
         assert 0 < half_width(grid.theta_h, grid.theta_d, value, nothing) <= 2
+
+
+def test_points_of_any_model_are_of_every_width_and_suit_every_channel(samples):
+    """Of a narrow lobe over a bright body a wide one is the cheaper guess: with guesses by cost alone it were lost."""
+    layout = layout_of(Measured(GGX()))
+    value = predict_samples(layout, layout.free(NARROW), samples)
+    problem = make_problem(
+        thin(replace(samples, value=value, weight=samples.weight / np.maximum(value, 1e-2)), (2, 3, 1))
+    )
+    found = scattered(layout, problem, 11)
+    assert found.shape == (12, layout.size)
+    np.testing.assert_array_equal(found, scattered(layout, problem, 11))
+    thirds = np.digitize(found[:, 0], SCATTER * THIRDS)
+    assert sorted(np.bincount(thirds)) == [4, 4, 4]
+    values = layout.values_of_many(found)
+    best = int(np.argmin(np.asarray(costs_of_many(layout.model, values, problem)).sum(1)))
+    albedo = values["albedo"][best]
+    assert albedo[0] > 2 * albedo[1] > 4 * albedo[2], "of each channel by itself"
+    ends = [solve(layout, z, problem, 100) for z in found]
+    assert min(s.cost for s in ends) < 1e-8
+
+
+def test_models_of_several_kinds_keep_their_order(problem):
+    layouts = [layout_of(Measured(GGX())), LAYOUT, layout_of(OrenNayarQualitative())]
+    found = starting_points(layouts, SEEN, problem, 5)
+    assert [each.shape for each in found] == [(6, layout.size) for layout in layouts]
+    np.testing.assert_array_equal(found[1], points_of(LAYOUT, SEEN, problem, 5))

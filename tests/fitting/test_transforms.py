@@ -9,19 +9,18 @@ import pytest
 from merlfit.fitting.config import Config, ConfigError, load, parse
 from merlfit.fitting.transforms import layout_of
 from merlfit.model.diffraction import renormalisation
+from merlfit.model.measured import Measured
 from merlfit.model.parameters import PRIORS, WAVELENGTHS_UM, LogNormal
 from merlfit.model.two_scale import KINDS, TwoScale
 from scipy.special import ndtr
 from scipy.stats import kstest, truncnorm
 
 LAYOUTS = {
-    body if index == TwoScale(body).index else f"{index} {body}": layout_of(
-        TwoScale(body, index=index, acquisition="free")
-    )
+    body if index == TwoScale(body).index else f"{index} {body}": layout_of(Measured(TwoScale(body, index=index)))
     for index, body in KINDS
 } | {
     "no diffraction": layout_of(TwoScale("plastic", "off")),
-    "not renormalised": layout_of(TwoScale("none", renormalised=False, acquisition="free")),
+    "not renormalised": layout_of(Measured(TwoScale("none", renormalised=False))),
 }
 DRAWS = 4000
 every = pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
@@ -54,7 +53,7 @@ def expected(layout, name, values):
     factor = np.full(np.shape(values[name]), prior.factor)
     if name == "beta":
         median = prior.median / np.log(2) ** (1 / (2 * values["p"]))
-    if name == "sigma_s" and layout.effects.renormalised:
+    if name == "sigma_s" and layout.material.renormalised:
         median = prior.median / np.sqrt(np.asarray(share(values)))
     if name == "eta":
         outer, dispersion = np.array([True, False, True]), layout.priors.dispersion
@@ -93,7 +92,7 @@ def test_slopes_are_those_of_central_differences(layout):
         where = layout.slices
         assert slopes[where["beta"], where["p"]] != 0
         assert slopes[where["p"], where["beta"]] == 0
-        if "sigma_s" in where and layout.effects.renormalised:
+        if "sigma_s" in where and layout.material.renormalised:
             assert np.all(slopes[where["sigma_s"], where["b"]] != 0)
             assert np.all(slopes[where["sigma_s"], where["c"]] != 0)
         if "eta" in where:
@@ -156,7 +155,7 @@ def test_draws_have_the_stated_priors(layout):
     seen = [(half_width(values), priors.half_width)]
     if "b" in values:
         compact = values["b"] > 1.0  # below the wavelength hardly any height is seen, and its bound is near
-        height = values["sigma_s"] * (np.sqrt(np.asarray(share(values))) if layout.effects.renormalised else 1.0)
+        height = values["sigma_s"] * (np.sqrt(np.asarray(share(values))) if layout.material.renormalised else 1.0)
         seen += [(values["b"], priors.b), (values["c"] - 1, priors.c), (height[compact], priors.sigma_rel)]
     if "eta" in values:
         above = values["eta"] - 1
@@ -199,9 +198,9 @@ def test_other_priors_in_the_configuration_are_those_of_the_coordinates():
     given = {"half_width": {"median": 0.1, "factor": 1.5}, "eta": {"median": 0.3, "factor": 1.2},
              "dispersion": {"median": 1.1, "factor": 1.15}, "odds": {"median": 0.5, "factor": 2.0}}  # fmt: skip
     config = parse({"effects": {"preset": "microfacet"}, "priors": given}, "here")
-    layout = config.layout_of(("real", "plastic"))
+    layout = config.layout_of(config.two_scale(("real", "plastic")))
     assert layout.priors == replace(PRIORS, **{name: LogNormal(**prior) for name, prior in given.items()})
-    assert layout.effects == config.effects_of(("real", "plastic"))
+    assert layout.model == config.two_scale(("real", "plastic"))
     _, values = drawn(layout, seed=7, most=np.inf)
     above = values["eta"] - 1
     for x, name in (
@@ -214,14 +213,14 @@ def test_other_priors_in_the_configuration_are_those_of_the_coordinates():
         assert middle == pytest.approx(given[name]["median"], rel=0.03)
         assert factor == pytest.approx(given[name]["factor"], rel=0.03)
     z = jnp.zeros(layout.size)
-    unchanged = layout_of(layout.effects)
+    unchanged = layout_of(layout.model)
     assert float(layout.values(z)["beta"]) > 3 * float(unchanged.values(z)["beta"])
     assert float(layout.values(z)["p"]) == float(unchanged.values(z)["p"])
 
 
 def test_the_configuration_s_priors_are_the_model_s():
     assert Config().priors.model_dump() == asdict(PRIORS)
-    assert load().layout_of(("complex", "none")) == layout_of(load().effects_of(("complex", "none")))
+    assert load().layout_of(Measured(TwoScale())) == layout_of(Measured(TwoScale()))
     for bad in ({"median": 0.0, "factor": 2.0}, {"median": 1.0, "factor": 1.0}, {"median": 1.0}, {"mean": 1.0}):
         with pytest.raises(ConfigError, match="priors"):
             parse({"priors": {"p": bad}}, "here")
@@ -235,7 +234,7 @@ def test_priors_are_said_in_words():
     assert said["c"].startswith("c - 1 log-normal, 0.7 times or over 2.5")
     assert "that of the middle one times or over 1.2" in said["eta"]
     other = replace(layout, priors=replace(PRIORS, p=LogNormal(1.0, 3.0)))
-    assert "1 times or over 3" in other.prior(next(q for q in layout.effects.parameters if q.name == "p"))
+    assert "1 times or over 3" in other.prior(next(q for q in layout.model.parameters if q.name == "p"))
 
 
 def test_an_albedo_of_nothing_is_a_small_one():

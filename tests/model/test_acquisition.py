@@ -13,8 +13,8 @@ from merlfit.model.acquisition import (
     mirror_loss,
 )
 from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
 from merlfit.model.parameters import DIFFRACTION, SURFACE
-from merlfit.model.terms import grazing_exponent_diffracted
 from merlfit.model.two_scale import TwoScale
 from oracles import acquisition as oracle
 from oracles import convolution as o_convolution
@@ -114,7 +114,7 @@ MIDDLE_UM = 0.526
 
 def derived_diffracted(beta, p, b, c, apparatus=APPARATUS):
     values = {name: jnp.asarray(x) for name, x in zip(("beta", "p", "b", "c"), (beta, p, b, c), strict=True)}
-    return float(grazing_exponent_diffracted(values, TwoScale(acquisition="derived", apparatus=apparatus)))
+    return float(Measured(TwoScale(), "derived", apparatus).exponent("diffracted", values))
 
 
 @pytest.mark.parametrize("lobe", DIFFRACTED, ids=str)

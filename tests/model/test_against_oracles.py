@@ -5,7 +5,9 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from merlfit.model import body, convolution, diffraction, fresnel, ndf, shadowing
+from merlfit.model import body, convolution, diffraction, fresnel
+from merlfit.model.masking import smith
+from merlfit.model.ndf.epd import epd
 from merlfit.model.two_scale import TwoScale
 from oracles import bodies as o_bodies
 from oracles import convolution as o_convolution
@@ -65,7 +67,7 @@ def test_diffraction_colour_is_fresnel_in_the_mirror_direction():
 @pytest.mark.parametrize(("beta", "p"), [(0.001, 0.3), (0.1, 0.2), (0.1, 1.0), (0.5, 5.0), (1.0, 0.7), (2.0, 2.0)])
 def test_epd_to_1e_8_and_normalised(beta, p):
     theta = np.arctan(beta * np.array([0.0, 1e-3, 0.3, 1.0, 1.7]))
-    assert worst(ndf.epd(*j(theta, beta, p)), [o_ndf.epd(t, beta, p) for t in theta]) < 1e-8
+    assert worst(epd(*j(theta, beta, p)), [o_ndf.epd(t, beta, p) for t in theta]) < 1e-8
 
     def mass(density):  # over v = 2 p log(tan/beta), where it is smooth
         v, step = np.linspace(-60 * max(p, 0.5), np.log(60.0), 6001, retstep=True)
@@ -73,11 +75,11 @@ def test_epd_to_1e_8_and_normalised(beta, p):
         t = np.arctan(tan)
         return float(np.sum(density(t) * np.cos(t) * 2 * np.pi * np.sin(t) * np.cos(t) * np.sin(t) / (2 * p)) * step)
 
-    def epd(t):
-        return np.asarray(ndf.epd(*j(t, beta, p)))
+    def density(t):
+        return np.asarray(epd(*j(t, beta, p)))
 
-    assert mass(epd) == pytest.approx(1, abs=1e-8)
-    assert mass(lambda t: epd(t) * np.cos(t)) != pytest.approx(1, abs=1e-8)
+    assert mass(density) == pytest.approx(1, abs=1e-8)
+    assert mass(lambda t: density(t) * np.cos(t)) != pytest.approx(1, abs=1e-8)
 
 
 def test_smith_lambda_to_1e_8_and_beckmann():
@@ -86,7 +88,7 @@ def test_smith_lambda_to_1e_8_and_beckmann():
     tau = np.concatenate([np.exp(rng.uniform(np.log(0.3), np.log(300), 25)), [0.3, 1.0, 3.0, 10.0, 1e3]])
     expected = np.array([float(o_shadowing.smith_lambda(t, q)) for t, q in zip(tau, p, strict=True)])
     large = expected > 1e-12
-    found = np.asarray(jax.vmap(shadowing.smith_lambda)(jnp.asarray(tau), jnp.asarray(p)))
+    found = np.asarray(jax.vmap(smith.smith_lambda)(jnp.asarray(tau), jnp.asarray(p)))
     assert worst(found[large], expected[large]) < 1e-8
     assert worst(found[large] / 2, expected[large]) > 0.4  # the printed limits of Eq. 36 give half
     beckmann = [o_shadowing.beckmann_lambda(t) for t in tau[25:]]
@@ -100,8 +102,8 @@ def test_smith_lambda_and_masking_at_all_slopes(p, of_lambda, of_masking):
     """What the docstrings say of the largest exponents, where the rule is least accurate, and of others."""
     tau = np.exp(np.linspace(np.log(max(0.05, 27 ** (-1 / (2 * p)))), np.log(3e3), 400))
     expected = np.array([o_shadowing.smith_lambda(t, p) for t in tau])
-    found = np.asarray(jax.vmap(shadowing.smith_lambda, (0, None))(*j(tau, p)))
-    masking = np.asarray(shadowing.masking_direct(*j(np.cos(np.arctan(tau)), 1.0, p)))
+    found = np.asarray(jax.vmap(smith.smith_lambda, (0, None))(*j(tau, p)))
+    masking = np.asarray(smith.masking_direct(*j(np.cos(np.arctan(tau)), 1.0, p)))
     assert worst(found[expected > 1e-12], expected[expected > 1e-12]) < of_lambda
     assert np.max(np.abs(masking - 1 / (1 + expected))) < of_masking
     assert worst(found[expected > 1e-12] * (1 + 1e-7), expected[expected > 1e-12]) > of_lambda
@@ -111,10 +113,10 @@ def test_smith_lambda_and_masking_at_all_slopes(p, of_lambda, of_masking):
 @pytest.mark.parametrize("p", [0.2, 0.5, 1.0, 5.0])
 def test_masking_table_to_1e_9(beta, p):
     cos = jnp.cos(jnp.linspace(0, np.pi / 2, 4001))
-    table, direct = shadowing.masking(cos, *j(beta, p)), shadowing.masking_direct(cos, *j(beta, p))
+    table, direct = smith.masking(cos, *j(beta, p)), smith.masking_direct(cos, *j(beta, p))
     assert float(jnp.max(jnp.abs(table - direct))) < 1e-9
     slopes = [jax.jacfwd(lambda x, f=f: f(cos, x[0], x[1]))(jnp.array([beta, p])) for f in (
-        shadowing.masking, shadowing.masking_direct)]  # fmt: skip
+        smith.masking, smith.masking_direct)]  # fmt: skip
     assert bool(jnp.all(jnp.isfinite(slopes[0])))
     assert float(jnp.max(jnp.abs(slopes[0] - slopes[1]) * jnp.array([beta, p]))) < 5e-8
 

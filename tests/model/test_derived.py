@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from energy import half_vectors
 from merlfit.model.derived import derived, directional_albedo, quantities
+from merlfit.model.measured import Measured
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.two_scale import TwoScale, two_scale
 from oracles import diffraction as o_diffraction
@@ -12,7 +13,7 @@ from oracles import fresnel as o_fresnel
 
 ANGLES = np.radians([0.0, 60.0])
 EFFECTS = [
-    TwoScale("none", acquisition="free"),
+    Measured(TwoScale("none")),
     TwoScale("lambert"),
     TwoScale("plastic", split="conserving"),
     TwoScale("subsurface", "off"),
@@ -31,7 +32,7 @@ def test_directional_albedo_is_the_integral_by_a_finer_rule(effects):
         values = coloured(rng, effects)
         B = 2 * values.get("b", 1.0) / min(WAVELENGTHS_UM)
         rule = half_vectors(np.maximum(ANGLES, 1e-4), float(values["beta"]), float(values["p"]), float(B))
-        expected = jnp.sum(two_scale(values, rule[0], effects.material) * rule[1], (-2, -1))
+        expected = jnp.sum(two_scale(values, rule[0], effects) * rule[1], (-2, -1))
         found = directional_albedo(values, effects, jnp.asarray(ANGLES))
         np.testing.assert_allclose(found, expected, rtol=5e-3)
 

@@ -112,7 +112,7 @@ def test_surface_albedo_between_its_nodes():
     def integrated(v, geometry, measure):
         s = setting(geometry, effects, (WAVELENGTH_UM,))
         lobes = {name: f(shaped(v, s), s) for name, f in effects.factors().items() if name not in NOT_LOBES}
-        return jnp.sum(effects.assemble(lobes, s)[0] * measure, (-2, -1))
+        return jnp.sum(effects.assemble(lobes, s).brdf(s)[0] * measure, (-2, -1))
 
     excess = 0.0
     for values in (WIDE, SHARP, ROUGH):

@@ -35,7 +35,7 @@ def cases(count=24):
 def diffraction_lobe(values, i, o):
     s = setting(Geometry.from_vectors(i, o), TwoScale(diffraction="exact"), (WAVELENGTH_UM,))
     at = factor_values(shaped(values, s), s)
-    return s.model.assemble({**at, "specular": jnp.zeros_like(at["specular"])}, s)[0]
+    return s.model.assemble({**at, "specular": jnp.zeros_like(at["specular"])}, s).brdf(s)[0]
 
 
 def test_exact_lobe_against_the_oracle():

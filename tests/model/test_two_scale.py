@@ -13,10 +13,10 @@ from jaxtyping import TypeCheckError
 from merlfit.model.acquisition import Apparatus
 from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured, material_of
 from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.reflectance import factor_values, reads, setting, shaped
-from merlfit.model.terms import grazing_exponent, grazing_exponent_diffracted
 from merlfit.model.two_scale import KINDS, TwoScale, two_scale
 from oracles import bodies as o_bodies
 from oracles import two_scale as o_two_scale
@@ -40,12 +40,12 @@ EVERY += [
     TwoScale("lambert", "off", masking="none", split="conserving"),
 ]
 EVERY += [
-    TwoScale("plastic", diffraction, acquisition=how)
+    Measured(TwoScale("plastic", diffraction), how)
     for diffraction in ("off", "lobe")
     for how in ("free", "derived", 0.3)
 ]
 EVERY += [TwoScale("none", "lobe", index="real")]
-DEAR = [e for e in EVERY if e.diffraction == "exact" or e.split == "conserving"]  # seconds to compile
+DEAR = [e for e in EVERY if (m := material_of(e)).diffraction == "exact" or m.split == "conserving"]  # to compile
 DIFFERENTIATED = [e for e in EVERY if e not in DEAR]
 DIFFERENTIATED += [TwoScale(diffraction="exact"), TwoScale("subsurface", "lobe", split="conserving")]
 
@@ -97,7 +97,7 @@ LADDERS = {  # programs that do ever more: each step adds operations, and transc
     "renormalised": [replace(LOBE, renormalised=False), LOBE],
     "fresnel": [replace(LOBE, fresnel="schlick"), LOBE],
     "colour": [replace(LOBE, colour="fresnel"), LOBE],
-    "acquisition": [LOBE, replace(LOBE, acquisition="free"), replace(LOBE, acquisition="derived")],
+    "acquisition": [LOBE, Measured(LOBE), Measured(LOBE, "derived")],
     "body": [TwoScale("plastic", "lobe"), TwoScale("subsurface", "lobe")],
     "split": [LOBE, replace(LOBE, split="conserving")],
 }
@@ -105,7 +105,7 @@ RATIONAL = {  # steps that add operations, but no transcendental function
     "body, rational": [LOBE, TwoScale("lambert", "lobe"), TwoScale("plastic", "lobe")],
     "index, rational": [replace(LOBE, index="real"), LOBE],
     "masking, rational": [LOBE, replace(LOBE, masking="height_correlated")],
-    "acquisition, constant": [LOBE, replace(LOBE, acquisition=0.3)],
+    "acquisition, constant": [LOBE, Measured(LOBE, 0.3)],
 }
 work = cache(compiled_work)
 
@@ -118,7 +118,7 @@ def test_what_is_not_chosen_is_absent_from_the_compiled_program(name, table):
 
 
 def test_a_loss_of_exponent_0_is_no_loss():
-    assert work(replace(LOBE, acquisition=0.0)) == work(LOBE)
+    assert work(Measured(LOBE, 0.0)) == work(LOBE)
 
 
 @pytest.mark.parametrize(("index", "body"), [*KINDS, ("real", "none")])
@@ -150,7 +150,7 @@ def test_the_loss_is_that_of_each_lobe_and_not_of_the_body(index, body, acquisit
     """Towards grazing angles, where p(i, o) of everything would be several per cent off and up to half of it."""
     i, o = random_directions(8, SEED + 1)
     shared = {**SHARED, "sigma_s": 0.06}  # as much diffracted as mirrored
-    effects = TwoScale(body, index=index, order=64, acquisition=acquisition)
+    effects = Measured(TwoScale(body, index=index, order=64), acquisition)
     albedo, eta = 0.05, OPTICS["eta"][1]
     values = material(effects, **shared, albedo=np.full(3, albedo))
     found = np.asarray(two_scale(values, Geometry.from_vectors(i, o), effects))[1]
@@ -185,14 +185,14 @@ def test_the_loss_is_that_of_each_lobe_and_not_of_the_body(index, body, acquisit
 
 def test_derived_exponents_are_those_of_the_widths_of_both_lobes():
     """Of D, and of (S * D) at the middle wavelength, whatever the colour; the same whether given as a table or not."""
-    values = {**material(TwoScale("plastic", acquisition="free")), "beta": 0.01, "p": 1.0, "b": 20.0}
-    derived, free = TwoScale("plastic", acquisition="derived"), TwoScale("plastic", acquisition="free")
+    values = {**material(Measured(TwoScale("plastic"))), "beta": 0.01, "p": 1.0, "b": 20.0}
+    derived, free = Measured(TwoScale("plastic"), "derived"), Measured(TwoScale("plastic"))
     g = Geometry.from_half_difference(np.linspace(1e-3, 0.05, 20), np.linspace(0.2, 1.2, 20), np.full(20, 0.7))
     found = np.asarray(two_scale(values, g, derived))
     arrays = {name: jnp.asarray(x) for name, x in values.items()}
     k = {
-        "grazing_exponent": grazing_exponent(arrays, derived),
-        "grazing_exponent_diffracted": grazing_exponent_diffracted(arrays, derived),
+        "grazing_exponent": derived.exponent("specular", arrays),
+        "grazing_exponent_diffracted": derived.exponent("diffracted", arrays),
     }
     assert 0.1 < float(k["grazing_exponent_diffracted"]) < float(k["grazing_exponent"]) - 0.1
     np.testing.assert_allclose(found, two_scale({**values, **k}, g, free), rtol=1e-12)
@@ -220,7 +220,7 @@ def evaluated(effects):
     return np.split(np.asarray(brdf), np.cumsum([len(g.cos_i) for g in parts])[:-1], axis=1)
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=str)
+@pytest.mark.parametrize("effects", EVERY, ids=repr)
 def test_lists_and_grids_are_the_same_function(effects, table):
     grid = Geometry.from_half_difference(*AXES)
     values = {name: jnp.asarray(x) for name, x in material(effects).items()}
@@ -249,18 +249,18 @@ def test_single_precision_on_a_grid_to_the_horizon(tier, table):
     np.testing.assert_allclose(found[:, shown], expected[:, shown], rtol=2e-3, atol=1e-6)
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=str)
+@pytest.mark.parametrize("effects", EVERY, ids=repr)
 def test_reciprocity(effects, table):
     _, there, back, _ = evaluated(effects)
     np.testing.assert_allclose(there, back, rtol=1e-9)
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=str)
+@pytest.mark.parametrize("effects", EVERY, ids=repr)
 def test_extreme_geometry_gives_finite_values(effects, table):
     assert np.all(np.isfinite(evaluated(effects)[3]))
 
 
-@pytest.mark.parametrize("effects", DIFFERENTIATED, ids=str)
+@pytest.mark.parametrize("effects", DIFFERENTIATED, ids=repr)
 def test_gradients_are_finite_at_the_edges_and_match_differences(effects):
     up, low = np.array([0.0, 0.0, 1.0]), np.array([np.sin(1.5707), 0.0, np.cos(1.5707)])
     mirror = low * np.array([-1, 1, 1])
@@ -294,14 +294,14 @@ def test_gradients_are_finite_at_the_edges_and_match_differences(effects):
         assert np.max(np.abs(whole - difference) / scale) < 5e-3
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=str)
+@pytest.mark.parametrize("effects", EVERY, ids=repr)
 def test_factors_depend_on_what_was_recorded(effects):
     s, read = setting(Geometry.from_vectors(*random_directions(5)), effects), reads(effects)
     v = shaped(material(effects), s)
     for name, factor in effects.factors().items():
         for q in v:
             same = np.array_equal(factor(v, s), factor({**v, q: v[q] * 1.1}, s))
-            nothing_in_excess = name == "conservation" and effects.body == "none"
+            nothing_in_excess = name == "conservation" and material_of(effects).body == "none"
             assert same == (q not in read.parameters[name]) or (same and nothing_in_excess), f"{name} and {q}"
 
 
@@ -310,18 +310,20 @@ def test_factors_depend_on_what_was_recorded(effects):
     [
         TwoScale("subsurface", "lobe", split="conserving"),
         TwoScale("none", "quadrature"),
-        TwoScale("lambert", "lobe", acquisition="derived"),
+        Measured(TwoScale("lambert", "lobe"), "derived"),
     ],
     ids=str,
 )
 def test_tables_depend_on_what_was_recorded_and_change_nothing(effects):
     grid = np.ix_(np.linspace(0.05, 1.2, 9), np.linspace(0.05, 1.2, 7), np.linspace(0.1, 1.5, 6))
     s = setting(Geometry.from_half_difference(*grid), effects)
-    narrow = {"beta": 0.01, "b": 20.0} if effects.acquisition == "derived" else {}  # wide lobes lose nothing
+    derived = isinstance(effects, Measured)
+    narrow = {"beta": 0.01, "b": 20.0} if derived else {}  # wide lobes lose nothing
     v = shaped(material(effects, **narrow), s)
     found = {name: table(v, s) for name, table in effects.tables().items()}
-    expected = {"masking_curve", "relative_variance"} | ({"surface_albedo"} if effects.split == "conserving" else set())
-    assert set(found) == expected | ({"diffracted_exponent"} if effects.acquisition == "derived" else set())
+    conserving = material_of(effects).split == "conserving"
+    expected = {"masking_curve", "relative_variance"} | ({"surface_albedo"} if conserving else set())
+    assert set(found) == expected | ({"specular_exponent", "diffracted_exponent"} if derived else set())
     for name, table in effects.tables().items():
         for q in v:
             same = np.array_equal(table({**v, q: v[q] * 1.1}, s), found[name])
@@ -360,10 +362,10 @@ def test_the_usual_index_is_complex_over_no_body_and_real_over_one():
 
 
 def test_exponents_are_parameters_of_the_lobes_that_there_are():
-    names = [{q.name for q in TwoScale("lambert", how, acquisition="free").parameters} for how in ("off", "lobe")]
+    names = [{q.name for q in Measured(TwoScale("lambert", how)).parameters} for how in ("off", "lobe")]
     assert names[1] - names[0] == {"b", "c", "sigma_s", "grazing_exponent_diffracted"}
     for how in ("off", "derived", 0.3):
-        assert not any("exponent" in q.name for q in TwoScale("lambert", "lobe", acquisition=how).parameters)
+        assert not any("exponent" in q.name for q in Measured(TwoScale("lambert", "lobe"), how).parameters)
 
 
 def test_effects_refuse_unknown_names():
@@ -374,12 +376,13 @@ def test_effects_refuse_unknown_names():
 
 
 def test_options_of_what_is_not_chosen_make_no_other_program():
-    for idle in ({"order": 16}, {"zonal_order": 7}, {"apparatus": Apparatus(100.0)}):
+    for idle in ({"order": 16}, {"zonal_order": 7}):
         assert TwoScale(diffraction="lobe", **idle) == TwoScale(diffraction="lobe")
     assert TwoScale(diffraction="off", colour="fresnel", renormalised=False) == TwoScale(diffraction="off")
     assert TwoScale(order=16) != TwoScale()
     assert TwoScale(diffraction="scaled", order=16) != TwoScale(diffraction="scaled")
-    assert TwoScale(acquisition="derived", apparatus=Apparatus(100.0)).apparatus == Apparatus(100.0)
+    assert Measured(TwoScale(), "derived", Apparatus(100.0)).apparatus == Apparatus(100.0)
+    assert Measured(TwoScale(), "free", Apparatus(100.0)) == Measured(TwoScale())
 
 
 @given(
@@ -409,7 +412,7 @@ def white(beta, p, geometry, masked):
     v = shaped({"beta": beta, "p": p, "n": jnp.array([0.5]), "k": jnp.array([3.0])}, s)
     at = factor_values(v, s)
     at["specular"] = at["specular"] / fresnel(s.geometry.cos_d, v["n"], v["k"])
-    return s.model.assemble(at if masked else {**at, "masking": jnp.ones(())}, s)[0]
+    return s.model.assemble(at if masked else {**at, "masking": jnp.ones(())}, s).brdf(s)[0]
 
 
 def reflected(theta_i, beta, p, masked=True):

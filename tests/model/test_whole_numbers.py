@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.model import shadowing
 from merlfit.model.geometry import Geometry
+from merlfit.model.masking import smith
 from merlfit.model.numerics import floats
 from merlfit.model.published import published
 from merlfit.model.rivals import cook_torrance
@@ -52,9 +52,9 @@ def test_whole_angles_give_the_same_brdf_of_a_rival():
 
 @pytest.mark.parametrize("tau", [1, np.int32(1), np.array([1, 1])])
 def test_whole_slopes_give_the_same_masking(tau):
-    expected = shadowing.smith_lambda(jnp.asarray(1.0), jnp.asarray(1.0))
+    expected = smith.smith_lambda(jnp.asarray(1.0), jnp.asarray(1.0))
     for p in (1, 1.0):
-        found = shadowing.smith_lambda(tau, p)
+        found = smith.smith_lambda(tau, p)
         assert found.dtype == jnp.float64
         np.testing.assert_allclose(found, expected, rtol=1e-15)
 
@@ -65,4 +65,4 @@ def test_precision_is_kept():
     assert Geometry.from_half_difference(jnp.float32(0.5), 0, 0).cos_o.dtype == jnp.float32
     assert by_hand(jnp.float32).theta_h.dtype == jnp.float32
     assert brdf(by_hand(jnp.float32)).dtype == jnp.float32
-    assert shadowing.smith_lambda(jnp.float32(1), 1).dtype == jnp.float32
+    assert smith.smith_lambda(jnp.float32(1), 1).dtype == jnp.float32

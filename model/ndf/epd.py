@@ -5,7 +5,7 @@ import math
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
 
-from .numerics import Real, Scalar
+from ..numerics import Real, Scalar
 
 HORIZON_COS = 1e-15  # below this cosine the distribution is taken as 0; it decays faster than any power there
 LARGEST_LOG_EXPONENT = 8.0  # exp(-e^8) is 0, and its derivative too, where the power itself would overflow in float32

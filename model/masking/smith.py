@@ -22,8 +22,8 @@ import numpy as np
 from jax.scipy.special import gammaln
 from jax.typing import ArrayLike
 
-from . import chebyshev, piecewise
-from .numerics import Real, Scalar, floats, safe_divide, safe_sqrt, softplus, total
+from .. import chebyshev, piecewise
+from ..numerics import Real, Scalar, floats, safe_divide, safe_sqrt, softplus, total
 
 # log x runs over q in [-11, 4.7] at spacing 0.2. The integrand's narrowest peak is x^a e^(-x), a = 3/(2 p), at
 # p = 0.12, for which the trapezoid rule errs by 2 |Gamma(a + 2 pi i/0.2)| / Gamma(a) = 2e-11; what lies outside is

@@ -1,0 +1,45 @@
+"""Results of older schema versions, as the present one has them."""
+
+from typing import Any
+
+
+def upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
+    """Version 1.x as 2.0; what is missing or wrong is left for the reader of 2.0 to complain about.
+
+    1.x knew the two-scale model alone, and had the acquisition among its effects.
+    """
+    if not isinstance(data, dict):
+        return data
+    found = {**data, "schema_version": "2.0"}
+    model, fit, config = (data.get(key) for key in ("model", "fit", "config"))
+    if isinstance(model, dict) and isinstance(model.get("effects"), dict):
+        found["model"] = _model(model)
+    if isinstance(fit, dict) and isinstance(fit.get("candidates"), list):
+        found["fit"] = {**fit, "candidates": [_candidate(each) for each in fit["candidates"]]}
+    if isinstance(config, dict) and isinstance(effects := config.get("effects"), dict) and "acquisition" in effects:
+        own = {key: value for key, value in effects.items() if key != "acquisition"}
+        found["config"] = {**config, "effects": own, "acquisition": {"grazing_loss": effects["acquisition"]}}
+    return found
+
+
+def _model(model: dict[str, Any]) -> dict[str, Any]:
+    effects = dict(model["effects"])
+    loss, apparatus = effects.pop("acquisition", "off"), effects.pop("apparatus", None)
+    exponents = {"specular": model.get("grazing_exponent", 0.0)}
+    if effects.get("diffraction") != "off":
+        exponents["diffracted"] = model.get("grazing_exponent_diffracted")
+    kept = {k: v for k, v in model.items() if k not in ("effects", "grazing_exponent", "grazing_exponent_diffracted")}
+    acquisition = {
+        "grazing_loss": loss, "apparatus": apparatus if loss == "derived" else None, "exponents": exponents,
+    }  # fmt: skip
+    return {"name": "two-scale", **kept, "settings": effects, "acquisition": acquisition}
+
+
+def _candidate(candidate: Any) -> Any:  # noqa: ANN401 - plain data of JSON
+    if not isinstance(candidate, dict):
+        return candidate
+    kept = {key: value for key, value in candidate.items() if key not in ("index", "body")}
+    index, body = candidate.get("index", "usual"), candidate.get("body")
+    if index == "usual":  # before version 1.3
+        index = "complex" if body == "none" else "real"
+    return {"model": "two-scale", "variant": f"{index} {body}", **kept}

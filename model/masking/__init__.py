@@ -1,0 +1,1 @@
+"""Masking and shadowing of microfacets, a file each."""

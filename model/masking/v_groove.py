@@ -1,0 +1,13 @@
+"""Masking and shadowing in V-grooves (Torrance & Sparrow 1967; Cook & Torrance 1982)."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from ..geometry import Geometry
+from ..numerics import safe_divide
+
+
+def v_groove(geometry: Geometry) -> Array:
+    """Masking and shadowing in V-grooves, min(1, 2 n.h n.i / h.i, 2 n.h n.o / h.i) (Cook & Torrance 1982)."""
+    lower = jnp.minimum(geometry.cos_i, geometry.cos_o)
+    return jnp.minimum(1.0, safe_divide(2 * jnp.cos(geometry.theta_h) * lower, geometry.cos_d))

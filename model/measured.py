@@ -1,0 +1,161 @@
+"""A material as an apparatus sees it: what is fitted to a measurement.
+
+MERL's apparatus blurs, and so loses light at grazing angles (HP17 Eq. 59-60, :mod:`.acquisition`). A blurred footprint
+dims what is sharp, each lobe as its width has it, and leaves the body as it is (docs/physics.md):
+
+    rho_measured = common sum over lobes p_l(i, o) sharp_l + body,    p_l = (p_1(theta_i) p_1(theta_o))^(k_l).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, get_args
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from . import acquisition
+from .acquisition import APPARATUS, Apparatus
+from .parameters import LOSSES, Parameter
+from .reflectance import Factor, Lobes, Reflectance, Setting, Values
+
+GrazingLoss = Literal["off", "free", "derived"]
+
+
+@dataclass(frozen=True)
+class Measured(Reflectance):
+    """A material and the loss of light at grazing angles that its measurement has; a model like the material itself.
+
+    Attributes:
+        material: the model without the apparatus.
+        grazing_loss: ``off``; the exponents of all sharp lobes ``free`` (parameters); all ``derived`` from the widths
+            of the lobes; or a number in [0, 1] for all. A material without sharp lobes has none: ``off``.
+        apparatus: the sphere, pixel and lamp that ``derived`` assumes.
+    """
+
+    name: ClassVar[str] = "measured"
+    citation: ClassVar[str] = "HP17 Section 5, Eq. 59-60"
+    material: Reflectance
+    grazing_loss: GrazingLoss | float = "free"
+    apparatus: Apparatus = APPARATUS
+
+    def __post_init__(self) -> None:
+        """Refuse what is no loss; forget an apparatus that nothing asks for."""
+        if isinstance(self.material, Measured):
+            raise ValueError(f"{self.material} is measured already")
+        number = type(self.grazing_loss) in (int, float)
+        if not (0 <= float(self.grazing_loss) <= 1 if number else self.grazing_loss in get_args(GrazingLoss)):
+            raise ValueError(f"grazing_loss {self.grazing_loss!r} is neither off, free, derived nor a number in [0, 1]")
+        if not self.material.lobes or self.grazing_loss == 0:
+            object.__setattr__(self, "grazing_loss", "off")
+        if self.grazing_loss != "derived":
+            object.__setattr__(self, "apparatus", APPARATUS)
+
+    @property
+    def loses(self) -> bool:
+        """Whether any light is lost."""
+        return self.grazing_loss != "off"
+
+    @property
+    def lobes(self) -> tuple[str, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
+        return self.material.lobes
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
+        own = self.material.parameters
+        if self.grazing_loss != "free":
+            return own
+        shared = tuple(q for q in own if not q.per_channel)
+        return shared + tuple(LOSSES[lobe] for lobe in self.lobes) + own[len(shared) :]
+
+    def exponent(self, lobe: str, v: Values) -> Array:
+        """k of one sharp lobe at these parameter values; 0 where nothing is lost."""
+        if self.grazing_loss == "free":
+            return v[LOSSES[lobe].name]
+        if self.grazing_loss == "derived":
+            table = f"{lobe}_exponent"
+            return v[table] if table in v else self._derived(lobe, v)
+        return jnp.asarray(float(self.grazing_loss) if self.loses else 0.0)
+
+    def _derived(self, lobe: str, v: Values) -> Array:
+        return acquisition.exponent_of_lobe(self.material.profile(lobe, v), self.apparatus)
+
+    def factors(self) -> Mapping[str, Factor]:  # noqa: D102
+        losses: dict[str, Factor] = {f"{lobe}_loss": self._loss(lobe) for lobe in self.lobes if self.loses}
+        return self._inside(self.material.factors()) | losses
+
+    def tables(self) -> Mapping[str, Factor]:  # noqa: D102
+        found = self._inside(self.material.tables())
+        if self.grazing_loss == "derived":
+            found |= {f"{lobe}_exponent": lambda v, s, lobe=lobe: self._derived(lobe, v) for lobe in self.lobes}
+        return found
+
+    def _inside(self, functions: Mapping[str, Factor]) -> dict[str, Factor]:
+        """Functions of the material, which look at its settings."""
+        return {name: lambda v, s, f=f: f(v, s._replace(model=self.material)) for name, f in functions.items()}
+
+    def _loss(self, lobe: str) -> Factor:
+        def p(v: Values, s: Setting) -> Array:
+            """HP17 Eq. 59-60."""
+            log_base = acquisition.grazing_log_base(s.geometry) if s.log_base is None else s.log_base
+            return jnp.exp(self.exponent(lobe, v) * log_base)
+
+        return p
+
+    def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
+        found = self.material.assemble(at, s._replace(model=self.material))
+        if not self.loses:
+            return found
+        return found._replace(sharp={lobe: at[f"{lobe}_loss"] * x for lobe, x in found.sharp.items()})
+
+    def profile(self, lobe: str, v: Values) -> Array:  # noqa: D102
+        return self.material.profile(lobe, v)
+
+    @property
+    def variant(self) -> str:  # noqa: D102
+        return self.material.variant
+
+    def coarse(self, order: int) -> "Measured":  # noqa: D102
+        return replace(self, material=self.material.coarse(order))
+
+    def stand_in(self, order: int) -> "Measured":  # noqa: D102
+        return replace(self, material=self.material.stand_in(order))
+
+    def shifts(self) -> Mapping[str, Callable[[Values], Array]]:  # noqa: D102
+        return self.material.shifts()
+
+    @property
+    def chart(self) -> Reflectance:  # noqa: D102
+        chart = self.material.chart
+        return Measured(chart) if self.grazing_loss == "free" else chart
+
+    @property
+    def general(self) -> "Measured":  # noqa: D102
+        return replace(self, material=self.material.general)
+
+    def generalised(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:  # noqa: D102
+        return self.material.generalised(values)
+
+    def in_general(self, name: str) -> str:  # noqa: D102
+        return self.material.in_general(name)
+
+    @property
+    def switches(self) -> Mapping[str, int]:  # noqa: D102
+        return self.material.switches
+
+    def ignored(self) -> frozenset[str]:  # noqa: D102
+        return self.material.ignored() | {f"{lobe}_exponent" for lobe in LOSSES}
+
+    def __str__(self) -> str:
+        """Those of the material."""
+        return str(self.material)
+
+
+def material_of(model: Reflectance) -> Reflectance:
+    """The same without what the apparatus adds."""
+    return model.material if isinstance(model, Measured) else model
+
+
+def with_material(model: Reflectance, material: Reflectance) -> Reflectance:
+    """Another material, seen by the same apparatus."""
+    return replace(model, material=material) if isinstance(model, Measured) else material

@@ -1,0 +1,1 @@
+"""Distributions of microfacet normals, a file each."""

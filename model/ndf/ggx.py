@@ -1,0 +1,17 @@
+"""The GGX distribution of microfacet normals (Walter et al. 2007; Trowbridge & Reitz 1975)."""
+
+import jax.numpy as jnp
+
+from ..numerics import Real, Scalar
+
+
+def D(theta_h: Real, alpha: Scalar) -> Real:
+    """Distribution of normals (1/sr), alpha^2 / (pi cos^4 (alpha^2 + tan^2)^2) (Walter et al. 2007, Eq. 33).
+
+    Args:
+        theta_h: angle between microfacet and surface normal (rad). alpha: width (tangent of an angle), > 0.
+
+    Its integral of D cos over the hemisphere is 1 to 1e-9 (``tests/fitting/test_models.py``).
+    """
+    sin, cos = jnp.sin(theta_h), jnp.cos(theta_h)
+    return alpha**2 / (jnp.pi * (alpha**2 * cos**2 + sin**2) ** 2)
