@@ -17,7 +17,7 @@ demo: install
 	$(BIN)/merlfit demo -o demo-out
 
 schema: install
-	$(BIN)/python -m merlfit.fitting.export
+	$(BIN)/python -m merlfit.fitting.results.export
 
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
@@ -51,7 +51,7 @@ bench-gpu: install
 # Half an hour; what it measures is committed and shipped.
 cost: install
 	$(BIN)/merlfit cost -o results/bench/cost
-	mv results/bench/cost/frontier.json fitting/frontier.json
+	mv results/bench/cost/frontier.json fitting/cost/frontier.json
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases

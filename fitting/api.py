@@ -16,17 +16,18 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from ..merl_io.binary import Measurement, read
-from . import plots
-from .clock import Report, silent
-from .compilation import use_persistent_cache
-from .config import Replaced
-from .config import load as settings_of
-from .export import ParameterResult, Result, ResultError, read_result, write_result
-from .inspection import file_of
-from .keeping import place_of
-from .report import print_result
-from .resampling import resample
-from .run import chain_of, fit_file
+from .output import plots
+from .output.inspection import file_of
+from .output.keeping import place_of
+from .output.report import print_result
+from .pipeline.resampling import resample
+from .pipeline.run import chain_of, fit_file
+from .results.export import ResultError, read_result, write_result
+from .results.schema import ParameterResult, Result
+from .settings.config import Replaced
+from .settings.config import load as settings_of
+from .support.clock import Report, silent
+from .support.compilation import use_persistent_cache
 
 if TYPE_CHECKING:
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
@@ -186,7 +187,7 @@ class Fit:
         self.path = target
         return target
 
-    def _model(self) -> Any:  # noqa: ANN401 - export.Model
+    def _model(self) -> Any:  # noqa: ANN401 - schema.Model
         if self.result.model is None:
             raise ResultError(f"{self.path}: the fit failed ({self.result.fit.status}), it has no material")
         return self.result.model

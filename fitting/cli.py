@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .terminal import (
+from .support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
     Stopped,
@@ -59,7 +59,7 @@ def check(files: Files) -> None:
     """Print what MERL files hold: dims, valid bins, bad numbers, largest values, whether they are the genuine ones."""
     from ..merl_io.binary import MerlError
     from ..merl_io.check import inspect_file
-    from .report import check_table
+    from .output.report import check_table
 
     reports, bad = [], 0
     for path in files:
@@ -134,13 +134,13 @@ def sample(
     """Sample the posterior of a fit, or continue the chain that lies beside it, and update both files."""
     from ..merl_io.atomic import WriteError
     from ..merl_io.binary import MerlError
-    from .compilation import use_persistent_cache
-    from .config import ConfigError
-    from .export import ResultError, read_result
-    from .inspection import file_of
-    from .posterior import ChainError
-    from .report import print_result
-    from .resampling import resample
+    from .output.inspection import file_of
+    from .output.report import print_result
+    from .pipeline.resampling import resample
+    from .posterior.chain import ChainError
+    from .results.export import ResultError, read_result
+    from .settings.config import ConfigError
+    from .support.compilation import use_persistent_cache
 
     use_persistent_cache()
     try:
@@ -177,9 +177,9 @@ def synth(
 ) -> None:
     """Write a MERL file from a published parameter set, or from a fit (of the material, without the apparatus)."""
     from ..merl_io.binary import MerlError, write
-    from .compilation import use_persistent_cache
-    from .export import ResultError
-    from .synthesis import from_published, from_result
+    from .output.synthesis import from_published, from_result
+    from .results.export import ResultError
+    from .support.compilation import use_persistent_cache
 
     fitted = material.endswith(".json")
     if fitted and source is not None:
@@ -200,7 +200,7 @@ def synth(
 @app.command(epilog="Example: merlfit materials")
 def materials() -> None:
     """List the published tables that `merlfit synth` knows, and their materials."""
-    from .synthesis import describe_sources
+    from .output.synthesis import describe_sources
 
     console.print(describe_sources(), soft_wrap=True)
 
@@ -208,7 +208,7 @@ def materials() -> None:
 @app.command(epilog="Example: merlfit models")
 def models() -> None:
     """List the reflectance models: their parameters, and where they are from."""
-    from .report import models_table
+    from .output.report import models_table
 
     console.print(models_table())
 
@@ -222,8 +222,8 @@ def inspect(
     ] = None,
 ) -> None:
     """Print a fit's parameters with intervals; write its lobe plot and the corner plot of its posterior."""
-    from .export import ResultError, read_result
-    from .inspection import file_of, show
+    from .output.inspection import file_of, show
+    from .results.export import ResultError, read_result
 
     try:
         read = read_result(result)
@@ -247,12 +247,12 @@ def cost(
     only and writes the result, but `merlfit fit` does not use it.
     """
     from ..merl_io.binary import MerlError
-    from .compilation import cache_folder
-    from .cost import CostError, measure, tidy
-    from .cost_plot import frontier_figure
-    from .cost_report import gains, tables, write_markdown
-    from .frontier import keep
-    from .plots import save
+    from .cost.frontier import keep
+    from .cost.measure import CostError, measure, tidy
+    from .cost.plot import frontier_figure
+    from .cost.report import gains, tables, write_markdown
+    from .output.plots import save
+    from .support.compilation import cache_folder
 
     writable_folder(out)
     try:
@@ -287,10 +287,10 @@ def demo(
 ) -> None:
     """Make a synthetic material of known parameters as a MERL file, fit it, and show how near the fit comes to them."""
     from ..merl_io.binary import MerlError
-    from .compilation import use_persistent_cache
-    from .demo import SAID, Occupied, make, settings, truth_table, verdict
     from .files import fit_files, summarise
-    from .inspection import show
+    from .output.demo import SAID, Occupied, make, settings, truth_table, verdict
+    from .output.inspection import show
+    from .support.compilation import use_persistent_cache
 
     start = time.perf_counter()
     writable_folder(out)

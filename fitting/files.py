@@ -8,15 +8,15 @@ import typer
 
 from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
-from .accuracy import Aim, aim
-from .compilation import use_persistent_cache
-from .config import Config, ConfigError, Replaced, load
-from .export import read_result
-from .keeping import Complete, Place, claimed, completeness, place_of
-from .report import Outcome, accuracy_line, summary_table
-from .request import request
-from .run import fit_file
-from .terminal import (
+from .cost.accuracy import Aim, aim
+from .cost.request import request
+from .output.keeping import Complete, Place, claimed, completeness, place_of
+from .output.report import Outcome, accuracy_line, summary_table
+from .pipeline.run import fit_file
+from .results.export import read_result
+from .settings.config import Config, ConfigError, Replaced, load
+from .support.compilation import use_persistent_cache
+from .support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
     Stopped,

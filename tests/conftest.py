@@ -35,7 +35,7 @@ def make_merl():
 @pytest.fixture(scope="module")
 def table(compilation_cache):
     """The real table, kept with the compiled programs; its name changes with the code that makes it."""
-    from merlfit.fitting import tables  # not before the import hook
+    from merlfit.fitting.support import tables  # not before the import hook
     from merlfit.model import scaled
 
     before = scaled._keep

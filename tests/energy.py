@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import KINDS, TwoScale, two_scale
 

@@ -11,7 +11,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.fitting.support.compilation import use_persistent_cache
 
 from . import refit
 from .reconstructions import make

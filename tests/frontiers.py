@@ -3,13 +3,15 @@
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting import calibration, run, synthesis, tiers
-from merlfit.fitting.choice import POINTS
-from merlfit.fitting.config import load
-from merlfit.fitting.export import versions
-from merlfit.fitting.frontier import OBJECTIVE, Frontier, Point, Spread, Tier
-from merlfit.fitting.threads import machine
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.cost.frontier import OBJECTIVE, Frontier, Point, Spread, Tier
+from merlfit.fitting.cost.measure import calibration, tiers
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.output import synthesis
+from merlfit.fitting.pipeline import run
+from merlfit.fitting.results.export import versions
+from merlfit.fitting.settings.choice import POINTS
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.support.threads import machine
 from merlfit.merl_io.binary import Measurement
 
 

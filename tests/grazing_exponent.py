@@ -12,7 +12,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.model.acquisition import APPARATUS, Apparatus, derived_exponent
 from merlfit.model.measured import Measured
 

@@ -18,7 +18,7 @@ from functools import cache, cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.fitting.support.compilation import use_persistent_cache
 
 if __package__:
     from . import hard_fits

@@ -1,15 +1,15 @@
 """Results made by hand: what a fit would have written, without a fit."""
 
 import jax.numpy as jnp
-from merlfit.fitting import export
-from merlfit.fitting.config import Config
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.results import export, schema
+from merlfit.fitting.settings.config import Config
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 
 def quantiles(value):
-    return export.Quantiles(q05=0.9 * value, q50=value, q95=1.1 * value)
+    return schema.Quantiles(q05=0.9 * value, q50=value, q95=1.1 * value)
 
 
 def made(material="nickel", path="nickel.binary", model=None, posterior=None, sha1="0" * 40, succeeded=True):
@@ -17,7 +17,7 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
     model = model or Measured(TwoScale("none"))
     layout = layout_of(model)
     parameters = [
-        export.ParameterResult(
+        schema.ParameterResult(
             name=name, parameter=q.name, symbol=q.symbol, channel=name[-1] if q.per_channel else None,
             meaning=q.meaning, unit=q.unit, value=q.default, standard_error=q.default / 10,
             quantiles=quantiles(q.default) if posterior else None, lower=q.lower, upper=q.upper, at_bound="no",
@@ -25,24 +25,24 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
         )
         for name, q in zip(layout.names, layout.entries, strict=True)
     ]  # fmt: skip
-    return export.Result(
-        source=export.Source(
+    return schema.Result(
+        source=schema.Source(
             path=path, material=material, sha1=sha1, git_blob_sha1="0" * 40, genuine_merl=None, fraction_valid=0.9,
             outliers=0,
         ),
-        model=export.Model.of(
+        model=schema.Model.of(
             model if isinstance(model, Measured) else Measured(model, "off"),
             {q.name: jnp.asarray(q.default) for q in model.parameters},
         ),
         parameters=parameters,
-        fit=export.Fit(
+        fit=schema.Fit(
             status="CONVERGED" if succeeded else "STEP_LIMIT", message="converged", succeeded=succeeded, cost=0.02,
             cost_per_channel=[0.01, 0.005, 0.005], folding_scatter=0.001, steps=9, relative_offset=1e-6, bins=400_000,
             candidates=[],
         ),
         metrics=metrics(),
         posterior=None if posterior is None else posterior_part(layout, material, posterior),
-        run=export.Run(finished="2026-11-23T01:00:00+00:00", command=["merlfit", "fit", path]),
+        run=schema.Run(finished="2026-11-23T01:00:00+00:00", command=["merlfit", "fit", path]),
         seconds={"total": 2.5},
         seed=0,
         versions=export.versions(),
@@ -52,12 +52,12 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
 
 def metrics():
     """Every metric that there is."""
-    return export.Metrics(**{name: 0.1 for name, field in export.Metrics.model_fields.items() if field.is_required()})
+    return schema.Metrics(**{name: 0.1 for name, field in schema.Metrics.model_fields.items() if field.is_required()})
 
 
 def posterior_part(layout, material, sufficient):
     each = [1.0] * layout.size
-    return export.PosteriorResult(
+    return schema.PosteriorResult(
         sufficient=sufficient, message="long enough" if sufficient else "200 steps are 9 autocorrelation times",
         steps=200, walkers=32, acceptance=0.6, effective_bins=30.0, draws=600, pareto_k=0.2,
         coordinates=list(layout.coordinates), autocorrelation_steps=each, r_hat=each, bulk_size=each, tail_size=each,

@@ -14,13 +14,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from merlfit.fitting.clock import Clock
-from merlfit.fitting.compilation import use_persistent_cache
-from merlfit.fitting.config import load
-from merlfit.fitting.export import finite
-from merlfit.fitting.run import descend, fit
-from merlfit.fitting.selection import nearest
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.assess.selection import nearest
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline.run import descend, fit
+from merlfit.fitting.results.export import finite
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.support.clock import Clock
+from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read
 

@@ -13,12 +13,12 @@ from tempfile import TemporaryDirectory
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from merlfit.fitting.compilation import use_persistent_cache
-from merlfit.fitting.config import load
-from merlfit.fitting.metrics import SIN_FLOOR
-from merlfit.fitting.picture import difference, view
-from merlfit.fitting.run import predict_samples
-from merlfit.fitting.weights import THETA_MAX, weighted_samples, within
+from merlfit.fitting.assess.metrics import SIN_FLOOR
+from merlfit.fitting.assess.picture import difference, view
+from merlfit.fitting.objective.weights import THETA_MAX, weighted_samples, within
+from merlfit.fitting.pipeline.run import predict_samples
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model import published

@@ -2,8 +2,8 @@
 
 import jax
 import numpy as np
-from merlfit.fitting import problem as problems
-from merlfit.fitting.residuals import _predict
+from merlfit.fitting.objective import problem as problems
+from merlfit.fitting.objective.residuals import _predict
 
 
 def plain(layout, z, samples):

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from merlfit.fitting.export import read_result
-from merlfit.fitting.report import interval, number
+from merlfit.fitting.output.report import interval, number
+from merlfit.fitting.results.export import read_result
 
 
 def parameters(result):

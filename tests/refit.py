@@ -1,11 +1,11 @@
 """Fits that go on from another fit's optimum with other effects: what is compared is optima, not two searches."""
 
-from merlfit.fitting import run
-from merlfit.fitting.config import parse
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.transforms import layout_of
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline import run
+from merlfit.fitting.settings.config import parse
+from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured

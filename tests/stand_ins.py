@@ -1,9 +1,9 @@
 """Stand-ins of which everything is known, for the tests of the sampler: residuals in closed form."""
 
 import numpy as np
-from merlfit.fitting.emulator import Emulator, coordinates_of
-from merlfit.fitting.likelihood import StandIn
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.posterior.emulator import Emulator, coordinates_of
+from merlfit.fitting.posterior.likelihood import StandIn
 from merlfit.model.two_scale import TwoScale
 
 LAYOUT = layout_of(TwoScale("lambert", "off"))

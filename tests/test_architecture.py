@@ -1,6 +1,7 @@
 """Who may import whom: data and physics do not know each other, inference knows both."""
 
 import ast
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,48 @@ def test_arrows_of_the_architecture(package):
         assert "merlfit" not in other, f"{path} imports its own distribution absolutely"
         if package in LIBRARIES:
             assert other <= LIBRARIES[package] | STANDARD, f"{path} imports {other - LIBRARIES[package] - STANDARD}"
+
+
+LINE_OF_WORK = (
+    "support", "objective", "solve", "settings", "results", "assess", "posterior", "pipeline", "output", "cost",
+)  # fmt: skip
+
+
+def uses(path):
+    """Parts of ``fitting`` that a file of one of them imports: of its own one, of those beside it, or of none ("")."""
+    own, found = path.parent.name, set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level == 1:
+            found.add(own)
+        elif isinstance(node, ast.ImportFrom) and node.level == 2:
+            found |= {node.module.split(".")[0]} if node.module else {a.name for a in node.names}
+    return found
+
+
+def test_no_arrow_points_back_along_the_line_of_work():
+    """A part of ``fitting`` uses itself and parts before it; only files beside all parts know all of them."""
+    folders = {path.parent.name for path in (ROOT / "fitting").glob("*/__init__.py")} - {"main"}
+    assert folders == set(LINE_OF_WORK)
+    for place, part in enumerate(LINE_OF_WORK):
+        for path in (ROOT / "fitting" / part).glob("*.py"):
+            assert uses(path) <= set(LINE_OF_WORK[: place + 1]), path
+
+
+def test_every_package_is_installed():
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    there = [p.parent for top in ALLOWED for p in (ROOT / top).rglob("__init__.py") if p.parent.name != "main"]
+    assert set(declared) == {"merlfit", *(".".join(("merlfit", *p.relative_to(ROOT).parts)) for p in there)}
+
+
+def test_the_line_of_work_test_sees_an_arrow_back(tmp_path):
+    wrong = tmp_path / "objective" / "wrong.py"
+    wrong.parent.mkdir()
+    for line, seen in (
+        ("from ..solve.starts import read_off", {"solve"}), ("from .. import files", {"files"}),
+        ("from .weights import within", {"objective"}), ("from ...model import body", set()),
+    ):  # fmt: skip
+        wrong.write_text(line)
+        assert uses(wrong) == seen
 
 
 def test_oracles_know_nothing_of_what_they_judge():

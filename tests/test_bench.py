@@ -9,11 +9,11 @@ import pytest
 from bench import plain_numpy, processes, record
 from bench.against_scipy import Whole
 from lobes import ANGLES, draw
-from merlfit.fitting.levenberg_marquardt import compress
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.residuals import normal_equations
-from merlfit.fitting.run import predict_samples
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import normal_equations
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.pipeline.run import predict_samples
+from merlfit.fitting.solve.levenberg_marquardt import compress
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.convolution import convolve

@@ -13,9 +13,12 @@ from typing import get_args
 import jsonschema
 import numpy as np
 import pytest
-from merlfit.fitting import cli, export, importance, plots
-from merlfit.fitting.config import Config, ConfigError, known_keys, load, parse
-from merlfit.fitting.levenberg_marquardt import Status
+from merlfit.fitting import cli
+from merlfit.fitting.output import plots
+from merlfit.fitting.posterior.chain import importance
+from merlfit.fitting.results import export, schema
+from merlfit.fitting.settings.config import Config, ConfigError, known_keys, load, parse
+from merlfit.fitting.solve.levenberg_marquardt import Status
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
@@ -59,7 +62,7 @@ def test_a_bad_file_does_not_stop_the_others(fitted):
 def test_result_obeys_the_shipped_schema(fitted):
     folder = fitted[0]
     data = json.loads((folder / "out" / "blue-metallic-paint.json").read_text())
-    schema = json.loads((ROOT / "fitting" / "result.schema.json").read_text())
+    schema = json.loads((ROOT / "fitting" / "results" / "result.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(data, schema)
     with pytest.raises(jsonschema.ValidationError):
@@ -262,7 +265,7 @@ def test_a_backend_that_is_not_installed_is_a_bad_setting(monkeypatch):
 
 
 def test_statuses_in_the_schema_are_those_of_the_fit():
-    assert set(get_args(export.Fit.model_fields["status"].annotation)) == {s.name for s in Status}
+    assert set(get_args(schema.Fit.model_fields["status"].annotation)) == {s.name for s in Status}
 
 
 def test_default_toml_is_the_defaults():
@@ -411,7 +414,7 @@ def test_keys_that_would_have_no_effect_are_refused(data, words):
 
 
 def test_shipped_schema_is_the_models(tmp_path):
-    assert json.loads((ROOT / "fitting" / "result.schema.json").read_text()) == export.schema()
+    assert json.loads((ROOT / "fitting" / "results" / "result.schema.json").read_text()) == export.schema()
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"schema_version": "9.0"}', "\x00"])

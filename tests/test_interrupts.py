@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
-from merlfit.fitting.export import read_result
-from merlfit.fitting.posterior import _advance
-from merlfit.fitting.terminal import Stopped
+from merlfit.fitting.posterior.chain import _advance
+from merlfit.fitting.results.export import read_result
+from merlfit.fitting.support.terminal import Stopped
 
 TESTS = Path(__file__).parent
 PROGRAM = f"""
@@ -18,7 +18,7 @@ import os, signal, sys, time
 sys.path.insert(0, {str(TESTS)!r})
 from made_results import made
 from merlfit.fitting import cli, files
-from merlfit.fitting.export import write_result
+from merlfit.fitting.results.export import write_result
 
 def fit(path, out, settings, report, finish):
     report("reading")

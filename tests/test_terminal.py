@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 import typer.main
 from made_results import made
-from merlfit.fitting import cli, compilation, terminal
-from merlfit.fitting.report import Outcome, check_table, print_result, summary_table
-from merlfit.fitting.terminal import Screen
+from merlfit.fitting import cli
+from merlfit.fitting.output.report import Outcome, check_table, print_result, summary_table
+from merlfit.fitting.support import compilation, terminal
+from merlfit.fitting.support.terminal import Screen
 from merlfit.merl_io.check import FileReport
 from rich.table import Table
 from typer.testing import CliRunner
@@ -159,7 +160,7 @@ def test_a_damaged_program_is_deleted_and_told_once(tmp_path, told, monkeypatch)
 def test_jax_is_told_to_compile_once_and_repairs_what_is_damaged(tmp_path):
     program = """
 import jax, jax.numpy as jnp
-from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.fitting.support.compilation import use_persistent_cache
 use_persistent_cache()
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.jit(lambda x: jnp.sin(x) @ x)(jnp.ones((8, 8)))

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file lies beside fitting/ once installed
     from .fitting.api import Fit, fit, load, sample
-    from .fitting.config import ConfigError
-    from .fitting.export import ResultError
-    from .fitting.plots import NoPicture
-    from .fitting.posterior import ChainError
+    from .fitting.output.plots import NoPicture
+    from .fitting.posterior.chain import ChainError
+    from .fitting.results.export import ResultError
+    from .fitting.settings.config import ConfigError
     from .merl_io.atomic import WriteError
     from .merl_io.binary import Measurement, MerlError, read, write
     from .model.geometry import Geometry
@@ -29,10 +29,10 @@ if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file l
 
 _HOMES = {
     "fitting.api": ("Fit", "fit", "load", "sample"),
-    "fitting.config": ("ConfigError",),
-    "fitting.export": ("ResultError",),
-    "fitting.plots": ("NoPicture",),
-    "fitting.posterior": ("ChainError",),
+    "fitting.settings.config": ("ConfigError",),
+    "fitting.results.export": ("ResultError",),
+    "fitting.output.plots": ("NoPicture",),
+    "fitting.posterior.chain": ("ChainError",),
     "merl_io.atomic": ("WriteError",),
     "merl_io.binary": ("Measurement", "MerlError", "read", "write"),
     "model.geometry": ("Geometry",),

@@ -5,10 +5,19 @@ from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.levenberg_marquardt import prior_factor
-from merlfit.fitting.problem import energy
-from merlfit.fitting.run import CANDIDATE_ORDER, CANDIDATES, COARSE, GRIDS, RUNNERS_EACH, cheaper, make_coarse, race
-from merlfit.fitting.starts import read_off, starting_points
+from merlfit.fitting.objective.problem import energy
+from merlfit.fitting.pipeline.run import (
+    CANDIDATE_ORDER,
+    CANDIDATES,
+    COARSE,
+    GRIDS,
+    RUNNERS_EACH,
+    cheaper,
+    make_coarse,
+    race,
+)
+from merlfit.fitting.solve.levenberg_marquardt import prior_factor
+from merlfit.fitting.solve.starts import read_off, starting_points
 from merlfit.merl_io.samples import thin
 from scipy.optimize import least_squares
 

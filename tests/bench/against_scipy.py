@@ -5,10 +5,10 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.levenberg_marquardt import prior_factor
-from merlfit.fitting.problem import directions, energy, shares
-from merlfit.fitting.residuals import _predict
-from merlfit.fitting.threads import CORES, side_by_side
+from merlfit.fitting.objective.problem import directions, energy, shares
+from merlfit.fitting.objective.residuals import _predict
+from merlfit.fitting.solve.levenberg_marquardt import prior_factor
+from merlfit.fitting.support.threads import CORES, side_by_side
 from scipy.optimize import least_squares
 
 from .materials import TWELVE, file

@@ -9,12 +9,12 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.compilation import use_persistent_cache
-from merlfit.fitting.config import load
-from merlfit.fitting.run import fit, predict_samples
-from merlfit.fitting.sampling import draw
-from merlfit.fitting.threads import CORES
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline.run import fit, predict_samples
+from merlfit.fitting.posterior.sampling import draw
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.support.compilation import use_persistent_cache
+from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from scipy.ndimage import gaussian_filter

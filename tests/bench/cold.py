@@ -15,7 +15,8 @@ CASES = (("nickel", "none"), ("gray-plastic", "plastic"), ("nickel", "auto"))
 def measure(path, body):
     """`merlfit fit` in this process: on the system's clock, when normal equations of each size first came out."""
     import jax
-    from merlfit.fitting import cli, levenberg_marquardt
+    from merlfit.fitting import cli
+    from merlfit.fitting.solve import levenberg_marquardt
 
     real, first, folder = levenberg_marquardt.normal_equations, {}, tempfile.TemporaryDirectory()
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 from jax import numpy as jnp
-from merlfit.fitting.config import load
-from merlfit.fitting.outcome import Fitted
-from merlfit.fitting.run import fit
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.assess.outcome import Fitted
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline.run import fit
+from merlfit.fitting.settings.config import load
 from merlfit.merl_io.binary import read
 
 from .materials import TWELVE, measured

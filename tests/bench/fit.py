@@ -5,8 +5,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting.config import load
-from merlfit.fitting.run import fit_file
+from merlfit.fitting.pipeline.run import fit_file
+from merlfit.fitting.settings.config import load
 
 from .materials import BODIES, file
 from .processes import MERLFIT, watch, worker

@@ -3,12 +3,12 @@
 import time
 
 import numpy as np
-from merlfit.fitting.config import load
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.run import GRIDS
-from merlfit.fitting.starts import read_off
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline.run import GRIDS
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.solve.levenberg_marquardt import solve
+from merlfit.fitting.solve.starts import read_off
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 

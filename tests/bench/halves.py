@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting.config import load
-from merlfit.fitting.outcome import parameter_results
-from merlfit.fitting.run import fit
-from merlfit.fitting.sampling import sample
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline.result import parameter_results
+from merlfit.fitting.pipeline.run import fit
+from merlfit.fitting.posterior.sampling import sample
+from merlfit.fitting.settings.config import load
 from merlfit.merl_io.binary import read
 
 from .materials import TWELVE, measured

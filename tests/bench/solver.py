@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from merlfit.fitting.config import load
-from merlfit.fitting.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.residuals import normal_equations
-from merlfit.fitting.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import normal_equations
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.solve.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 
@@ -85,7 +85,7 @@ def measure(path, body):
 NOTES = [
     f"{STARTS} starting points each, drawn from the prior with {SPREAD:g} times its standard deviation; the same for "
     f"both. At most {MOST} evaluations of the normal equations; both stop at the same relative offset. stock: "
-    "`optimistix.LevenbergMarquardt` with its defaults, residuals times 100; ours: `fitting/trust_region.py`.",
+    "`optimistix.LevenbergMarquardt` with its defaults, residuals times 100; ours: `fitting/solve/trust_region.py`.",
     f"Same end: pairs whose costs differ by less than {SAME:.1%}, for which evaluations are compared (ratio of "
     "medians). Lower: pairs in which one ended lower by more than that.",
 ]

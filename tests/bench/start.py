@@ -2,12 +2,12 @@
 
 import time
 
-from merlfit.fitting.config import load
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
-from merlfit.fitting.starts import read_off
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.solve.levenberg_marquardt import solve
+from merlfit.fitting.solve.starts import read_off
 from merlfit.merl_io.binary import read
 
 REPEATS = 3

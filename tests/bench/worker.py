@@ -4,7 +4,7 @@ import importlib
 import json
 import sys
 
-from merlfit.fitting.compilation import use_persistent_cache
+from merlfit.fitting.support.compilation import use_persistent_cache
 
 if __name__ == "__main__":
     use_persistent_cache()

@@ -2,7 +2,7 @@
 
 import frontiers
 import pytest
-from merlfit.fitting import calibration
+from merlfit.fitting.cost.measure import calibration
 
 
 @pytest.fixture

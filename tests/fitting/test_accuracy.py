@@ -8,15 +8,18 @@ import jsonschema
 import numpy as np
 import pytest
 from frontiers import fit, measurement, point
-from merlfit.fitting import accuracy, calibration, cli, frontier, run
-from merlfit.fitting.accuracy import Aim, distance, estimate, reference_problem, remaining, resume_fit
-from merlfit.fitting.choice import POINTS, REFERENCE
-from merlfit.fitting.config import Config, load
-from merlfit.fitting.export import Accuracy, Result, Tried, read_result, schema
-from merlfit.fitting.problem import energy
-from merlfit.fitting.report import accuracy_line
-from merlfit.fitting.request import Request
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting import cli
+from merlfit.fitting.cost.accuracy import Aim, distance, estimate, reference_problem, remaining, resume_fit
+from merlfit.fitting.cost.measure import accuracy, calibration, frontier
+from merlfit.fitting.cost.request import Request
+from merlfit.fitting.objective.problem import energy
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.output.report import accuracy_line
+from merlfit.fitting.pipeline import run
+from merlfit.fitting.results.export import read_result, schema
+from merlfit.fitting.results.schema import Accuracy, Result, Tried
+from merlfit.fitting.settings.choice import POINTS, REFERENCE
+from merlfit.fitting.settings.config import Config, load
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner

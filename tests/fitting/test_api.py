@@ -7,8 +7,10 @@ import sys
 import merlfit
 import numpy as np
 import pytest
-from merlfit.fitting import api, importance, plots
-from merlfit.fitting.export import read_result
+from merlfit.fitting import api
+from merlfit.fitting.output import plots
+from merlfit.fitting.posterior.chain import importance
+from merlfit.fitting.results.export import read_result
 
 QUICK = {
     "effects": {"body": "none", "diffraction": "off"}, "fit": {"starts": 1, "grid": "coarse"},

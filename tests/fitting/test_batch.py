@@ -7,14 +7,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import run
-from merlfit.fitting.batch import fit_batch, prepare, solve_batch
-from merlfit.fitting.config import parse
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.starts import read_off
-from merlfit.fitting.transforms import layout_of
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline import run
+from merlfit.fitting.pipeline.batch import fit_batch, prepare, solve_batch
+from merlfit.fitting.settings.config import parse
+from merlfit.fitting.solve.levenberg_marquardt import solve
+from merlfit.fitting.solve.starts import read_off
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin

@@ -6,11 +6,11 @@ from itertools import combinations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import run
-from merlfit.fitting.coreset import COLUMNS, ROWS, Rows, few_rows, runs
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.residuals import cost, normal_equations
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import cost, normal_equations
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.pipeline import run
+from merlfit.fitting.posterior.coreset import COLUMNS, ROWS, Rows, few_rows, runs
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold
 from merlfit.model.two_scale import TwoScale

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from frontiers import measurement, point, spread
 from matplotlib.text import Text
-from merlfit.fitting import accuracy, calibration, cli, cost, frontier, tiers
-from merlfit.fitting.choice import POINTS, REFERENCE, default_choice
-from merlfit.fitting.cost_plot import frontier_figure
-from merlfit.fitting.cost_report import changes, front, gains, tables, write_markdown
-from merlfit.fitting.frontier import Frontier
+from merlfit.fitting import cli
+from merlfit.fitting.cost.frontier import Frontier
+from merlfit.fitting.cost.measure import accuracy, calibration, frontier, measure, tiers
+from merlfit.fitting.cost.plot import frontier_figure
+from merlfit.fitting.cost.report import changes, front, gains, tables, write_markdown
+from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.model import published
 from typer.testing import CliRunner
 
@@ -100,36 +101,36 @@ def test_an_interrupted_measurement_goes_on_and_another_one_starts_anew(monkeypa
         asked.append((section, len(names)))
         for k, name in enumerate(names):
             if section in broken and k == 3:
-                raise cost.CostError(section)
+                raise measure.CostError(section)
             errors = {name: spread(1e-3).model_dump() for name in tiers.TIERS if name != "exact"}
-            yield {name: errors if section == cost.ERRORS else speed if section == cost.TIMES else row}
+            yield {name: errors if section == measure.ERRORS else speed if section == measure.TIMES else row}
 
-    monkeypatch.setattr(cost, "_worker", worker)
+    monkeypatch.setattr(measure, "_worker", worker)
     (tmp_path / "work").mkdir()  # somebody's own
-    with pytest.raises(cost.CostError):
-        cost.measure(None, tmp_path, 1, lambda _: None)
+    with pytest.raises(measure.CostError):
+        measure.measure(None, tmp_path, 1, lambda _: None)
     assert asked[-1] == (broken.pop(), 20)
     asked.clear()
-    found = cost.measure(None, tmp_path, 1, lambda _: None)
+    found = measure.measure(None, tmp_path, 1, lambda _: None)
     assert asked[0] == (str(POINTS[1]), 17)
     assert str(REFERENCE) not in dict(asked)
     assert [q.choice for q in found.points] == list(POINTS)
     asked.clear()
-    cost.measure(None, tmp_path, 1, lambda _: None)
+    measure.measure(None, tmp_path, 1, lambda _: None)
     assert asked == []  # until everything is written
-    cost.tidy(tmp_path)
+    measure.tidy(tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["rows.json", "work"]
     kept = json.loads((tmp_path / "rows.json").read_text())
     assert set(kept[str(POINTS[0])]) == set(calibration.names())
-    monkeypatch.setattr(cost, "read", lambda path: measurement("drawn-1000")[0])
-    one = cost.measure(Path("one.binary"), tmp_path, 1, lambda _: None)
+    monkeypatch.setattr(measure, "read", lambda path: measurement("drawn-1000")[0])
+    one = measure.measure(Path("one.binary"), tmp_path, 1, lambda _: None)
     assert asked[0] == (str(REFERENCE), 1)
     assert one.data == "drawn-1000 alone, not a genuine MERL file"
 
 
 def test_a_worker_that_fails_says_why(tmp_path):
-    with pytest.raises(cost.CostError, match="no-such-material"):
-        list(cost._worker(tmp_path, str(POINTS[0]), ["no-such-material.sgd"], None, 1))
+    with pytest.raises(measure.CostError, match="no-such-material"):
+        list(measure._worker(tmp_path, str(POINTS[0]), ["no-such-material.sgd"], None, 1))
 
 
 def test_calibration_materials_exist():
@@ -143,7 +144,7 @@ def test_errors_beyond_their_estimate_are_counted_as_astray():
     row = {"rmse": 0.1, "estimate": 1e-3, "seconds": 1.0, "other_body": False, "error": 1e-4, "parameters": 0.5,
            "megabytes": 900.0, "estimate_seconds": 0.5, "status": "AT_BOUND"}  # fmt: skip
     astray = {**row, "error": 0.05, "other_body": True, "parameters": None, "status": "UNEXPLAINED"}
-    once, twice = (cost._point(POINTS[0], [row] * (20 - k) + [astray] * k) for k in (1, 2))
+    once, twice = (measure._point(POINTS[0], [row] * (20 - k) + [astray] * k) for k in (1, 2))
     assert (once.astray, once.promised.p95, once.error.p95, once.error.worst) == (0.0, 1e-3, 1e-4, 0.05)
     assert (twice.astray, twice.promised.p95, twice.other_body, twice.failed) == (0.05, 0.05, 0.1, 0.1)
 
@@ -152,18 +153,18 @@ def test_errors_beyond_their_estimate_are_counted_as_astray():
 def test_a_file_is_measured_from_beginning_to_end(monkeypatch, tmp_path, file):
     """With two cheap points, the second as reference, and three tiers of few directions, all in this process."""
     monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))
-    for module in (cost, frontier):
+    for module in (measure, frontier):
         monkeypatch.setattr(module, "POINTS", (POINTS[1], POINTS[3]))
-    for module in (cost, calibration, accuracy):
+    for module in (measure, calibration, accuracy):
         monkeypatch.setattr(module, "REFERENCE", POINTS[3])
     monkeypatch.setattr(tiers, "TIERS", {name: tiers.TIERS[name] for name in ("off", "quadrature 8", "exact")})
     for name, few in {"SETS": 3, "DIRECTIONS": 4, "LISTED": 64, "LISTED_EXACT": 2, "REPEATS": 1}.items():
         monkeypatch.setattr(tiers, name, few)
 
     def worker(*job):
-        yield from (json.loads(json.dumps(row)) for row in cost.work_on(*job))
+        yield from (json.loads(json.dumps(row)) for row in measure.work_on(*job))
 
-    monkeypatch.setattr(cost, "_worker", worker)
+    monkeypatch.setattr(measure, "_worker", worker)
     out = tmp_path / "cost"
     try:
         shown = runner.invoke(cli.app, ["cost", str(file), "-o", str(out)])

@@ -6,9 +6,11 @@ import math
 import numpy as np
 import pytest
 from made_results import made
-from merlfit.fitting import cli, plots
-from merlfit.fitting.export import ResultError, Source, read_result, write_result
-from merlfit.fitting.posterior import ChainError, read_chain
+from merlfit.fitting import cli
+from merlfit.fitting.output import plots
+from merlfit.fitting.posterior.chain import ChainError, read_chain
+from merlfit.fitting.results.export import ResultError, read_result, write_result
+from merlfit.fitting.results.schema import Source
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner

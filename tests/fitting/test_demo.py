@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from made_results import made, quantiles
-from merlfit.fitting import cli, demo, files
-from merlfit.fitting.export import write_result
+from merlfit.fitting import cli, files
+from merlfit.fitting.output import demo
+from merlfit.fitting.results.export import write_result
 from merlfit.merl_io.binary import genuine_names, read, write
 from merlfit.model.measured import Measured
 from typer.testing import CliRunner

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import emulator as emulators
-from merlfit.fitting.emulator import Emulator, coordinates_of, cost_at
+from merlfit.fitting.posterior.chain import emulator as emulators
+from merlfit.fitting.posterior.emulator import Emulator, coordinates_of, cost_at
 from stand_ins import LAYOUT, OWN, banana, gentle, taught
 
 

@@ -6,14 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_results import made
-from merlfit.fitting import cli, files, keeping, sampling
-from merlfit.fitting.config import Config
-from merlfit.fitting.export import read_result, write_result
-from merlfit.fitting.importance import Posterior
-from merlfit.fitting.keeping import Complete, completeness, place_of
-from merlfit.fitting.run import chain_of, fit_file
-from merlfit.fitting.terminal import Stopped
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting import cli, files
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.output import keeping
+from merlfit.fitting.output.keeping import Complete, completeness, place_of
+from merlfit.fitting.pipeline.run import chain_of, fit_file
+from merlfit.fitting.posterior.chain import sampling
+from merlfit.fitting.posterior.importance import Posterior
+from merlfit.fitting.results.export import read_result, write_result
+from merlfit.fitting.settings.config import Config
+from merlfit.fitting.support.terminal import Stopped
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, MerlError, write
 from merlfit.model.measured import Measured
@@ -207,11 +209,11 @@ def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
 
 
 def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monkeypatch):
-    monkeypatch.setattr("merlfit.fitting.synthesis.tabulate", lambda evaluate: evaluate)
+    monkeypatch.setattr("merlfit.fitting.output.synthesis.tabulate", lambda evaluate: evaluate)
     seen = []
-    monkeypatch.setattr("merlfit.fitting.synthesis.evaluate", lambda *words: seen.append(words[0]))
+    monkeypatch.setattr("merlfit.fitting.output.synthesis.evaluate", lambda *words: seen.append(words[0]))
     monkeypatch.setattr("merlfit.merl_io.binary.write", lambda out, values: values(None))
-    monkeypatch.setattr("merlfit.fitting.compilation.use_persistent_cache", lambda: None)
+    monkeypatch.setattr("merlfit.fitting.support.compilation.use_persistent_cache", lambda: None)
     put_result(tmp_path)
     alone = call("synth", tmp_path / "nickel.json", "-o", tmp_path / "x.binary")
     assert "near grazing angles many times brighter" in " ".join(alone.stdout.split())

@@ -7,17 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import levenberg_marquardt, run
-from merlfit.fitting import problem as problems
-from merlfit.fitting.config import Config, load
-from merlfit.fitting.levenberg_marquardt import Status, solve
-from merlfit.fitting.metrics import Errors
-from merlfit.fitting.outcome import Fitted
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.residuals import _normal_equations, cost, normal_equations, spread_out
-from merlfit.fitting.starts import read_off, starting_points
-from merlfit.fitting.transforms import layout_of
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.assess.metrics import Errors
+from merlfit.fitting.assess.outcome import Fitted
+from merlfit.fitting.objective import problem as problems
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import _normal_equations, cost, normal_equations, spread_out
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.pipeline import run
+from merlfit.fitting.settings.config import Config, load
+from merlfit.fitting.solve import levenberg_marquardt
+from merlfit.fitting.solve.levenberg_marquardt import Status, solve
+from merlfit.fitting.solve.starts import read_off, starting_points
 from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin

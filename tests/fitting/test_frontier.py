@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from frontiers import point
-from merlfit.fitting import accuracy, calibration, cli, cost, frontier, tiers
-from merlfit.fitting.choice import POINTS, REFERENCE, default_choice
-from merlfit.fitting.config import Config, ConfigError, load
-from merlfit.fitting.frontier import Frontier, Spread, pareto
-from merlfit.fitting.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
+from merlfit.fitting import cli
+from merlfit.fitting.cost.frontier import Frontier, Spread, pareto
+from merlfit.fitting.cost.measure import accuracy, calibration, frontier, measure, tiers
+from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
+from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
+from merlfit.fitting.settings.config import Config, ConfigError, load
 from typer.testing import CliRunner
 
 runner = CliRunner()
@@ -210,6 +211,6 @@ def test_the_shipped_calibration_has_all_points_and_says_what_it_is_of():
     assert "synthetic" in found.data
     assert len(found.materials) == len(calibration.names())
     assert found.points[-1].error.worst < 2e-3 < found.points[0].error.p95
-    rows = json.loads((Path(__file__).parents[2] / "results" / "bench" / "cost" / cost.ROWS).read_text())
-    measured = cost.assemble(rows, found.materials, found.data)
+    rows = json.loads((Path(__file__).parents[2] / "results" / "bench" / "cost" / measure.ROWS).read_text())
+    measured = measure.assemble(rows, found.materials, found.data)
     assert (found.points, found.tiers) == (measured.points, measured.tiers)  # what is shipped is what was measured

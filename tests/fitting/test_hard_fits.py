@@ -7,10 +7,10 @@ import hard_table
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.transforms import layout_of
-from merlfit.fitting.weights import weighted_samples
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from merlfit.fitting import importance
-from merlfit.fitting.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
-from merlfit.fitting.levenberg_marquardt import Solution
-from merlfit.fitting.metrics import Errors
-from merlfit.fitting.outcome import Fitted, parameter_results, posterior_parts
-from merlfit.fitting.posterior import LEAST_SIZE, WALKERS, Chain
+from merlfit.fitting.assess.metrics import Errors
+from merlfit.fitting.assess.outcome import Fitted
+from merlfit.fitting.pipeline.result import parameter_results, posterior_parts
+from merlfit.fitting.posterior.chain import LEAST_SIZE, WALKERS, Chain, importance
+from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
+from merlfit.fitting.solve.levenberg_marquardt import Solution
 from merlfit.model.derived import quantities
 from stand_ins import LAYOUT
 

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting import cli
-from merlfit.fitting.export import read_result
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import directions, make_problem
-from merlfit.fitting.residuals import cost, normal_equations, predict
-from merlfit.fitting.synthesis import tabulate
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.objective.problem import directions, make_problem
+from merlfit.fitting.objective.residuals import cost, normal_equations, predict
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.output.synthesis import tabulate
+from merlfit.fitting.results.export import read_result
+from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting import picture
-from merlfit.fitting.picture import (
+from merlfit.fitting.assess import picture
+from merlfit.fitting.assess.picture import (
     LAMP,
     LAMP_RADIUS_RAD,
     PIXELS,

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_results import made
-from merlfit.fitting import plots
-from merlfit.fitting.plots import corner_figure, lobe_figure
+from merlfit.fitting.output import plots
+from merlfit.fitting.output.plots import corner_figure, lobe_figure
 from merlfit.merl_io.binary import DIMS, Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.measured import Measured
@@ -109,7 +109,7 @@ def test_the_corner_plot_has_units_scales_values_and_ticks(scale):
 
 
 def test_a_chain_too_short_for_intervals_is_drawn_and_gives_the_lobes_no_band(tmp_path, measurement, monkeypatch):
-    from merlfit.fitting import inspection
+    from merlfit.fitting.output import inspection
 
     result, seen = made(posterior=False), []
     np.savez(tmp_path / result.posterior.chain_file, **chain(result))

@@ -8,10 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import posterior as sampler
-from merlfit.fitting.emulator import Emulator, log_posterior
-from merlfit.fitting.laplace import laplace_covariance
-from merlfit.fitting.posterior import (
+from merlfit.fitting.assess.laplace import laplace_covariance
+from merlfit.fitting.posterior.chain import (
     CHECK_EVERY,
     ENOUGH,
     WALKERS,
@@ -26,6 +24,8 @@ from merlfit.fitting.posterior import (
     spread_over,
     write_chain,
 )
+from merlfit.fitting.posterior.chain import chain as sampler
+from merlfit.fitting.posterior.emulator import Emulator, log_posterior
 from scipy.optimize import minimize
 from stand_ins import LAYOUT, banana, gentle, taught
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import problem as problems
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.residuals import cost, predict
+from merlfit.fitting.objective import problem as problems
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import cost, predict
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.measured import Measured

@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import projection
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.projection import ALBEDOS, BATCH, ETAS, METALS, project
-from merlfit.fitting.residuals import cost
-from merlfit.fitting.run import predict_samples
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import cost
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.pipeline.run import predict_samples
+from merlfit.fitting.solve import projection
+from merlfit.fitting.solve.projection import ALBEDOS, BATCH, ETAS, METALS, project
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.measured import Measured

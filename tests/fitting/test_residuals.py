@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.problem import Part, directions
-from merlfit.fitting.residuals import _materialised, _normal_equations, _true_of
+from merlfit.fitting.objective.problem import Part, directions
+from merlfit.fitting.objective.residuals import _materialised, _normal_equations, _true_of
 from merlfit.model.two_scale import TwoScale
 
 EFFECTS = TwoScale("none", "off")

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from made_results import made
-from merlfit.fitting import export
-from merlfit.fitting.config import Config, parse
-from merlfit.fitting.identifiability import identifiability, priors
-from merlfit.fitting.laplace import laplace_covariance
-from merlfit.fitting.run import fit_file
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.assess.identifiability import identifiability, priors
+from merlfit.fitting.assess.laplace import laplace_covariance
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.pipeline.run import fit_file
+from merlfit.fitting.results import export, schema
+from merlfit.fitting.settings.config import Config, parse
 from merlfit.merl_io.binary import DIMS, write
 from merlfit.model.acquisition import Apparatus
 from merlfit.model.measured import Measured
@@ -49,20 +49,20 @@ def test_the_covariance_is_in_physical_units_and_agrees_with_the_correlations(fo
     assert np.asarray(told.covariance) == pytest.approx(covariance)
     error = np.sqrt(np.diag(told.covariance))
     np.testing.assert_allclose(told.covariance / error / error[:, None], told.correlation, atol=1e-3)
-    assert export.Identifiability.model_validate_json(told.model_dump_json()) == told
+    assert schema.Identifiability.model_validate_json(told.model_dump_json()) == told
 
 
 def test_a_covariance_of_the_wrong_size_is_refused(found):
     data = found[1].model_dump()
     with pytest.raises(ValueError, match="entries, names"):
-        export.Identifiability.model_validate({**data, "covariance": data["covariance"][:-1]})
+        schema.Identifiability.model_validate({**data, "covariance": data["covariance"][:-1]})
     with pytest.raises(ValueError, match="entries, coordinates"):
-        export.Identifiability.model_validate({**data, "priors": data["priors"][:-1]})
+        schema.Identifiability.model_validate({**data, "priors": data["priors"][:-1]})
 
 
 def test_results_before_covariances_can_be_read(found):
     data = found[1].model_dump(exclude={"covariance", "priors"})
-    assert export.Identifiability.model_validate(data).priors is None
+    assert schema.Identifiability.model_validate(data).priors is None
 
 
 @pytest.mark.parametrize("effects", [Measured(TwoScale("lambert")), TwoScale("none")], ids=str)
@@ -110,7 +110,7 @@ def test_a_prior_that_was_changed_is_told_as_it_is():
 )
 def test_when_and_how_a_result_was_computed(words, command, monkeypatch):
     monkeypatch.setattr(sys, "argv", words)
-    told = export.this_run()
+    told = schema.this_run()
     assert told.command == command
     at = datetime.fromisoformat(told.finished)
     assert at.utcoffset() == timedelta(0)
@@ -155,7 +155,7 @@ def test_results_of_older_versions_are_read_as_this_one(version, model, tmp_path
     path = tmp_path / "old.json"
     path.write_text(json.dumps(older(new, version)))
     found = export.read_result(path)
-    assert found.schema_version == export.SCHEMA_VERSION
+    assert found.schema_version == schema.SCHEMA_VERSION
     assert found.model.measured == model
     assert [(c.model, c.variant) for c in found.fit.candidates] == [
         ("two-scale", "complex none"), ("two-scale", "real plastic"),
@@ -170,7 +170,7 @@ def test_results_of_older_versions_are_read_as_this_one(version, model, tmp_path
     assert export.read_result(path) == found
 
 
-@pytest.mark.parametrize("version", export.OLDER)
+@pytest.mark.parametrize("version", schema.OLDER)
 def test_an_older_result_without_sense_is_refused_in_one_line(version, tmp_path):
     path = tmp_path / "old.json"
     for wrong in ({}, {"model": 3, "fit": [], "config": None}, {"model": {"effects": {}}, "fit": {"candidates": [1]}}):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting.selection import ALIKE, MARGIN, PATIENCE, choose, lost, nearest, score
+from merlfit.fitting.assess.selection import ALIKE, MARGIN, PATIENCE, choose, lost, nearest, score
 from merlfit.model.two_scale import KINDS, TwoScale
 
 COUNT = 13.0

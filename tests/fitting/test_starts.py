@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.levenberg_marquardt import solve
-from merlfit.fitting.problem import make_problem
-from merlfit.fitting.projection import ALBEDOS, ETAS, project
-from merlfit.fitting.residuals import costs_of_many
-from merlfit.fitting.run import predict_samples
-from merlfit.fitting.starts import (
+from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import costs_of_many
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.pipeline.run import predict_samples
+from merlfit.fitting.solve.levenberg_marquardt import solve
+from merlfit.fitting.solve.projection import ALBEDOS, ETAS, project
+from merlfit.fitting.solve.starts import (
     CLASSES,
     DARK_QUANTILE,
     NEAR,
@@ -27,7 +28,6 @@ from merlfit.fitting.starts import (
     scattered,
     starting_points,
 )
-from merlfit.fitting.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.measured import Measured

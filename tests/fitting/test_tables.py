@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 from lobes import INSIDE, j
-from merlfit.fitting import tables
+from merlfit.fitting.support import tables
 from merlfit.model import scaled
 
 

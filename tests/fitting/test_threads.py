@@ -4,7 +4,7 @@ import subprocess
 import sys
 import threading
 
-from merlfit.fitting import threads
+from merlfit.fitting.support import threads
 
 
 def test_nobody_gets_threads_by_an_import():

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.config import Config, ConfigError, load, parse
-from merlfit.fitting.transforms import layout_of
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.settings.config import Config, ConfigError, load, parse
 from merlfit.model.diffraction import renormalisation
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import PRIORS, WAVELENGTHS_UM, LogNormal

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.fitting.weights import (
+from merlfit.fitting.objective.weights import (
     RUNGS,
     THETA_MAX,
     compressive_weight,

@@ -1,0 +1,1 @@
+"""Assessing a fit: errors, pictures, choice between models, status, what the data determine."""

@@ -1,0 +1,152 @@
+"""What a fit found, and how it is told in JSON."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...merl_io.binary import OUTLIER, Measurement
+from ...model.parameters import WAVELENGTHS_UM
+from ...model.reflectance import Reflectance
+from ...model.two_scale import TwoScale
+from ..objective.transforms import ODDS, Layout
+from ..objective.weights import BEND, Bend
+from ..results import schema
+from ..settings.config import Config
+from ..solve.levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
+from . import metrics
+from .laplace import laplace_covariance
+from .selection import alike, lost
+
+if TYPE_CHECKING:  # the sampler's libraries take a second to load
+    pass
+
+EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
+POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
+METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
+RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
+OUTLIERS = (
+    "{count} bins of the file are outliers, over {times:g} times brighter than what is beside them: they dominate the "
+    "RMSE, and the cost hardly feels them"
+)
+Bound = Literal["no", "lower", "upper"]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit on all bins.
+
+    Attributes:
+        layout: what was fitted, and in which coordinates. solution: where it ended.
+        count: effective sample count of the residuals. errors: metrics.
+        candidates: models and their variants that were compared on the coarse grid.
+        bend: of the weights that it was made with.
+    """
+
+    layout: Layout
+    solution: Solution
+    count: float
+    errors: metrics.Errors
+    candidates: list[schema.Candidate]
+    bend: Bend = BEND
+
+    @property
+    def material(self) -> Reflectance:
+        """What was fitted, without the apparatus."""
+        return self.layout.material
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Physical values, (P,)."""
+        return np.asarray(self.layout.flat(jnp.asarray(self.solution.z)))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the physical values, by the Laplace approximation, (P, P)."""
+        slopes = np.asarray(self.layout.slopes(jnp.asarray(self.solution.z)))
+        return slopes @ laplace_covariance(self.solution.normal, self.count) @ slopes.T
+
+    @cached_property
+    def standard_errors(self) -> np.ndarray:
+        """Of the physical values, (P,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @cached_property
+    def at_bound(self) -> list[Bound]:
+        """At which bound each entry is: within 1 % of it, and no two standard errors away.
+
+        An albedo is at none, which its odds never reach: where 0 or 1 is as good, its standard error says so.
+        """
+        entries = self.layout.entries
+        place = [float(q.position(x)) for q, x in zip(entries, self.values, strict=True)]
+        error = [q.stretch(x) * e for q, x, e in zip(entries, self.values, self.standard_errors, strict=True)]
+        near = [
+            q.quantity != ODDS and min(x, 1 - x) < EDGE and min(x, 1 - x) <= RESOLVED * e
+            for q, x, e in zip(entries, place, error, strict=True)
+        ]
+        return ["no" if not at else "lower" if x < EDGE else "upper" for x, at in zip(place, near, strict=True)]
+
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        if not (np.isfinite(self.solution.cost) and np.all(np.isfinite(self.solution.normal))):
+            return Status.NON_FINITE
+        if self.solution.cost > UNEXPLAINED_COST:
+            return Status.UNEXPLAINED
+        if not self.solution.converged:
+            return Status.STEP_LIMIT
+        return Status.CONVERGED if set(self.at_bound) == {"no"} else Status.AT_BOUND
+
+
+def said(status: Status, measurement: Measurement) -> str:
+    """What a status says, and what is wrong with the file however the fit ended."""
+    if not (count := measurement.outliers):
+        return status.value
+    return f"{status.value}; {OUTLIERS.format(count=count, times=OUTLIER)}"
+
+
+def cautions(fitted: Fitted, config: Config) -> list[str]:
+    """What a user of the parameters should know, in words."""
+    found, peak = [], fitted.errors.highlight
+    if np.isfinite(peak) and lost(peak):
+        adaptive = config.fit.weights == "adaptive"
+        mend = "no exponent of the weights keeps it" if adaptive else "fit with --weights adaptive"
+        found.append(f"the highlight is lost: at its peak the fit has {peak:.2g} times the file's brightness; {mend}")
+    found += others(fitted)
+    if fitted.status is Status.STEP_LIMIT:
+        found.append("the cost was still falling when the fit stopped: raise fit.max_steps to go on")
+    if fitted.solution.cost > POOR:
+        found.append(
+            f"the model does not describe this file well: {fitted.solution.cost:.0%} of its weighted energy is left"
+        )
+    names = fitted.layout.names
+    if bound := [f"{n} ({at})" for n, at in zip(names, fitted.at_bound, strict=True) if at != "no"]:
+        found.append(f"at a bound, so that a value beyond it may fit better: {', '.join(bound)}")
+    values = dict(zip(names, fitted.values.tolist(), strict=True))
+    if values.get("sigma_s", 0.0) > min(WAVELENGTHS_UM) / 2:
+        found.append(
+            "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
+        )
+    floor = max((x for name, x in values.items() if name.startswith("albedo")), default=0.0)
+    if isinstance(fitted.material, TwoScale) and fitted.material.index == "complex" and floor > METAL_FLOOR:
+        found.append("a body this bright lies under no metal: n and k are effective values, not those of a material")
+    return found
+
+
+def others(fitted: Fitted) -> list[str]:
+    """Which other models, or variants of the model, describe the file about as well."""
+    known = [(c, c.objective, c.cube_root, c.score) for c in fitted.candidates]
+    full = [(c, j, e, score) for c, j, e, score in known if j is not None and e is not None and score is not None]
+    fits = fitted.material.name, fitted.material.variant
+    own = [k for k, (c, *_) in enumerate(full) if (c.model, c.variant) == fits]
+    if not own:
+        return []
+    compared, *figures = zip(*full, strict=True)
+    near = [
+        f"{c.variant} ({figures[-1][k] - figures[-1][own[0]]:+.1f})"
+        for k, c in enumerate(compared)
+        if k != own[0] and alike(k, own[0], *figures)
+    ]
+    return [f"other models describe the file about as well (score against this one): {', '.join(near)}"] if near else []

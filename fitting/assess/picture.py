@@ -1,0 +1,166 @@
+"""What a material looks like: a sphere under a small lamp and under an environment, and how far two spheres differ.
+
+A pixel's radiance is a weighted sum of BRDF values, so a picture is a table of bins and weights that is made once: to
+render is to look up and add, some milliseconds. Under the lamp a pixel averages over the lamp's disc; under the
+environment it is integrated over half vectors on MERL's own rows of theta_h, which resolve every lobe that the file
+does: domega_i = 4 cos_d domega_h. Bins without datum are left out of both pictures that are compared.
+
+The difference is the mean distance in CIELAB (D65, CIE 1976), in which about 1 is just noticeable; white is what a
+perfect white surface facing the lamp, or in the open under the environment, would send. That fits are to be judged by
+pictures is the idea of Bieron & Peers 2020, "An adaptive BRDF fitting metric".
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+
+from ...merl_io.grid import merl_grid
+
+Lighting = Literal["lamp", "environment"]
+LAMP = np.array([0.45, 0.55, 0.7]) / np.linalg.norm([0.45, 0.55, 0.7])  # camera along z, up along y
+LAMP_RADIUS_RAD = np.radians(1.5)
+LAMP_NODES = 3  # radii of its disc, with 6 azimuths each
+AZIMUTHS = 24  # of half vectors, on each of 90 rows
+GOLDEN = (np.sqrt(5) - 1) / 2
+PIXELS = {"lamp": 900, "environment": 220}  # of the comparison, spread evenly over the disc of the sphere
+SKY, GROUND = 0.6, 0.15
+BOXES = (((-0.6, 0.5, 0.6), 60.0, 4.0), ((0.7, 0.6, 0.3), 200.0, 12.0), ((0.2, 0.9, -0.3), 30.0, 2.0))
+"""Direction, concentration and radiance of the environment's windows."""
+XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+
+
+@dataclass(frozen=True)
+class View:
+    """Pixels of a lit sphere as sums over folded bins.
+
+    Attributes:
+        bins: flat indices into (90, 90, 90), (pixels, samples). weights: of them, radiance over BRDF.
+    """
+
+    bins: np.ndarray
+    weights: np.ndarray
+
+    def render(self, brdf: np.ndarray) -> np.ndarray:
+        """Radiance over that of a white surface, (pixels, C), of folded values (C, 90, 90, 90)."""
+        return np.stack([np.sum(self.weights * plane.reshape(-1)[self.bins], 1) for plane in brdf], -1)
+
+
+def disc(count: int) -> np.ndarray:
+    """Points spread evenly over the unit disc, (count, 2): Vogel's spiral."""
+    k = np.arange(count) + 0.5
+    radius, turn = np.sqrt(k / count), k * np.pi * (3 - np.sqrt(5))
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn)], -1)
+
+
+@cache
+def comparison(lighting: Lighting) -> View:
+    """The pixels in which pictures are compared."""
+    return view(lighting, disc(PIXELS[lighting]))
+
+
+def view(lighting: Lighting, positions: np.ndarray) -> View:
+    """A sphere seen from far along z.
+
+    Args:
+        positions: of the pixels, (N, 2), in radii of the sphere and inside it.
+    """
+    normal = np.concatenate([positions, np.sqrt(np.maximum(1 - np.sum(positions**2, -1, keepdims=True), 0.0))], -1)
+    return _lamp_view(normal) if lighting == "lamp" else _environment_view(normal)
+
+
+def _lamp_view(normal: np.ndarray) -> View:
+    radius, turn = np.sqrt((np.arange(LAMP_NODES) + 0.5) / LAMP_NODES), np.arange(6) * np.pi / 3
+    across, up = _frame(LAMP[None])
+    radius, turn = (x.reshape(-1, 1) for x in np.meshgrid(np.tan(LAMP_RADIUS_RAD) * radius, turn, indexing="ij"))
+    light = LAMP + radius * (np.cos(turn) * across + np.sin(turn) * up)
+    light = light / np.linalg.norm(light, axis=-1, keepdims=True)
+    i = np.broadcast_to(light, (len(normal), *light.shape))
+    cos_i = np.maximum(np.einsum("pk,lk->pl", normal, light), 0.0)
+    bins = _bins(i, np.broadcast_to([0.0, 0.0, 1.0], i.shape), normal[:, None])
+    return View(bins, np.pi * cos_i / len(light))
+
+
+def _environment_view(normal: np.ndarray) -> View:
+    grid = merl_grid()
+    rows = np.arange(len(grid.theta_h))
+    # every row of theta_h is turned against the one before it, so that the environment is sampled evenly
+    turn = 2 * np.pi * ((np.arange(AZIMUTHS) + GOLDEN * rows[:, None]) % AZIMUTHS) / AZIMUTHS
+    theta, phi = np.repeat(grid.theta_h, AZIMUTHS), turn.reshape(-1)
+    solid_angle = np.repeat(-np.diff(np.cos(grid.edges[0])), AZIMUTHS) * 2 * np.pi / AZIMUTHS
+    across, up = (x[:, None] for x in _frame(normal))
+    sin = np.sin(theta)[:, None]
+    h = sin * np.cos(phi)[:, None] * across + sin * np.sin(phi)[:, None] * up + np.cos(theta)[:, None] * normal[:, None]
+    o = np.broadcast_to([0.0, 0.0, 1.0], h.shape)
+    cos_d = h[..., 2:]
+    i = 2 * cos_d * h - o
+    cos_i = np.einsum("psk,pk->ps", i, normal)
+    lit = (cos_i > 0) & (cos_d[..., 0] > 0)
+    weight = np.where(lit, environment(i) * cos_i * 4 * cos_d[..., 0] * solid_angle, 0.0)
+    return View(_bins(i, o, normal[:, None]), weight / (_irradiance() / np.pi))
+
+
+def environment(direction: np.ndarray) -> np.ndarray:
+    """Radiance from unit directions (..., 3): sky, ground and three windows."""
+    radiance = GROUND + (SKY - GROUND) / (1 + np.exp(-8 * direction[..., 1]))
+    for towards, sharpness, strength in BOXES:
+        cosine = direction @ np.array(towards) / np.linalg.norm(np.array(towards))
+        radiance = radiance + strength * np.exp(sharpness * (cosine - 1))
+    return radiance
+
+
+@cache
+def _irradiance() -> float:
+    """Of a surface that faces the camera."""
+    points = disc(20_000)  # even in the projected disc: the mean is the irradiance over pi
+    z = np.sqrt(np.maximum(1 - np.sum(points**2, -1), 0.0))
+    return float(np.pi * environment(np.concatenate([points, z[:, None]], -1)).mean())
+
+
+def _frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors across every normal, (..., 3)."""
+    helper = np.where(np.abs(normal[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    across = np.cross(normal, helper)
+    across = across / np.linalg.norm(across, axis=-1, keepdims=True)
+    return across, np.cross(normal, across)
+
+
+def _bins(i: np.ndarray, o: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Flat index of the folded bin that holds each pair of directions."""
+    h = i + o
+    h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
+    cos_h, cos_d = np.sum(h * normal, -1), np.sum(h * o, -1)
+    theta_h, theta_d = (np.arccos(np.clip(x, -1, 1)) for x in (cos_h, cos_d))
+    apart = np.sum((o - i) * normal, -1)  # cos_o - cos_i = 2 sin_h sin_d cos(phi_d)
+    cos_phi = apart / np.maximum(2 * np.sin(theta_h) * np.sin(theta_d), 1e-12)
+    phi_d = np.arccos(np.clip(np.abs(cos_phi), 0, 1))
+    row = np.sqrt(np.clip(theta_h / (np.pi / 2), 0, 1)) * 90
+    places = (row, theta_d / (np.pi / 2) * 90, phi_d / (np.pi / 2) * 90)
+    h, d, p = (np.clip(x.astype(np.int32), 0, 89) for x in places)
+    return (h * 90 + d) * 90 + p
+
+
+def cielab(radiance: np.ndarray) -> np.ndarray:
+    """CIELAB (L*, a*, b*) of linear sRGB, (..., 3), relative to white (1, 1, 1); brighter than white is not cut off."""
+    xyz = np.maximum(radiance, 0.0) @ XYZ.T / XYZ.sum(1)
+    delta = 6 / 29
+    f = np.where(xyz > delta**3, np.cbrt(xyz), xyz / (3 * delta**2) + 4 / 29)
+    x, y, z = np.moveaxis(f, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
+
+
+def difference(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> float:
+    """Mean CIELAB distance of two spheres, over lamp and environment alike.
+
+    Args:
+        measured, predicted: folded (3, 90, 90, 90), 1/sr. used: bins that both are seen in, (90, 90, 90).
+    """
+    planes = [np.where(used, x, 0.0) for x in (measured, predicted)]
+    found = []
+    for lighting in PIXELS:
+        ours, theirs = (cielab(comparison(lighting).render(x)) for x in planes)
+        found.append(np.linalg.norm(ours - theirs, axis=-1).mean())
+    return float(np.mean(found))

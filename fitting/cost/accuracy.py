@@ -1,0 +1,210 @@
+"""How far a fit is from the reference fit, estimated where it ended, and on from there where that is too far.
+
+With the reference's settings at the fit's own parameters z as a stepping stone,
+
+    |f(z) - f_ref(z_ref)| <= |f(z) - f_ref(z)| + |f_ref(z) - f_ref(z_ref)|,
+
+norms over all bins, relative to the measurement, with the weights of Eq. 56. The first one, what the tier of
+diffraction errs by, is evaluated; the second is the length |J dz| of the Gauss-Newton step that the reference has still
+to take from z. A sum of lengths is an upper bound as far as one step goes; of other minima it knows nothing. Those are
+counted by the calibration: where more than one in twenty of its fits went astray, no estimate is below what nineteen in
+twenty keep to (`frontier.Point.astray`): then a floor is told, and called so.
+Held to its word on synthetic cases by ``tests/fitting/test_accuracy.py``.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...merl_io.binary import Measurement
+from ...merl_io.samples import Samples, thin
+from ...model.two_scale import TwoScale
+from ..assess.outcome import Fitted
+from ..objective.problem import Problem, make_problem
+from ..objective.residuals import normal_equations, predict
+from ..objective.transforms import Layout
+from ..pipeline.run import GRIDS, assess
+from ..results import export, schema
+from ..settings.choice import FITTED, POINTS, REFERENCE, Choice, default_choice
+from ..settings.config import Config, ConfigError
+from ..solve.levenberg_marquardt import Solution, compress, solve
+from .frontier import Point, load
+from .request import Request, needed, usable
+
+Model = tuple[Layout, np.ndarray]  # and its free coordinates
+
+
+def distance(a: Model, b: Model, problem: Problem) -> float:
+    """Of two predictions, over all bins, relative to the measurement; infinite where one of them is not finite.
+
+    Args:
+        problem: all bins in float64.
+    """
+    total = 0.0
+    for part in problem.parts:
+        here, there = (predict(e.model, e.values(jnp.asarray(z)), part.directions) for e, z in (a, b))
+        root = np.moveaxis(np.asarray(part.root), 1, 0)
+        weighted = root.reshape(*here.shape, -1) @ (here - there)[..., None]
+        total += float(np.sum(weighted**2))
+    return total**0.5 if np.isfinite(total) else np.inf
+
+
+def remaining(model: Model, problem: Problem) -> float:
+    """Length |J dz| of the Gauss-Newton step from here, relative to the measurement; infinite where the model is."""
+    layout, z = model
+    point = jnp.asarray(z)
+    normal = normal_equations(layout, point, problem)
+    if not np.all(np.isfinite(normal)):
+        return np.inf
+    near = compress(point, normal)
+    return float(jnp.linalg.norm(near.value[:-1]))
+
+
+def estimate(model: Model, problem: Problem, config: Config) -> float:
+    """Error of a fit, from its end alone.
+
+    Args:
+        problem: all bins as the reference has them (`reference_problem`). config: what was asked for.
+    """
+    layout, z = model
+    reference = same_kind(REFERENCE.settings(config), layout), z
+    tier = 0.0 if reference[0] == layout else distance(model, reference, problem)
+    return tier + remaining(reference, problem)
+
+
+def same_kind(settings: Config, layout: Layout) -> Layout:
+    """What these settings make of the kind of material that was fitted."""
+    material = layout.material
+    if not isinstance(material, TwoScale):
+        raise TypeError(f"{material} has no settings that trade accuracy for time")
+    return settings.layout_of(settings.two_scale(material.kind))
+
+
+def reference_problem(samples: Samples) -> Problem:
+    """All bins as the reference fit has them."""
+    return make_problem(samples, REFERENCE.azimuths, REFERENCE.precision)
+
+
+def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
+    """The last steps once more from where a fit is."""
+    layout = same_kind(settings, model[0])
+    problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
+    return layout, solve(layout, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)
+
+
+class _Try(NamedTuple):
+    """Where a fit has come to with some settings, and the error estimated there."""
+
+    choice: Choice
+    layout: Layout
+    solution: Solution
+    error: float
+    floor: bool = False
+
+
+@dataclass(frozen=True)
+class Aim:
+    """A request, the point of the frontier that was chosen for it, and the settings that it is applied to.
+
+    Attributes:
+        calibration: in words, where the frontier comes from.
+    """
+
+    request: Request
+    point: Point
+    config: Config
+    calibration: str
+
+    @property
+    def settings(self) -> Config:
+        """Of the fit to start with."""
+        return self.point.choice.settings(self.config)
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the fits of the calibration were fits of this kind, but for the choice and the body."""
+        free = {"seed": Config().seed, "posterior": Config().posterior}
+        effects = self.config.effects.model_copy(update={k: getattr(Config().effects, k) for k in ("index", "body")})
+        return self.config.model_copy(update={**free, "effects": effects}) == Config()
+
+    @property
+    def summary(self) -> str:
+        """What was asked, what is chosen for it, and what to expect."""
+        asked, point = self.request, self.point
+        longest = needed(point, asked.has_time_to_estimate(point))
+        expected = (
+            f"expected within {point.promised.p95:.2g} of the reference fit in {point.seconds.median:.2g} to "
+            f"{longest:.2g} s for each file, without posterior; the first fit with these settings also compiles its "
+            "programs, which takes longer than the fit"
+        )
+        said = expected if self.calibrated else "what to expect of these effects and limits was not calibrated"
+        chosen = point.choice.applied(self.config)
+        default = " (the defaults)" if point.choice == default_choice() else ""
+        return f"{asked}: {chosen}{default}; {said} ({self.calibration})"
+
+    @property
+    def finer(self) -> list[Choice]:
+        """Where to go on to, one after the other, with no other start; the last of them, the reference's, twice."""
+        further = [self.point.choice]
+        for choice in POINTS[POINTS.index(self.point.choice) + 1 :]:
+            step = self.point.choice.continued(choice)
+            if step.refines(further[-1]) and step.settings(self.config) != further[-1].settings(self.config):
+                further.append(step)
+        return [*further[1:], self.point.choice.continued(REFERENCE)]
+
+    def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, schema.Accuracy]:
+        """The error that a fit is estimated to have, and the fit carried on until it is what was asked for."""
+        if not self.request.has_time_to_estimate(self.point):
+            only = _Try(self.point.choice.applied(self.config), fitted.layout, fitted.solution, np.inf)
+            return fitted, self._summary([only], only)
+        problem, wanted = reference_problem(samples), self.request.accuracy
+        best = self._assessed(self.point.choice, (fitted.layout, fitted.solution), problem)
+        tried = [best]
+        for choice in self.finer:
+            if wanted is None or best.error <= wanted:
+                break
+            found = resume_fit((best.layout, best.solution.z), choice.settings(self.config), samples)
+            tried.append(self._assessed(choice, found, problem))
+            best = min(tried, key=lambda t: t.error)
+        if best.solution is not fitted.solution:
+            fitted = replace(
+                assess(best.layout, best.solution, measurement, samples, self.config.fit.theta_max),
+                candidates=fitted.candidates,
+                bend=fitted.bend,
+            )
+        return fitted, self._summary(tried, best)
+
+    def _assessed(self, choice: Choice, found: tuple[Layout, Solution], problem: Problem) -> _Try:
+        layout, solution = found
+        error, floor = estimate((layout, solution.z), problem, self.config), self.point.astray
+        return _Try(choice.applied(self.config), layout, solution, max(error, floor), floor > error)
+
+    def _summary(self, tried: list[_Try], best: _Try) -> schema.Accuracy:
+        asked, point = self.request.accuracy, self.point
+        return schema.Accuracy(
+            asked=asked, asked_seconds=self.request.seconds, calibration=self.calibration,
+            expected=point.promised.p95 if self.calibrated else None,
+            expected_seconds=needed(point, self.request.has_time_to_estimate(point)) if self.calibrated else None,
+            tried=[schema.Tried(settings=t.choice, estimated=export.finite(t.error), floor=t.floor) for t in tried],
+            settings=best.choice, estimated=export.finite(best.error), floor=best.floor,
+            met=None if asked is None else best.error <= asked,
+        )  # fmt: skip
+
+
+def aim(request: Request, config: Config) -> Aim:
+    """The cheapest way to what is asked for.
+
+    Raises:
+        request.Unreachable: there is none. config.ConfigError: the configuration sets what is to be chosen.
+    """
+    chosen = [f"fit.{key}" for key in sorted(FITTED) if getattr(config.fit, key) != getattr(Config().fit, key)]
+    if config.effects.diffraction == "quadrature" and config.effects.order != Config().effects.order:
+        chosen.append("effects.order")
+    if chosen:
+        raise ConfigError(f"{chosen[0]} is chosen by --accuracy and --time: leave it out")
+    if config.model.names != [TwoScale.name]:
+        raise ConfigError("--accuracy and --time choose among settings of the two-scale model: leave --model out")
+    frontier, calibration = load()
+    return Aim(request, request.choose(usable(frontier.points, config)), config, calibration)

@@ -1,0 +1,1 @@
+"""What is minimised: weights, data in blocks, free coordinates, cost and normal equations."""

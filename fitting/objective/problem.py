@@ -1,0 +1,127 @@
+"""The data of HP17 Eq. 56 as a fit wants them: quadratic forms of all bins, in blocks on the device.
+
+    E^2 = sum over bins and channels of w (measured - p(i,o) predicted)^2
+
+w are those of `weights`. The sum over azimuths is a quadratic form of a few of them (``merl_io.azimuth``), so that
+all bins count and few are evaluated.
+"""
+
+from dataclasses import replace
+from typing import Literal, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ...merl_io.azimuth import gather
+from ...merl_io.samples import Samples
+from ...model.acquisition import grazing_log_base
+from ...model.geometry import Geometry
+from ..support.threads import CORES
+
+T = TypeVar("T")
+Precision = Literal["float64", "float32"]
+AZIMUTHS = 8  # nodes of a row of 180 bins; accuracy in `merl_io.azimuth.gather`
+BLOCK = 8_000  # directions of a block: its 30-odd intermediates of 3 channels stay in a core's cache
+LEAST_SHARE = 20_000  # directions that are worth a thread
+
+
+class Directions(eqx.Module):
+    """Directions of a grid in blocks of theta_h rows, leading axis the block.
+
+    Attributes:
+        geometry: theta_h (N, h, 1, 1), theta_d (N, 1, D, 1), cosines (N, h, D, K).
+        log_base: of the grazing loss, (N, h, D, K).
+    """
+
+    geometry: Geometry
+    log_base: Array
+
+
+class Part(eqx.Module):
+    """Blocks that one thread sums.
+
+    Attributes:
+        directions: the nodes. root: (N, C, h, D, K, K), target: (N, C, h, D, K): a row of bins costs
+            |target - root predicted|^2, in a unit in which the measurement's energy is one.
+    """
+
+    directions: Directions
+    root: Array
+    target: Array
+
+
+class Problem(eqx.Module):
+    """Samples of one material, one shape for all files.
+
+    Attributes:
+        parts: of equal shape, to be summed side by side. rest: per channel what no smooth function of the azimuth
+            explains, (C,). scatter: cost of folding. Both in the same unit, and rest is part of the cost.
+    """
+
+    parts: tuple[Part, ...]
+    rest: Array
+    scatter: Array
+
+
+def energy(samples: Samples) -> float:
+    """The unit of cost: the measurement's weighted energy."""
+    return float(np.sum(samples.weight * samples.value**2)) + samples.scatter
+
+
+def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precision = "float64") -> Problem:
+    """Quadratic forms of samples on the device.
+
+    Args:
+        azimuths: nodes that a row of azimuths is gathered in (`merl_io.azimuth.gather`).
+        precision: in which the model is evaluated at the nodes.
+    """
+    unit = energy(samples)
+    rows = gather(replace(samples, weight=samples.weight / unit), azimuths)
+    where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o, precision)
+    blocks = len(where.log_base)
+
+    def split(x: np.ndarray) -> np.ndarray:
+        return np.moveaxis(x.reshape(len(x), blocks, -1, *x.shape[2:]), 1, 0).astype(precision)
+
+    parts = shares(Part(where, jnp.asarray(split(rows.root)), jnp.asarray(split(rows.target))), where.log_base.size)
+    return Problem(tuple(parts), jnp.asarray(rows.rest), jnp.asarray(samples.scatter / unit))
+
+
+def _threads(size: int) -> int:
+    """How many cores so many directions are worth."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return min(CORES, max(1, size // LEAST_SHARE))
+
+
+def shares(blocks: T, size: int) -> list[T]:
+    """Blocks of every thread, as many for each, on the device. ``size``: directions of all."""
+    count = len(jax.tree.leaves(blocks)[0])
+    parts = next(n for n in range(min(_threads(size), count), 0, -1) if count % n == 0)
+    each = count // parts
+    return [
+        jax.tree.map(lambda x, k=k: jnp.asarray(np.asarray(x)[k * each : (k + 1) * each]), blocks) for k in range(parts)
+    ]
+
+
+def directions(
+    theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray, precision: Precision = "float64"
+) -> Directions:
+    """Blocks of a product grid; cosines (H, D, K)."""
+    rows, columns, azimuths = cos_i.shape
+    largest, threads = max(1, BLOCK // (columns * azimuths)), _threads(cos_i.size)
+    heights = [h for h in range(largest, 0, -1) if rows % h == 0]
+    height = next((h for h in heights if rows // h % threads == 0), heights[0])
+    blocks = rows // height
+
+    def split(x: np.ndarray) -> Array:
+        return jnp.asarray(x.reshape((blocks, height, *x.shape[1:])).astype(precision))
+
+    columns_ = np.broadcast_to(theta_d[None, None, :, None], (blocks, 1, columns, 1))
+    geometry = Geometry(
+        split(theta_h[:, None, None]), jnp.asarray(columns_.astype(precision)), split(cos_i), split(cos_o)
+    )
+    return Directions(geometry, jax.jit(grazing_log_base)(geometry))

@@ -1,0 +1,95 @@
+"""The weights of HP17 Eq. 56, and what may be put in the place of its compressive weight.
+
+A bin weighs its share of the fitting measure times a weight of its measured value m. With x = m / median and
+f(x) = (1 - 2^-x) / ln 2, HP17 Eq. 57-58 take w = (f(x)/x)^1.4. The exponent decides who is served: with 0 (``none``) a
+glossy highlight is nearly all that counts, with 1.4 (``compressive``) the dark bins nearly are. ``log`` has the weight
+of the error of log(1 + m cos_i), (cos_i / (1 + m cos_i))^2, to first order in the residual (Loew et al. 2012).
+
+Directions beyond ``theta_max`` have no weight: past 80 degrees the apparatus fails, every published metric leaves those
+bins out, and they would carry most of the cost.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from ...merl_io.binary import Measurement
+from ...merl_io.grid import MerlGrid, merl_grid
+from ...merl_io.samples import Samples, fold
+from ..support.threads import side_by_side
+
+THETA_MAX = 1.4  # rad: HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
+BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
+Bend = float | Literal["log"]
+Weights = Literal["compressive", "log", "none", "adaptive"]
+RUNGS: dict[Weights, tuple[Bend, ...]] = {
+    "compressive": (BEND,), "log": (BEND, "log"), "none": (BEND, 1.0, 0.7, 0.0),
+    "adaptive": (BEND, 1.0, 0.7, 0.4, 0.0),
+}  # fmt: skip
+"""Weights that a fit is made with, one after the other, each from where the one before it ended: the search for the
+lowest minimum and the choice of a body are those of the first. ``adaptive`` keeps the one with the nearest picture."""
+
+
+def compressive_weight(value: np.ndarray, median: np.ndarray, bend: float = BEND) -> np.ndarray:
+    """w_C of HP17 Eq. 57-58, dimensionless in (0, 1]: 1 for dark bins, falling as the power ``bend`` of bright ones.
+
+    Args:
+        value: measured BRDF >= 0. median: the cos-weighted median to compare with (broadcasts).
+    """
+    x = np.maximum(value / median, 1e-12)
+    return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** bend
+
+
+def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
+    """Median of a channel's values with weights cos_i (HP17 after Eq. 58)."""
+    order = np.argsort(value)
+    cumulated = np.cumsum(cos_i[order])
+    return float(value[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
+
+
+def within(grid: MerlGrid, theta_max: float) -> np.ndarray:
+    """Bins with both directions above the horizon and not beyond ``theta_max``, (90, 90, 180)."""
+    return grid.above & (np.minimum(grid.cos_i, grid.cos_o) > np.cos(theta_max))
+
+
+def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: float = THETA_MAX) -> Samples:
+    """Folded samples of a file with their weights.
+
+    Each channel is compared with its own median, so that no channel is fitted at the expense of another.
+
+    Args:
+        bend: exponent of the compressive weight, or ``log``. theta_max: of light and viewer (rad).
+    """
+    grid = merl_grid()
+    used = measurement.valid & within(grid, theta_max) & (grid.weight > 0)
+    bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
+    weigh = _logarithmic if bend == "log" else _compressive(float(bend))
+
+    def channel(plane: np.ndarray) -> Samples:
+        weight = np.zeros((1, *plane.shape))
+        if used.any():
+            weight[0, used] = bin_weight * weigh(plane[used], cos_i)
+        return fold(grid, plane[None], weight)
+
+    red, green, blue = side_by_side(channel, measurement.values)
+    value, weight = (
+        np.concatenate([getattr(each, name) for each in (red, green, blue)]) for name in ("value", "weight")
+    )
+    return replace(red, value=value, weight=weight, scatter=red.scatter + green.scatter + blue.scatter)
+
+
+Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def _compressive(bend: float) -> Weigh:
+    def weigh(value: np.ndarray, cos_i: np.ndarray) -> np.ndarray:
+        median = max(cos_weighted_median(value, cos_i), 1e-9)
+        return compressive_weight(value, np.asarray(median), bend)
+
+    return weigh
+
+
+def _logarithmic(value: np.ndarray, cos_i: np.ndarray) -> np.ndarray:
+    return (cos_i / (1 + np.maximum(value, 0.0) * cos_i)) ** 2

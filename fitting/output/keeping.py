@@ -1,0 +1,112 @@
+"""Results that are there already: a fit takes the place of one only if it is at least as complete."""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from enum import IntEnum
+from itertools import count
+from pathlib import Path
+
+from ..pipeline.run import chain_of
+
+
+class Complete(IntEnum):
+    """How much a result holds, least first."""
+
+    NOTHING = 0
+    FIT = 1
+    CHAIN = 2  # whose sampling was interrupted
+    POSTERIOR = 3
+    INTERVALS = 4
+
+    @property
+    def words(self) -> str:
+        """For a message."""
+        return {
+            Complete.NOTHING: "no fit that succeeded",
+            Complete.FIT: "a fit without a posterior",
+            Complete.CHAIN: "a fit and an unfinished chain",
+            Complete.POSTERIOR: "a fit and a posterior too short for intervals",
+            Complete.INTERVALS: "a fit and a posterior with intervals",
+        }[self]
+
+
+def completeness(path: Path) -> Complete:
+    """How much is in the result of this name, whatever version wrote it."""
+    try:
+        found = json.loads(path.read_bytes())
+        posterior, succeeded = found["posterior"], found["fit"]["succeeded"]
+        if posterior:
+            return Complete.INTERVALS if posterior["sufficient"] else Complete.POSTERIOR
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return Complete.NOTHING
+    if not succeeded:
+        return Complete.NOTHING
+    return Complete.CHAIN if chain_of(path).is_file() else Complete.FIT
+
+
+@contextmanager
+def claimed(out: Path) -> Iterator[bool]:
+    """Claim a folder for as long as this lasts; False if another run has it already."""
+    try:
+        import fcntl  # not on Windows
+
+        folder = os.open(out, os.O_RDONLY)
+    except (ImportError, OSError):
+        yield True
+        return
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            free = True
+        except BlockingIOError:
+            free = False
+        except OSError:  # a file system without locks
+            free = True
+        yield free
+    finally:
+        os.close(folder)
+
+
+class Place:
+    """Where a result is written: ``folder`` and, in it, ``path``; ``said`` at the end, if there is something to say."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.folder, self.path, self.said = folder, folder / f"{name}.json", ""
+
+
+@contextmanager
+def place_of(out: Path, name: str) -> Iterator[Place]:
+    """Where to write the result ``name`` of ``out``.
+
+    Where one stands already, the new one is written into a folder beside it, and moved to its place in the end, however
+    that comes, if it is at least as complete. Otherwise both stay where they are.
+    """
+    target = Place(out, name)
+    if completeness(target.path) == Complete.NOTHING:
+        yield target
+        return
+    beside = next(folder for k in count(2) if not (folder := out / f"{name}.{k}").exists())
+    beside.mkdir()
+    new = Place(beside, name)
+    try:
+        yield new
+    finally:
+        before, after = completeness(target.path), completeness(new.path)
+        if after >= before and not after == before == Complete.CHAIN:  # which of two unfinished chains is the longer?
+            _move(new.path, target.path)
+            new.path = target.path
+        elif new.path.exists():
+            new.said = f"{target.path} stays as it was, with {before.words}; {new.path} is the new one, {after.words}"
+        with suppress(OSError):  # not empty
+            beside.rmdir()
+
+
+def _move(new: Path, target: Path) -> None:
+    """A result and its chain to the place of another; the chain of that goes even if there is no new one."""
+    if chain_of(new).exists():
+        os.replace(chain_of(new), chain_of(target))
+    else:
+        chain_of(target).unlink(missing_ok=True)
+    os.replace(new, target)

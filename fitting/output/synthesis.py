@@ -1,0 +1,83 @@
+"""MERL files without a measurement: tabulated from published parameter sets or from a fit."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...merl_io.grid import merl_grid
+from ...model import published
+from ...model.geometry import Geometry
+from ...model.reflectance import evaluate
+from ..results.export import ResultError, read_result
+
+ROWS = 10  # of theta_h evaluated at a time
+WITHOUT_SURFACE = "index printed as 1.00, so that the Fresnel term and with it all specular light are 0"
+
+
+def tabulate(evaluate: object) -> np.ndarray:
+    """BRDF on MERL's grid, (3, 90, 90, 180), 1/sr; NaN below the horizon."""
+    grid = merl_grid()
+    compiled = jax.jit(evaluate)  # type: ignore[arg-type]
+    parts = [
+        np.asarray(compiled(Geometry.from_half_difference(
+            grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])))
+        for rows in np.split(np.arange(len(grid.theta_h)), len(grid.theta_h) // ROWS)
+    ]  # fmt: skip
+    return np.where(grid.above, np.concatenate(parts, 1), np.nan)
+
+
+def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
+    """A published parameter set, and in words what it is; of one that has lost its specular part, that it has.
+
+    Raises:
+        KeyError: unknown material or source; the message names the nearest known one.
+    """
+    values = tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g, rescaled=True), -1, 0))
+    table = published.SOURCES[source]
+    rescaled = f", albedos times {table.channel_scale} (R, G, B)" if set(table.channel_scale) != {1.0} else ""
+    said = f"synthetic MERL file of {material}, from published parameters: {table.citation}{rescaled}"
+    if material in published.without_surface(source):
+        said += f"; {WITHOUT_SURFACE}: the file is of a diffuse material"
+    return values, said
+
+
+def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str]:
+    """A fitted material, and in words what it is.
+
+    Args:
+        grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles; otherwise the
+            material itself, which is brighter there than the file that was fitted.
+
+    Raises:
+        ResultError: not a result, or a failed one.
+    """
+    result = read_result(path)
+    if result.model is None:
+        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
+    m, params = result.model, result.values()
+    model = m.measured if grazing_loss else m.material
+    values = tabulate(lambda g: evaluate(model, params, g, m.wavelengths_um))
+    said = f"synthetic MERL file from the {m.name} fit of {result.source.material}"
+    if not m.measured.loses:
+        return values, said
+    if grazing_loss:
+        return values, f"{said}, with the grazing loss of MERL's apparatus, as the file that was fitted has it"
+    return values, (
+        f"{said}, the material alone: near grazing angles many times brighter than the file that was fitted, which "
+        "lacks light that MERL's apparatus lost there; --with-grazing-loss writes it as measured"
+    )
+
+
+def describe_sources() -> str:
+    """The published tables, which materials they lack and of which they print no specular part."""
+    every = set().union(*map(published.materials, published.SOURCES))
+    lines = [f"{len(every)} materials: {', '.join(sorted(every))}"]
+    for name, s in published.SOURCES.items():
+        missing = sorted(every - set(published.materials(name)))
+        line = f"{name}: {s.citation}; " + (f"lacks {', '.join(missing)}" if missing else "all materials")
+        if flat := published.without_surface(name):
+            line += f"; diffuse alone: {', '.join(flat)} ({WITHOUT_SURFACE})"
+        lines.append(line)
+    return "\n".join(lines)

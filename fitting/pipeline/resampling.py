@@ -1,0 +1,65 @@
+"""The posterior of a fit that is already in a file."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...merl_io.binary import read
+from ..objective.problem import make_problem
+from ..objective.residuals import normal_equations
+from ..objective.weights import weighted_samples
+from ..posterior.sampling import sample
+from ..results import export, schema
+from ..settings.config import parse
+from ..solve.levenberg_marquardt import Solution
+from ..support.clock import Clock, Report, silent
+from .result import posterior_parts
+from .run import assess, chain_of
+
+
+def resample(
+    path: Path, result: schema.Result, file: Path, max_steps: int | None = None, report: Report = silent
+) -> schema.Result:
+    """Sample the posterior of a result, or go on with the chain that lies beside it; the result is written anew.
+
+    Args:
+        path: of the result. file: the MERL file that it is of. max_steps: more, at the most; None for its own.
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: the file is not the one that was fitted.
+        merlfit.fitting.results.export.ResultError: the result has no fit to sample.
+        merlfit.fitting.posterior.chain.ChainError: the chain is not one of this fit.
+    """
+    if result.model is None or not result.fit.succeeded:
+        raise export.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")
+    if result.posterior is not None and not chain_of(path).is_file():
+        raise export.ResultError(
+            f"{path}: has a posterior, but its chain {chain_of(path).name} is not beside it: put it back, or fit again"
+        )
+    clock, config = Clock(), parse(result.config, str(path))
+    report("reading")
+    measurement = read(file, result.source.sha1)
+    samples = weighted_samples(
+        measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
+    )
+    layout = config.layout_of(result.model.measured)  # which may have been carried on with other settings
+    chain = chain_of(path)
+    z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
+    normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))
+    offset = float("nan") if result.fit.relative_offset is None else result.fit.relative_offset
+    solution = Solution(z, float(normal[:, -1, -1].sum()), normal, result.fit.steps, offset, converged=True)
+    fitted = assess(layout, solution, measurement, samples, config.fit.theta_max)
+    with clock.stage("posterior"):
+        steps = config.posterior.max_steps if max_steps is None else max_steps
+        sampled = sample(fitted, samples, steps, result.seed, chain, chain.is_file(), report)
+    seconds = result.seconds["total"] + clock.seconds["posterior"]
+    spent = result.seconds.get("posterior", 0.0) + clock.seconds["posterior"]
+    result = result.model_copy(
+        update={
+            **posterior_parts(fitted, sampled, measurement.name),
+            "seconds": {**result.seconds, "posterior": round(spent, 3), "total": round(seconds, 3)},
+        }
+    )
+    export.write_result(path, result)
+    return result

@@ -1,0 +1,140 @@
+"""What a fit found, as it goes to JSON."""
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...merl_io.binary import Measurement
+from ...merl_io.samples import Samples
+from ...model.derived import quantities
+from ...model.measured import Measured
+from ..assess.identifiability import identifiability
+from ..assess.outcome import Fitted, cautions, said
+from ..objective.problem import energy
+from ..objective.transforms import Layout
+from ..results import export, schema
+from ..settings.config import Config
+from ..solve.levenberg_marquardt import Status
+
+if TYPE_CHECKING:  # the sampler's libraries take a second to load
+    from ..posterior.sampling import Sampled
+
+
+def make_result(
+    measurement: Measurement,
+    samples: Samples,
+    fitted: Fitted | None,
+    sampled: "Sampled | None",
+    config: Config,
+    seconds: dict[str, float],
+    accuracy: schema.Accuracy | None = None,
+) -> schema.Result:
+    """Everything that is known about one material, as it goes to JSON."""
+    source = schema.Source(
+        path=str(measurement.path), material=measurement.name, sha1=measurement.sha1,
+        git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
+        fraction_valid=float(measurement.valid.mean()), outliers=measurement.outliers,
+    )  # fmt: skip
+    bins = int(np.any(samples.weight > 0, axis=0).sum())
+    common = {
+        "source": source, "accuracy": accuracy, "seconds": seconds, "seed": config.seed,
+        "versions": export.versions(), "config": config.model_dump(mode="json"),
+    }  # fmt: skip
+    if fitted is None or not np.isfinite(fitted.solution.cost):
+        status = Status.NO_DATA if fitted is None else Status.NON_FINITE
+        fit_part = schema.Fit(
+            status=status.name, message=status.value, succeeded=False, cost=None, cost_per_channel=None,
+            folding_scatter=None, steps=0, relative_offset=None, bins=bins, candidates=[],
+        )  # fmt: skip
+        return schema.Result(
+            model=None, parameters=[], fit=fit_part, metrics=schema.Metrics(rmse=None, smape=None), posterior=None,
+            **common,
+        )  # fmt: skip
+    s, unit = fitted.solution, energy(samples)
+    fit_part = schema.Fit(
+        status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
+        cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
+        steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
+        weights=fitted.bend, cautions=cautions(fitted, config),
+    )  # fmt: skip
+    errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
+    found = identifiability(fitted.layout, s.normal, fitted.count, fitted.covariance)
+    return schema.Result(
+        model=_model_part(fitted.layout, s.z), parameters=parameter_results(fitted), fit=fit_part,
+        metrics=errors, identifiability=found, posterior=None, **common,
+    ).model_copy(update={} if sampled is None else posterior_parts(fitted, sampled, measurement.name))  # fmt: skip
+
+
+def parameter_results(fitted: Fitted, sampled: "Sampled | None" = None) -> list[schema.ParameterResult]:
+    """Every entry with value, Laplace standard error, posterior quantiles, bounds."""
+    layout, bounds = fitted.layout, fitted.at_bound
+    intervals = [None] * layout.size if sampled is None else _intervals(sampled, sampled.values)
+    return [
+        schema.ParameterResult(
+            name=name, parameter=q.name, symbol=q.symbol, channel=name.rsplit("_", 1)[-1] if q.per_channel else None,
+            meaning=q.meaning, unit=q.unit, value=float(fitted.values[i]),
+            standard_error=export.finite(fitted.standard_errors[i]) if bounds[i] == "no" else None,
+            quantiles=intervals[i], lower=q.lower, upper=q.upper,
+            at_bound=bounds[i],
+            prior=layout.prior(q), source=q.source,
+        )
+        for i, (name, q) in enumerate(zip(layout.names, layout.entries, strict=True))
+    ]  # fmt: skip
+
+
+def _intervals(sampled: "Sampled", values: np.ndarray) -> list[schema.Quantiles | None]:
+    """Of every column of values (n, P) of the draws; none where the posterior is not to be trusted."""
+    from ..posterior.importance import quantiles
+
+    if not sampled.posterior.sufficient:
+        return [None] * values.shape[1]
+    found = quantiles(values, sampled.posterior.weights)
+    return [schema.Quantiles(q05=low, q50=middle, q95=high) for low, middle, high in found.T.tolist()]
+
+
+def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedResult]:
+    """Every derived quantity with its value at the fit and posterior quantiles."""
+    found, channels = [], fitted.layout.channels
+    for q in quantities(fitted.material):
+        values = sampled.derived[q.name].reshape(len(sampled.values), -1)
+        given = zip(np.ravel(sampled.at_fit[q.name]).tolist(), _intervals(sampled, values), strict=True)
+        for k, (value, interval) in enumerate(given):
+            channel = channels[k] if q.per_channel else None
+            found.append(schema.DerivedResult(
+                name=f"{q.name}_{channel}" if channel else q.name, quantity=q.name, channel=channel, meaning=q.meaning,
+                unit=q.unit, value=value, quantiles=interval,
+            ))  # fmt: skip
+    return found
+
+
+def _model_part(layout: Layout, z: np.ndarray) -> schema.Model:
+    measured = layout.model if isinstance(layout.model, Measured) else Measured(layout.model, "off")
+    return schema.Model.of(measured, layout.values(jnp.asarray(z)))
+
+
+def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, object]:
+    """What sampling adds to a result, by field of it.
+
+    Args:
+        name: of the material, after which the file of the chain is named.
+    """
+    p, d = sampled.posterior, sampled.posterior.diagnosis
+    spread = np.sqrt(p.weights @ (p.draws - p.weights @ p.draws) ** 2)  # 1 is the prior's
+    posterior = schema.PosteriorResult(
+        sufficient=p.sufficient, message=p.message, steps=len(p.chain.states), walkers=p.chain.states.shape[1],
+        acceptance=p.chain.acceptance, effective_bins=round(fitted.count, 2), draws=len(p.draws),
+        pareto_k=export.finite(p.pareto_k), coordinates=list(fitted.layout.coordinates),
+        autocorrelation_steps=_numbers(d.times, 2), r_hat=_numbers(d.r_hat, 4),
+        bulk_size=_numbers(d.bulk), tail_size=_numbers(d.tail), effective_size=_numbers(p.effective_size),
+        contraction=_numbers(1 - spread, 3), chain_file=f"{name}.chain.npz",
+    )  # fmt: skip
+    return {
+        "parameters": parameter_results(fitted, sampled), "derived": derived_results(fitted, sampled),
+        "posterior": posterior,
+    }  # fmt: skip
+
+
+def _numbers(values: np.ndarray, digits: int = 1) -> list[float | None]:
+    return [export.finite(round(float(x), digits)) for x in values]

@@ -1,0 +1,285 @@
+"""From a file to a result: the whole line, one call a stage."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...merl_io.binary import Measurement, read
+from ...merl_io.grid import merl_grid
+from ...merl_io.samples import Samples, thin
+from ...model.two_scale import TwoScale
+from ..assess import metrics
+from ..assess.outcome import Fitted
+from ..assess.selection import choose, nearest, score
+from ..objective.problem import Problem, directions, energy, make_problem
+from ..objective.residuals import predict
+from ..objective.transforms import Layout
+from ..objective.weights import THETA_MAX, weighted_samples
+from ..results import export, schema
+from ..settings.config import Config
+from ..solve.levenberg_marquardt import BLACK, LEAST_BINS, Solution, solve
+from ..solve.starts import ReadOff, read_off, starting_points
+from ..support.clock import Clock, Report, silent
+from ..support.threads import CORES, one_core_a_call
+from .result import make_result
+
+# Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
+# every row counts: a lobe narrower than the first kept row would be invisible, and any height of it a perfect fit.
+COARSE = ((*(1,) * 6, 3, 3, *(6,) * 13), 5, 1)  # 21 x 18 rows of all azimuths
+GRIDS = {"fine": (1, 1, 1), "medium": ((*(1,) * 12, *(3,) * 26), 3, 1), "coarse": COARSE}  # of the last steps
+COARSE_AZIMUTHS, COARSE_ORDER = 4, 16  # nodes of a row, order of the convolution
+CANDIDATES = ((1, 1, 1, 1, 2, 3, 3, *(13,) * 6), 10, 1)  # 13 x 9 rows, to compare starting points
+CANDIDATE_AZIMUTHS, CANDIDATE_ORDER = 2, 8
+# The race on the coarse grid, steps and runners: most basins tell themselves apart within ten steps.
+RUNNERS_EACH, FIRST_LAP, SECOND_LAP = 3, 6, 14  # the first: runners for each of `fit.starts`, which run the second lap
+FAR = 1.6, 1.3  # times the lowest after the first and after the second lap: who is so much behind gives up
+APART = 0.3  # in standard deviations of the prior: runners nearer to each other are on the way to the same minimum
+Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, schema.Accuracy | None]]
+
+
+def fit_file(
+    path: str | os.PathLike[str] | Measurement,
+    out: str | os.PathLike[str],
+    config: Config,
+    report: Report = silent,
+    finish: Finish | None = None,
+) -> schema.Result:
+    """Fit one MERL file, or what was read of it, and sample its posterior: ``out/NAME.json`` and the chain beside it.
+
+    Args:
+        report: told in a few words what is being done.
+        finish: looks at the fit before it is written, and may go on from there (``accuracy.Aim.finish``).
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: the file cannot be used.
+    """
+    clock = Clock()
+    with clock.stage("read"):
+        report("reading")
+        measurement = path if isinstance(path, Measurement) else read(path)
+        samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    fitted, accuracy = fit(measurement, samples, config, report, clock), None
+    if fitted is not None and fitted.bend != config.rungs[0]:
+        samples = weighted_samples(measurement, fitted.bend, config.fit.theta_max)
+    if fitted is not None and finish is not None:
+        with clock.stage("accuracy"):
+            report("accuracy")
+            fitted, accuracy = finish(fitted, measurement, samples)
+    result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    target = out / f"{measurement.name}.json"
+    export.write_result(target, result)  # before the sampling, which may be interrupted
+    if fitted is not None and config.posterior.enabled and fitted.status.succeeded:
+        with clock.stage("posterior"):
+            try:
+                from ..posterior.sampling import sample  # its libraries take a second to load
+
+                sampled = sample(
+                    fitted, samples, config.posterior.max_steps, config.seed, chain_of(target), report=report
+                )
+            except Exception as error:  # raised again: whatever stops a sampler, the fit is kept and named
+                raise RuntimeError(f"the sampler: {error}; {target} holds the fit without a posterior") from error
+        result = make_result(measurement, samples, fitted, sampled, config, clock.times(), accuracy)
+        export.write_result(target, result)
+    return result
+
+
+@one_core_a_call
+def fit(
+    measurement: Measurement,
+    samples: Samples,
+    config: Config,
+    report: Report = silent,
+    clock: Clock | None = None,
+    first: Mapping[str, float] | None = None,
+) -> Fitted | None:
+    """Coarse grid first for every candidate, then all valid bins for the best; None without enough light.
+
+    Args:
+        first: shared parameters to start from instead of those read off the data.
+    """
+    clock = clock or Clock()
+    sets = [samples, *(thin(samples, runs) for runs in (COARSE, CANDIDATES))]
+    if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
+        return None
+    with clock.stage("coarse"):
+        models = config.candidates
+        report(f"coarse grid: {', '.join(model.variant for model in models)}")
+        coarse, seen = thin(samples, COARSE), read_off(samples)
+        seen = seen._replace(first=first or seen.first)
+        cheap = [cheaper(config.layout_of(model), COARSE_ORDER) for model in models]
+        printed = [printed_split(layout) for layout in cheap]
+        problem, roughly = make_coarse(samples)
+        found = fit_coarse(printed, seen, problem, roughly, config)
+        candidates, chosen = compare(printed, found, coarse)
+        z = found[chosen].z
+        if cheap[chosen] != printed[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
+            z = solve(cheap[chosen], z, problem, config.fit.coarse_steps, backend=config.fit.backend).z
+    report(f"{config.fit.grid} grid: {models[chosen].variant}")
+    tried = descend(config.layout_of(models[chosen]), z, measurement, samples, config, clock)
+    return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=candidates)
+
+
+@one_core_a_call
+def descend(
+    layout: Layout, z: np.ndarray, measurement: Measurement, samples: Samples, config: Config, clock: Clock
+) -> list[Fitted]:
+    """The last grid, with one weight after the other, each from where the one before it ended.
+
+    Args:
+        samples: with the first of `Config.rungs`.
+
+    Returns:
+        the fit with the last weights, or those with all of them, among which ``adaptive`` chooses.
+    """
+    settings, found = config.fit, []
+    for k, bend in enumerate(config.rungs):
+        with clock.stage("full"):
+            own = samples if k == 0 else weighted_samples(measurement, bend, settings.theta_max)
+            problem = make_problem(thin(own, GRIDS[settings.grid]), settings.azimuths, settings.precision)
+            solution = solve(layout, z, problem, settings.max_steps, backend=settings.backend)
+            z = solution.z
+        if settings.weights == "adaptive" or k == len(config.rungs) - 1:
+            with clock.stage("metrics"):
+                found.append(replace(assess(layout, solution, measurement, own, settings.theta_max), bend=bend))
+    return found
+
+
+def chain_of(result: Path) -> Path:
+    """File of the chain beside a result."""
+    return result.with_name(f"{result.stem}.chain.npz")
+
+
+def make_coarse(samples: Samples) -> tuple[Problem, Problem]:
+    """Problems of the race and of the candidates for its starting points."""
+    few = thin(samples, CANDIDATES)
+    return make_problem(thin(samples, COARSE), COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS)
+
+
+def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> tuple[list[schema.Candidate], int]:
+    """Fits of the same samples, the simplest model first, and which of them to take (`selection`)."""
+    materials = [layout.material for layout in layouts]
+    if len(found) == 1:
+        only = materials[0]
+        return [schema.Candidate(model=only.name, variant=only.variant, cost=export.finite(found[0].cost))], 0
+    predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
+    objectives = [float(np.nan_to_num(s.objective, nan=np.inf)) for s in found]
+    count = count_of(samples, predicted[int(np.argmin(objectives))])
+    roots = [metrics.cube_root_error(samples, p) for p in predicted]
+    scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
+    candidates = [
+        schema.Candidate(
+            model=material.name, variant=material.variant, cost=export.finite(s.cost), objective=export.finite(j),
+            cube_root=export.finite(e), score=export.finite(each), converged=s.converged,
+        )
+        for material, s, j, e, each in zip(materials, found, objectives, roots, scores, strict=True)
+    ]  # fmt: skip
+    return candidates, choose(objectives, roots, scores)
+
+
+def assess(
+    layout: Layout, solution: Solution, measurement: Measurement, samples: Samples, theta_max: float = THETA_MAX
+) -> Fitted:
+    """A solution with its cost on all bins, its errors and the effective count of its residuals."""
+    predicted = predict_samples(layout, solution.z, samples)
+    unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
+    errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid(), theta_max)
+    costs = np.sum(samples.weight * (samples.value - predicted) ** 2, (1, 2, 3)) / energy(samples)
+    normal = solution.normal.copy()
+    normal[:, -1, -1] = costs
+    exact = replace(solution, cost=float(costs.sum()), normal=normal)
+    return Fitted(layout, exact, count_of(samples, predicted), errors, [])
+
+
+def fit_coarse(
+    layouts: Sequence[Layout], seen: ReadOff, problem: Problem, roughly: Problem, config: Config
+) -> list[Solution]:
+    """The lowest minima that a race from many starting points finds with every body, all cores at work.
+
+    Args:
+        seen: where to start (`starts.starting_points`).
+        roughly: on which candidates for starting points are compared, and the first lap is run (`CANDIDATES`).
+    """
+    count = RUNNERS_EACH * config.fit.starts
+    with ThreadPoolExecutor(max_workers=CORES) as pool:
+        rough = [cheaper(layout, CANDIDATE_ORDER) for layout in layouts]
+        runners = starting_points(rough, seen, roughly, count, pool.map)
+
+        def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+            models, where = (rough, roughly) if first else (layouts, problem)
+            pairs = [(layout, z) for layout, each in zip(models, runners, strict=True) for z in each]
+            solved = pool.map(lambda pair: solve(pair[0], pair[1], where, steps, backend=config.fit.backend), pairs)
+            return [list(islice(solved, len(each))) for each in runners]
+
+        return race(runners, follow, config, rivals=True)
+
+
+Follow = Callable[[list[np.ndarray], int, bool], list[list[Solution]]]
+
+
+def race(runners: list[np.ndarray], follow: Follow, config: Config, rivals: bool = False) -> list[Solution]:
+    """The best of many runners: all go a few steps, the leaders further, the best of these to the end.
+
+    Args:
+        runners: free coordinates of every team's starting points, (R, P) each: a team is a body, or a material.
+        follow: solutions, by team and runner, after so many steps at the most; whether it is the first lap.
+        rivals: whether the teams compete: then who is far behind the leader of all gives up, and a team that has but
+            such runners sends its best one into the second lap, and none into the last.
+    """
+    settings = config.fit
+    laps = ((FIRST_LAP, settings.starts), (SECOND_LAP, -(-settings.starts // 2)), (settings.coarse_steps, 1))
+    leaders: list[list[Solution]] = [[] for _ in runners]
+    for lap, (steps, kept) in enumerate(laps):
+        found = follow(runners, min(steps, settings.coarse_steps), lap == 0)
+        leaders = [_leaders(each, kept) if each else before for each, before in zip(found, leaders, strict=True)]
+        going = leaders
+        if rivals and lap < len(FAR):
+            limit = FAR[lap] * min(_rank(each[0]) for each in leaders)
+            least = 1 if lap == 0 else 0
+            going = [[s for k, s in enumerate(each) if k < least or _rank(s) <= limit] for each in leaders]
+        runners = [np.array([s.z for s in each]) for each in going]
+    return [each[0] for each in leaders]
+
+
+def _rank(solution: Solution) -> float:
+    return float(np.nan_to_num(solution.objective, nan=np.inf))
+
+
+def _leaders(found: list[Solution], most: int) -> list[Solution]:
+    """The lowest, each of which is somewhere else than those before it; at least one."""
+    chosen: list[Solution] = []
+    for s in sorted(found, key=_rank):
+        if len(chosen) < most and all(np.linalg.norm(s.z - other.z) > APART for other in chosen):
+            chosen.append(s)
+    return chosen
+
+
+def printed_split(layout: Layout) -> Layout:
+    """The same with the printed split of energy, which costs a hundredth of the conserving one."""
+    material = layout.material
+    if not isinstance(material, TwoScale):
+        return layout
+    return layout.with_material(replace(material, split="printed"))
+
+
+def cheaper(layout: Layout, order: int) -> Layout:
+    """The same with a convolution of no more than this order."""
+    return replace(layout, model=layout.model.coarse(order))
+
+
+def predict_samples(layout: Layout, z: np.ndarray, samples: Samples) -> np.ndarray:
+    """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
+    where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    return predict(layout.model, layout.values(jnp.asarray(z)), where)
+
+
+def count_of(samples: Samples, predicted: np.ndarray) -> float:
+    """Effective sample count of the residuals."""
+    return metrics.effective_count(np.sqrt(samples.weight) * (samples.value - predicted), samples.weight > 0)

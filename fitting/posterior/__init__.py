@@ -1,0 +1,1 @@
+"""The posterior of a fit: likelihood, chain, correction (docs/statistics.md)."""

@@ -1,0 +1,400 @@
+"""The chain of the posterior: emcee on the stand-in of the likelihood, led by an emulator of it.
+
+docs/statistics.md states the likelihood and what is asked of a chain before intervals are given; `importance` corrects
+it to the likelihood of all bins.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import emcee
+import jax
+import jax.numpy as jnp
+import numpy as np
+from arviz_stats.base.array import array_stats
+from jax import Array
+
+from ...merl_io.atomic import write_atomically
+from ..objective.transforms import Layout
+from ..support.tables import UNSOUND
+from .emulator import MOST_EVER, Channels, Emulator, log_posterior
+from .likelihood import StandIn
+
+WALKERS = 32
+ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
+LARGEST_R_HAT = 1.05  # 50 autocorrelation times of independent walkers make 1.02 of halves of them
+LEAST_SIZE = 400  # effective draws of every coordinate
+TAILS = 0.05, 0.95  # the ends of the intervals
+CHECK_EVERY = 100  # steps between looks at the chain
+FIRST, ROUNDS, ROUND = 120, 5, 25  # steps of tuning, discarded: before the emulator, rounds of learning and their steps
+TOO_LOW, RARE = (
+    1.0,
+    0.01,
+)  # of the emulated log posterior, at more than this share of states: walkers there are not let go
+LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
+TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
+DEPTH = 25.0  # of log posterior below the highest: deeper points teach nothing that matters
+LED = 0.8  # share of moves that are led; the others are differential evolution
+WAYS = 3  # of a led move, one after the other
+WAY = 1.0, 2.5  # how far each goes, in standard deviations of the posterior
+LEAPS, UNEVEN = (0.03, 0.15, 0.4), 0.5  # their length: least, to begin with, most; how much shorter some of them are
+RATE = 0.8  # share of ways that are to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
+GOLDEN = (np.sqrt(5) - 1) / 2
+LogProb = Callable[[np.ndarray], np.ndarray]
+Progress = Callable[[int, int], None]
+
+
+class ChainError(ValueError):
+    """A file that is not the chain of this fit; the message is one line that names it."""
+
+
+class Chances(NamedTuple):
+    """What is random of a led move: momenta (WAYS, W, P), logarithms of uniform numbers (WAYS, W), leaps and their
+    lengths (WAYS,).
+    """
+
+    momenta: Array
+    thresholds: Array
+    leaps: Array
+    lengths: Array
+
+
+Density = Callable[[Array], Array]
+
+
+def leapfrog(
+    log_density: Density, root: Array, points: Array, momenta: Array, leaps: Array, length: Array
+) -> tuple[Array, Array]:
+    """So many leaps by Hamilton's equations: points and momenta at their end, (W, P) each."""
+    slope = jax.grad(lambda z: jnp.sum(log_density(z)))
+
+    def leap(_: Array | int, at: tuple[Array, Array]) -> tuple[Array, Array]:
+        z, p = at
+        z = z + length * p @ root.T
+        return z, p + length * slope(z) @ root
+
+    z, p = jax.lax.fori_loop(0, leaps, leap, (points, momenta + length / 2 * slope(points) @ root))
+    return z, p - length / 2 * slope(z) @ root
+
+
+@jax.jit
+def _lead(points: Array, chances: Chances, root: Array, channels: Channels, scale: Array) -> tuple[Array, Array, Array]:
+    """Where Hamiltonian Monte Carlo on the emulated log posterior leads, how much lower that is there, and the share of
+    ways that were accepted: (W, P), (W,) and ().
+    """
+    log_density = partial(log_posterior, channels=channels, scale=scale)
+
+    def way(at: tuple[Array, Array], chance: Chances) -> tuple[tuple[Array, Array], Array]:
+        z, held = at
+        new, turned = leapfrog(log_density, root, z, chance.momenta, chance.leaps, chance.lengths)
+        found = log_density(new)
+        kinetic = jnp.sum(chance.momenta**2 - turned**2, -1) / 2
+        accepted = found - held + kinetic > chance.thresholds  # not where a walker was led astray and all is nan
+        return (jnp.where(accepted[:, None], new, z), jnp.where(accepted, found, held)), jnp.mean(accepted)
+
+    start = log_density(points)
+    (end, found), rates = jax.lax.scan(way, (points, start), chances)
+    return end, start - found, jnp.mean(rates)
+
+
+@dataclass(frozen=True)
+class Hamiltonian:
+    """Proposals for emcee's MHMove: where Hamiltonian Monte Carlo on the emulated posterior leads.
+
+    A few moves of one kind, which leave the emulated posterior pi* as it is and are reversible, make one proposal, its
+    ratio of probabilities there and back being pi*(x)/pi*(y): with it the posterior of the stand-in is left as it is,
+    however rough the emulator (surrogate transitions, Liu 2001, section 9.4.3; Hamiltonian moves: Neal 2011).
+
+    Attributes:
+        emulator: of the posterior. root: of the walkers' covariance, (P, P), which takes the place of a mass.
+        leap: the longest, in standard deviations of the posterior.
+    """
+
+    emulator: Emulator
+    root: np.ndarray
+    leap: float
+
+    def __call__(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        """New points, and the logarithm of the proposals' ratio; (W, P) and (W,)."""
+        new, log_ratio, _ = self._go(points, rng)
+        return new, np.where(np.isfinite(log_ratio), log_ratio, -np.inf)
+
+    def _go(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray, float]:
+        momenta = rng.standard_normal((WAYS, *points.shape))
+        thresholds = np.log(rng.uniform(size=(WAYS, len(points))))
+        lengths = self.leap * rng.uniform(UNEVEN, 1, size=WAYS)
+        leaps = np.ceil(rng.uniform(*WAY, size=WAYS) / lengths).astype(int)
+        chances = Chances(*(jnp.asarray(x) for x in (momenta, thresholds, leaps, lengths)))
+        found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), self.emulator.channels, self.emulator.scale)
+        return np.asarray(found[0]), np.asarray(found[1]), float(found[2])
+
+    def fitting_leap(self, points: np.ndarray, seed: int) -> float:
+        """Longer or shorter leaps, as more or fewer ways from ``points`` (W, P) are accepted than are to be."""
+        rate = self._go(points, np.random.RandomState(seed))[2]
+        return float(np.clip(self.leap * np.exp(2 * (rate - RATE)), LEAPS[0], LEAPS[2]))
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Steps of the walkers after tuning, and what goes on from there.
+
+    Attributes:
+        states: free coordinates, (steps, walkers, P). log_prob: (steps, walkers). accepted: moves, in all.
+        root, leap: of `Hamiltonian`, as tuned. taught: points that the emulator learnt, (N, P).
+        random: keys, position, whether there is a cached normal number, and that.
+        fit: free coordinates of the fit that it belongs to, (P,).
+    """
+
+    states: np.ndarray
+    log_prob: np.ndarray
+    accepted: float
+    root: np.ndarray
+    leap: float
+    taught: np.ndarray
+    random: tuple[np.ndarray, int, int, float]
+    fit: np.ndarray
+
+    @property
+    def acceptance(self) -> float:
+        """Mean fraction of accepted moves."""
+        return self.accepted / max(self.log_prob.size, 1)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What goes into a file; :func:`read_chain` makes a chain of it again."""
+        keys, position, cached, normal = self.random
+        return {
+            "chain_free": self.states, "log_prob": self.log_prob, "accepted": np.array(self.accepted),
+            "root": self.root, "leap": np.array(self.leap), "taught_free": self.taught, "fit_free": self.fit,
+            "random_keys": keys, "random_state": np.array([position, cached, normal]),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is known of a chain, by coordinate, (P,) each.
+
+    Attributes:
+        steps: of the chain. times: integrated autocorrelation times (steps), by emcee.
+        r_hat: split, over walkers. bulk, tail: effective sizes. These three by ArviZ (Vehtari et al. 2021).
+    """
+
+    steps: int
+    times: np.ndarray
+    r_hat: np.ndarray
+    bulk: np.ndarray
+    tail: np.ndarray
+
+    @property
+    def ratio(self) -> float:
+        """Of the longest autocorrelation times, how many the chain spans."""
+        return self.steps / float(self.times.max())
+
+    def failures(self, names: Sequence[str] = ()) -> list[str]:
+        """In what it is not good enough, in sentences; names: of the coordinates."""
+        name = names or tuple(map(str, range(len(self.times))))
+        found = []
+        if not self.ratio >= ENOUGH:
+            found.append(f"{self.steps} steps are {self.ratio:.0f} autocorrelation times, {ENOUGH} are needed")
+        if not (worst := self.r_hat.max()) <= LARGEST_R_HAT:
+            found.append(
+                f"split R-hat of {name[int(self.r_hat.argmax())]} is {worst:.3f}, at most {LARGEST_R_HAT} is accepted"
+            )
+        for kind, size in (("bulk", self.bulk), ("tail", self.tail)):
+            if not (least := size.min()) >= LEAST_SIZE:
+                found.append(
+                    f"{kind} effective size of {name[int(size.argmin())]} is {least:.0f}, {LEAST_SIZE} are needed"
+                )
+        return found
+
+
+def diagnose(chain: Chain) -> Diagnosis:
+    """Look at a chain."""
+    steps, _, size = chain.states.shape
+    if steps < CHECK_EVERY:
+        bad, none = np.full(size, np.inf), np.zeros(size)
+        return Diagnosis(steps, bad, bad, none, none)
+    times = emcee.autocorr.integrated_time(chain.states, tol=0, quiet=True)
+    each = np.transpose(chain.states, (2, 1, 0))  # (P, walkers, steps), as ArviZ has chains and draws
+    return Diagnosis(
+        steps,
+        np.where(np.isfinite(times), np.maximum(times, 1.0), steps),
+        np.asarray(array_stats.rhat(each)),
+        np.asarray(array_stats.ess(each, method="bulk")),
+        np.asarray(array_stats.ess(each, method="tail", prob=TAILS)),
+    )
+
+
+def read_chain(path: Path, fit: np.ndarray) -> Chain:
+    """The chain in a file.
+
+    Args:
+        fit: free coordinates of the fit that it should be of.
+
+    Raises:
+        ChainError: missing, damaged, or of another fit.
+    """
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            position, cached, normal = file["random_state"]
+            random = (file["random_keys"], int(position), int(cached), float(normal))
+            chain = Chain(
+                file["chain_free"], file["log_prob"], float(file["accepted"]), file["root"], float(file["leap"]),
+                file["taught_free"], random, file["fit_free"],
+            )  # fmt: skip
+    except UNSOUND as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no chain"
+        raise ChainError(f"{path}: cannot be continued ({why}); delete it to start a new chain") from None
+    if chain.fit.shape != fit.shape or not np.allclose(chain.fit, fit, atol=1e-6):
+        raise ChainError(f"{path}: is the chain of another fit; delete it to start a new chain")
+    return chain
+
+
+def write_chain(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write atomically (npz, no pickles)."""
+    write_atomically(path, lambda file: np.savez_compressed(file, **arrays))  # pyright: ignore[reportArgumentType] - none is called allow_pickle
+
+
+Moves = list[tuple[emcee.moves.Move, float]]
+EVOLUTION: Moves = [(emcee.moves.DEMove(), 0.6), (emcee.moves.DESnookerMove(), 0.4)]
+
+
+def _moves(lead: Hamiltonian) -> Moves:
+    """Led moves and differential evolution, which crosses what divides two modes."""
+    return [(emcee.moves.MHMove(lead), LED), *((move, share * (1 - LED)) for move, share in EVOLUTION)]
+
+
+class _Way(NamedTuple):
+    """Where walkers went: states (steps, W, P), log_prob (steps, W), moves that were accepted, and where they are."""
+
+    states: np.ndarray
+    log_prob: np.ndarray
+    accepted: float
+    now: Any  # emcee.State; emcee has no types
+
+
+def _advance(
+    log_prob: LogProb, moves: Moves, now: emcee.State, steps: int, progress: Progress, done: int = 0, most: int = 0
+) -> _Way:
+    """So many steps; ``done`` before them, of ``most``: for ``progress``."""
+    walkers, size = now.coords.shape
+    sampler = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves)
+    sampler.log_prob_fn = log_prob  # pyright: ignore[reportAttributeAccessIssue] - emcee's wrapper prints all walkers at Ctrl-C
+    for _ in sampler.sample(now, iterations=steps):
+        progress(done + sampler.iteration, most)
+    states, found = np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob())
+    return _Way(states, found, float(np.sum(sampler.acceptance_fraction)) * steps, sampler.get_last_sample())
+
+
+def spread_over(total: int, count: int, begun: int = 0) -> np.ndarray:
+    """Places ``begun`` to ``count`` of a sequence that covers 0 .. total - 1 evenly however long it is."""
+    return np.minimum(((np.arange(begun, count) + 0.5) * GOLDEN % 1.0 * total).astype(int), total - 1)
+
+
+class _Recorder:
+    """The log posterior of a stand-in, which remembers what it was asked."""
+
+    def __init__(self, few: StandIn) -> None:
+        self.few = few
+        self.points: list[np.ndarray] = []
+        self.found: list[np.ndarray] = []
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        found = self.few.log_posterior(points)
+        self.points.append(points.copy())
+        self.found.append(found)
+        return found
+
+    def asked(self, count: int) -> np.ndarray:
+        """So many points, accepted or not, and forget all; none that are far below the highest."""
+        points, found = np.concatenate(self.points), np.concatenate(self.found)
+        high = points[found > found.max() - DEPTH]
+        self.points.clear()
+        self.found.clear()
+        return high[spread_over(len(high), min(count, len(high)))]
+
+
+def begin(
+    few: StandIn, layout: Layout, fit: np.ndarray, covariance: np.ndarray, seed: int, progress: Progress
+) -> tuple[Chain, Emulator]:
+    """A chain with walkers in place, and the emulator that leads them.
+
+    From the Laplace approximation the walkers go by differential evolution, then in rounds led by an emulator, which
+    learns from each: from moves that were refused, above all, for there it erred.
+    """
+    rng, recorder = np.random.default_rng(seed), _Recorder(few)
+    away = rng.multivariate_normal(np.zeros(len(fit)), covariance, size=WALKERS, method="eigh")
+    now = emcee.State(fit + away, random_state=np.random.RandomState(seed).get_state())
+    way = _advance(recorder, EVOLUTION, now, FIRST, progress)
+    seen = way.states[FIRST // 2 :].reshape(-1, len(fit))
+    emulator = Emulator.of(few, layout, recorder.asked(TAUGHT))
+    leap = LEAPS[1]
+    for k in range(ROUNDS):
+        lead = Hamiltonian(emulator, _root(seen), leap)
+        way = _advance(recorder, _moves(lead), way.now, ROUND, progress, FIRST + k * ROUND)
+        seen = np.concatenate([seen[len(seen) // 3 :], way.states.reshape(-1, len(fit))])
+        leap = lead.fitting_leap(way.now.coords, seed)
+        # also where walkers are: one where the emulator is too low would not be let go
+        emulator = emulator.with_points(few, np.concatenate([recorder.asked(MORE), way.now.coords]))
+    random = tuple(way.now.random_state[1:])
+    return Chain(way.states[-1:], way.log_prob[-1:], 0.0, _root(seen), leap, emulator.points, random, fit), emulator
+
+
+def _ignored(emulator: Emulator, way: _Way) -> tuple[float, np.ndarray]:
+    """By how much the emulated log posterior is too low where walkers went, but for the few where it is most so.
+
+    And where that is, `MORE` points.
+    """
+    states = way.states.reshape(-1, way.states.shape[-1])
+    emulated = log_posterior(jnp.asarray(states), emulator.channels, emulator.scale)
+    excess = way.log_prob.ravel() - np.asarray(emulated)
+    worst = states[np.argsort(excess)[::-1]]
+    _, first = np.unique(worst, axis=0, return_index=True)  # a walker that stayed counts once
+    return float(np.quantile(excess - np.median(excess), 1 - RARE)), worst[np.sort(first)[:MORE]]
+
+
+def _root(states: np.ndarray) -> np.ndarray:
+    """Of the covariance of states (N, P), lower triangular."""
+    covariance = np.cov(states.T)
+    return np.linalg.cholesky(covariance + 1e-9 * np.diag(np.diag(covariance)))
+
+
+def extend(
+    chain: Chain, few: StandIn, emulator: Emulator, max_steps: int, progress: Progress, keep: Callable[[Chain], None]
+) -> Chain:
+    """Go on until the chain is good enough (`diagnose`), or to ``max_steps``.
+
+    Where walkers come to a tail of which the emulator knows nothing, it learns of it, and the chain begins anew.
+
+    Args:
+        progress: called with (steps done, steps at the most). keep: called with the chain at every look.
+    """
+    lessons = LESSONS if len(chain.states) == 1 else 0  # a chain that was long once is not given up
+    while len(chain.states) < max_steps and diagnose(chain).failures():
+        done = len(chain.states)
+        now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
+        lead = Hamiltonian(emulator, chain.root, chain.leap)
+        steps = min(CHECK_EVERY, max_steps - done)
+        way = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
+        random = tuple(way.now.random_state[1:])
+        low, where = _ignored(emulator, way) if lessons else (0.0, now.coords)
+        if low > TOO_LOW:
+            lessons -= 1
+            emulator = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER)
+            flat = way.states.reshape(-1, way.states.shape[-1])
+            chain = replace(
+                chain, states=way.states[-1:], log_prob=way.log_prob[-1:], accepted=0.0, root=_root(flat),
+                leap=lead.fitting_leap(way.now.coords, lessons), taught=emulator.points, random=random,
+            )  # fmt: skip
+        else:
+            chain = replace(
+                chain,
+                states=np.concatenate([chain.states, way.states]),
+                log_prob=np.concatenate([chain.log_prob, way.log_prob]),
+                accepted=chain.accepted + way.accepted,
+                random=random,
+            )
+        keep(chain)
+    return chain

@@ -1,0 +1,107 @@
+"""The few rows of bins that stand for all of them: most where the parameters are read from.
+
+What a row has to say is its leverage, trace((J^T J + S_0/N)^-1 J_row^T J_row): the number of parameters, as it were,
+that it determines of those that the likelihood of N residuals does. Neighbouring rows are put together in runs, one row
+for each (`merl_io.samples.thin`), so that no run has much of it. Of a narrow lobe with a sharp edge every row is kept
+near the edge, of a matt material rows all over.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ...merl_io.samples import Runs, Samples, thin
+from ..objective.problem import Part, energy, make_problem
+from ..objective.residuals import weighted_prediction
+from ..objective.transforms import Layout
+from ..support.threads import side_by_side
+
+ROWS = 18  # of theta_h that are kept
+COLUMNS, AZIMUTHS = 10, 2  # of theta_d: the length of a run; nodes of a row of azimuths
+FIRST = 0.5  # of what a row holds, the part that is not leverage
+BATCH = 16  # points of one call
+STEP = 0.02  # of the differences that make a Jacobian, in standard deviations of the prior
+
+
+@partial(jax.jit, static_argnums=0)
+def _predicted(layout: Layout, points: Array, part: Part) -> Array:
+    """Weighted predictions (W, M) at points (W, P), in the precision of ``part``.
+
+    Not to be made float64 in here: jaxlib 0.10 then compiles wrong sums for a CPU (`tests/fitting/test_likelihood.py`).
+    """
+    return jax.vmap(lambda z: weighted_prediction(layout.model, layout.values(z), part).ravel())(points)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The least-squares problem of a few bins, its sums in the unit of all bins.
+
+    Attributes:
+        layout: of the parameters. part: the bins, in float32. unit: of residuals.
+    """
+
+    layout: Layout
+    part: Part
+    unit: float
+
+    @classmethod
+    def of(cls, layout: Layout, samples: Samples, runs: tuple[Runs, Runs, Runs]) -> "Rows":
+        """The bins of ``samples`` that are left by ``runs``."""
+        few = thin(samples, runs)
+        (part,) = make_problem(few, AZIMUTHS, "float32").parts
+        return cls(layout, part, float(np.sqrt(energy(few) / energy(samples))))
+
+    @property
+    def target(self) -> np.ndarray:
+        """Of the weighted measurement, (M,)."""
+        return self.unit * np.asarray(self.part.target, float).ravel()
+
+    def predicted(self, points: np.ndarray) -> np.ndarray:
+        """Weighted predictions (N, M) at points (N, P)."""
+        padded = np.concatenate([points, np.repeat(points[:1], -len(points) % BATCH, 0)])
+        batches = np.split(padded, len(padded) // BATCH)
+        found = side_by_side(lambda z: np.asarray(_predicted(self.layout, jnp.asarray(z), self.part), float), batches)
+        return self.unit * np.concatenate(found)[: len(points)]
+
+    def tangent(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted prediction at ``z`` (P,), and its Jacobian: (M,) and (M, P)."""
+        steps = STEP * np.eye(len(z))
+        at = self.predicted(z + np.concatenate([np.zeros((1, len(z))), steps, -steps]))
+        return at[0], (at[1 : len(z) + 1] - at[len(z) + 1 :]).T / (2 * STEP)
+
+
+def few_rows(layout: Layout, samples: Samples, z: np.ndarray, least: float) -> Rows:
+    """Of all rows those to keep at a fit.
+
+    Args:
+        z: free coordinates of the fit, (P,). least: S_0/N, curvature that stands for the prior.
+    """
+    every = Rows.of(layout, samples, (1, COLUMNS, 1))
+    _, jacobian = every.tangent(z)
+    inverse = np.linalg.inv(jacobian.T @ jacobian + least * np.eye(len(z)))
+    leverage = np.sum(jacobian @ inverse * jacobian, 1).reshape(every.part.target.shape)  # (N, C, h, D, K)
+    by_row = leverage.sum((1, 3, 4)).ravel()
+    # also without leverage rows near the mirror direction are kept: a lobe narrower than the first one is invisible
+    otherwise = 1 / np.arange(1, len(by_row) + 1)
+    held = (1 - FIRST) * by_row / by_row.sum() + FIRST * otherwise / otherwise.sum()
+    return Rows.of(layout, samples, (runs(held, ROWS), COLUMNS, 1))
+
+
+def runs(shares: np.ndarray, count: int) -> tuple[int, ...]:
+    """Lengths of ``count`` runs of neighbours, the sum of squares of what they hold being the least."""
+    held = np.concatenate([[0.0], np.cumsum(shares)])
+    size = len(held)
+    cost = np.where(np.arange(size)[:, None] < np.arange(size), (held - held[:, None]) ** 2, np.inf)
+    lowest, begins = cost[0], []
+    for _ in range(count - 1):
+        through = lowest[:, None] + cost
+        begins.append(np.argmin(through, 0))
+        lowest = np.min(through, 0)
+    edges = [size - 1]
+    for begin in reversed(begins):
+        edges.append(int(begin[edges[-1]]))
+    return tuple(np.diff([0, *reversed(edges)]).tolist())

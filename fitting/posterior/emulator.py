@@ -1,0 +1,128 @@
+"""The stand-in's likelihood interpolated between points where it was computed: its gradient leads the walkers.
+
+Weighted residuals of a channel are smooth functions of the few coordinates that it depends on. Their principal
+components over the training points (a proper orthogonal decomposition) are interpolated by cubic radial basis
+functions with a quadratic polynomial; the sum of their squares is the cost. Walkers are led by its gradient
+(`posterior.Hamiltonian`) and judged by the stand-in itself: on its accuracy depends but how often a step is accepted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations_with_replacement
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ..objective.transforms import Layout
+from .likelihood import StandIn
+
+NEGLECTED = 1e-3  # of log L, on average over the training points: components that matter less are left out
+MOST, MOST_EVER = 1024, 2048  # points, and where the posterior is too crooked for them (`posterior.extend`)
+ROUNDED = 1024, 16  # centres and components are filled up with idle ones to multiples of these: few shapes to compile
+NUGGET = 1e-9  # on the kernel's diagonal, relative to its largest entry
+
+
+def coordinates_of(layout: Layout, z: np.ndarray) -> list[np.ndarray]:
+    """For every channel the free coordinates that its prediction depends on."""
+    depends = np.abs(np.asarray(layout.slopes(jnp.asarray(z)))) > 0
+    found = []
+    for k in range(len(layout.channels)):
+        where = zip(layout.parameters, layout.slices.values(), strict=True)
+        rows = [s.start + (k if q.per_channel else 0) for q, s in where]
+        found.append(np.flatnonzero(depends[rows].any(0)))
+    return found
+
+
+@jax.jit
+def _tail(x: Array) -> Array:
+    """Monomials up to degree two, (N, 1 + d + d (d + 1) / 2)."""
+    pairs = [x[:, i] * x[:, j] for i, j in combinations_with_replacement(range(x.shape[1]), 2)]
+    return jnp.stack([jnp.ones(len(x)), *x.T, *pairs], 1)
+
+
+@jax.jit
+def _kernel(x: Array, centres: Array) -> Array:
+    """Cubes of distances, (N, M)."""
+    squares = jnp.sum(x * x, 1)[:, None] + jnp.sum(centres * centres, 1) - 2 * x @ centres.T
+    apart = squares > 0  # at a centre itself the root has no slope
+    return jnp.where(apart, squares * jnp.sqrt(jnp.where(apart, squares, 1.0)), 0.0)
+
+
+Channels = list[dict[str, Array]]
+
+
+def cost_at(points: Array, channels: Channels) -> Array:
+    """Sum of squares of all channels at points (N, P): (N,)."""
+    total = jnp.zeros(len(points))
+    for c in channels:
+        x = (points[:, c["own"]] - c["middle"]) @ c["whiten"]
+        components = _kernel(x, c["centres"]) @ c["weights"] + _tail(x) @ c["polynomial"]
+        total += jnp.sum(components**2 + 2 * components * c["mean"], 1) + c["constant"]
+    return total
+
+
+@jax.jit
+def log_posterior(points: Array, channels: Channels, scale: Array | float) -> Array:
+    """As emulated, of points (N, P), up to a constant: (N,). scale: of the stand-in."""
+    return -scale * cost_at(points, channels) - jnp.sum(points * points, -1) / 2
+
+
+@dataclass(frozen=True)
+class Emulator:
+    """The likelihood of a stand-in, interpolated.
+
+    Attributes:
+        points: where it was computed, (N, P). residuals: weighted, (N, C, M). own: coordinates of every channel.
+        scale: of the stand-in.
+    """
+
+    points: np.ndarray
+    residuals: np.ndarray
+    own: Sequence[np.ndarray]
+    scale: float
+
+    @classmethod
+    def of(cls, few: StandIn, layout: Layout, points: np.ndarray) -> "Emulator":
+        """From the stand-in at ``points`` (N, P), those where it is not finite left out."""
+        own = coordinates_of(layout, points[0])
+        found = cls(points[:0], np.empty((0, len(own), len(few.target) // len(own))), own, few.scale)
+        return found.with_points(few, points, MOST_EVER)
+
+    def with_points(self, few: StandIn, points: np.ndarray, most: int = MOST) -> "Emulator":
+        """The same with more points, the oldest forgotten beyond so many; twice the same counts once."""
+        residuals = (few.weighed(points) - few.target).reshape(len(points), len(self.own), -1)
+        points = np.concatenate([self.points, points])[-most:]
+        residuals = np.concatenate([self.residuals, residuals])[-most:]
+        _, first = np.unique(points, axis=0, return_index=True)
+        first = np.sort(first[np.isfinite(residuals[first]).all((1, 2))])
+        return Emulator(points[first], residuals[first], self.own, self.scale)
+
+    @cached_property
+    def channels(self) -> Channels:
+        """What :func:`cost_at` needs."""
+        found = []
+        for k, own in enumerate(self.own):
+            given = self.points[:, own]
+            middle, spread = given.mean(0), np.cov(given.T)
+            whiten = np.linalg.inv(np.linalg.cholesky(spread + 1e-9 * np.diag(np.diag(spread)))).T
+            x = (given - middle) @ whiten
+            mean = self.residuals[:, k].mean(0)
+            left, size, basis = np.linalg.svd(self.residuals[:, k] - mean, full_matrices=False)
+            rest = np.append(np.cumsum(size[::-1] ** 2)[::-1], 0.0) * self.scale / len(x)
+            rank = max(int(np.argmax(rest < NEGLECTED)), 1)
+            tail, kernel = np.asarray(_tail(jnp.asarray(x))), np.asarray(_kernel(jnp.asarray(x), jnp.asarray(x)))
+            system = np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
+            system[np.diag_indices(len(x))] += NUGGET * kernel.max()
+            known = np.concatenate([left[:, :rank] * size[:rank], np.zeros((tail.shape[1], rank))])
+            solved = np.linalg.solve(system, known)
+            more, wider = -len(x) % ROUNDED[0], -rank % ROUNDED[1]
+            found.append({
+                "own": own, "middle": middle, "whiten": whiten, "centres": np.pad(x, ((0, more), (0, 0))),
+                "weights": np.pad(solved[: len(x)], ((0, more), (0, wider))),
+                "polynomial": np.pad(solved[len(x) :], ((0, 0), (0, wider))),
+                "mean": np.pad(basis[:rank] @ mean, (0, wider)), "constant": mean @ mean,
+            })  # fmt: skip
+        return jax.tree.map(jnp.asarray, found)

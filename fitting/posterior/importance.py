@@ -1,0 +1,116 @@
+"""From the chain on a few bins to the posterior of all bins: importance weights, and what must hold to trust them.
+
+Draws from the chain are weighed by the ratio of the two likelihoods; the largest weights are smoothed by the
+generalised Pareto distribution that they follow (PSIS, Vehtari et al. 2024, by ArviZ), whose shape k says whether the
+weighted mean has a finite variance.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from arviz_stats.base.array import array_stats
+
+from .chain import LEAST_SIZE, Chain, Diagnosis, diagnose, spread_over
+
+LARGEST_K = 0.7  # of the Pareto shape: above it the weights cannot be trusted
+DRAWS, MOST_DRAWS = 600, 2400  # on all bins: to begin with, and to come to the least size
+GO_ON = "continue the chain with `merlfit sample`"
+TOO_FAR = (
+    "the chain, which uses few bins, is too far from the posterior of all bins: Pareto k of its weights is {k:.2f}, "
+    "at most {most} is accepted"
+)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """The posterior of all bins, and what is known about how it was come by.
+
+    Attributes:
+        chain: on the few bins. draws: some of its states, (n, P); weights: theirs, smoothed, sum 1, (n,).
+        log_ratio: log L of all bins minus the chain's, (n,). pareto_k: shape of the largest weights.
+        diagnosis: of the chain.
+        effective_size: of the weighted draws, (P,). sufficient: whether intervals may be given. message: in a sentence.
+    """
+
+    chain: Chain
+    draws: np.ndarray
+    weights: np.ndarray
+    log_ratio: np.ndarray
+    pareto_k: float
+    diagnosis: Diagnosis
+    effective_size: np.ndarray
+    sufficient: bool
+    message: str
+
+
+def quantiles(values: np.ndarray, weights: np.ndarray, levels: tuple[float, ...] = (0.05, 0.5, 0.95)) -> np.ndarray:
+    """Weighted quantiles of values (n, ...) along the first axis, (levels, ...)."""
+    flat = values.reshape(len(values), -1)
+    found = [np.quantile(x, levels, weights=weights, method="inverted_cdf") for x in flat.T]
+    return np.array(found).T.reshape(len(levels), *values.shape[1:])
+
+
+def smoothed(log_ratio: np.ndarray) -> tuple[np.ndarray, float]:
+    """Smoothed weights that sum to one, and Pareto's k."""
+    if np.ptp(log_ratio) < 1e-9:  # equal weights have no tail to fit
+        return np.full(len(log_ratio), 1 / len(log_ratio)), 0.0
+    log_weights, k = array_stats.psislw(log_ratio.max() - log_ratio)  # it wants minus the logarithms: log likelihoods
+    weights = np.exp(log_weights - np.max(log_weights))
+    return weights / weights.sum(), float(k)
+
+
+def sizes(draws: np.ndarray, weights: np.ndarray, independent: np.ndarray) -> np.ndarray:
+    """Effective size of weighted draws for the mean of every coordinate, (P,).
+
+    Var(x) / sum w^2 (x - mean)^2 were the draws independent (Owen 2013, Eq. 9.9), in the ratio in which they are.
+
+    Args:
+        independent: effective size of the chain they are from, (P,).
+    """
+    away = (draws - weights @ draws) ** 2
+    found = (weights @ away) / np.maximum(weights**2 @ away, 1e-300)
+    return found * np.minimum(independent / len(draws), 1.0)
+
+
+def correct(
+    chain: Chain,
+    log_few: Callable[[np.ndarray], np.ndarray],
+    log_likelihood: Callable[[np.ndarray], float],
+    names: tuple[str, ...],
+    progress: Callable[[int, int], None] = lambda done, most: None,
+) -> Posterior:
+    """Weigh draws from the chain, as many as make `LEAST_SIZE` if that is possible, and assess all.
+
+    Args:
+        log_few: log L of the chain at points (N, P). log_likelihood: on all bins, of a point (P,).
+        names: of the coordinates.
+    """
+    diagnosis, size = diagnose(chain), chain.states.shape[-1]
+    failed = [f"{said}; {GO_ON}" for said in diagnosis.failures(names)]
+    flat = chain.states.reshape(-1, size)
+    draws, log_ratio, wanted = np.empty((0, size)), np.empty(0), DRAWS
+    while True:
+        new = flat[spread_over(len(flat), wanted, len(draws))]
+        whole = []
+        for z in new:
+            whole.append(log_likelihood(z))
+            progress(len(draws) + len(whole), wanted)
+        draws = np.concatenate([draws, new])
+        log_ratio = np.concatenate([log_ratio, np.array(whole) - log_few(new)])
+        weights, k = smoothed(log_ratio)
+        effective = sizes(draws, weights, diagnosis.bulk)
+        good = k <= LARGEST_K and effective.min() >= LEAST_SIZE
+        if good or len(draws) >= MOST_DRAWS or failed:  # a chain that failed is not worth more
+            break
+        # of few draws k is uncertain by tenths: it is judged by more of them
+        wanted = min(int(len(draws) * np.clip(1.1 * LEAST_SIZE / effective.min(), 1.5, 4.0)) + 1, MOST_DRAWS)
+    if not k <= LARGEST_K:
+        failed.append(TOO_FAR.format(k=k, most=LARGEST_K))
+    if not (least := effective.min()) >= LEAST_SIZE:
+        name = names[int(effective.argmin())]
+        failed.append(
+            f"effective size of {name} in the weighted draws is {least:.0f}, {LEAST_SIZE} are needed; {GO_ON}"
+        )
+    good = f"{diagnosis.steps} steps are {diagnosis.ratio:.0f} autocorrelation times, Pareto k {k:.2f}"
+    return Posterior(chain, draws, weights, log_ratio, k, diagnosis, effective, not failed, (failed or [good])[0])

@@ -1,0 +1,133 @@
+"""The posterior of a fit, from its likelihood to the file with its chain and its draws."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ...merl_io.atomic import WriteError
+from ...merl_io.samples import Samples
+from ...model.derived import derived
+from ..assess.laplace import laplace_covariance
+from ..assess.outcome import Fitted
+from ..objective.problem import make_problem
+from ..objective.transforms import Layout
+from ..support.clock import Report, silent
+from ..support.threads import CORES, one_core_a_call, side_by_side
+from .chain import Chain, begin, extend, read_chain, write_chain
+from .emulator import Emulator
+from .importance import Posterior, correct
+from .likelihood import log_likelihood, stand_in
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Draws from the posterior in units of physics.
+
+    Attributes:
+        posterior: in free coordinates. values: physical values of its draws, (n, P). derived: quantities of its draws
+            by name, (n,) or (n, C). at_fit: of the fit.
+    """
+
+    posterior: Posterior
+    values: np.ndarray
+    derived: Mapping[str, np.ndarray]
+    at_fit: Mapping[str, np.ndarray]
+
+
+@partial(jax.jit, static_argnums=0)
+def _physical(layout: Layout, draws: Array) -> tuple[Array, dict[str, Array]]:
+    return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: derived(layout.values(z), layout.material), draws)
+
+
+def physical(layout: Layout, draws: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Physical values (n, P) and derived quantities of draws (n, P) in free coordinates."""
+    count = -(-len(draws) // CORES)
+    padded = np.concatenate([draws, np.repeat(draws[:1], count * CORES - len(draws), 0)])
+    shares = side_by_side(lambda few: jax.device_get(_physical(layout, jnp.asarray(few))), np.split(padded, CORES))
+    values, found = jax.tree.map(lambda *x: np.concatenate(x)[: len(draws)], *shares)
+    return values, found
+
+
+def draw(
+    fitted: Fitted,
+    samples: Samples,
+    max_steps: int,
+    seed: int,
+    path: Path,
+    resume: bool = False,
+    report: Report = silent,
+) -> Posterior:
+    """Sample until the chain is long enough, and correct it; the chain is in ``path`` at every look at it.
+
+    Args:
+        samples: those that were fitted. max_steps: more, at the most. seed: of walkers and moves.
+        path: .npz with the chain. resume: go on with the chain in it.
+
+    Raises:
+        merlfit.fitting.posterior.chain.ChainError: there is no chain to go on with, or one of another fit.
+    """
+    layout, solution = fitted.layout, fitted.solution
+    few = stand_in(layout, samples, solution, fitted.count)
+
+    def say(done: int, most: int) -> None:
+        report(f"posterior: step {done} of at most {most}" if most else f"posterior: tuning, step {done}")
+
+    if resume:
+        chain = read_chain(path, solution.z)
+        emulator = Emulator.of(few, layout, chain.taught)
+    else:
+        covariance = laplace_covariance(solution.normal, fitted.count)
+        chain, emulator = begin(few, layout, solution.z, covariance, seed, say)
+
+    def keep(chain: Chain) -> None:
+        if said := _unwritten(path, {**_names(layout), **chain.arrays()}):
+            report(f"posterior: {said}")
+
+    chain = extend(chain, few, emulator, max_steps + (len(chain.states) if resume else 0), say, keep)
+    problem, lowest = make_problem(samples, precision="float32"), solution.cost  # 1e-6 of S is 1e-6 N of log L
+    return correct(
+        chain, few.log_likelihood, lambda z: log_likelihood(layout, z, problem, fitted.count, lowest),
+        layout.coordinates, lambda done, most: report(f"posterior: all bins, draw {done} of {most}"),
+    )  # fmt: skip
+
+
+def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:
+    """Write a chain; in words why it cannot be written, which is no reason to give up the posterior."""
+    try:
+        write_chain(path, arrays)
+    except WriteError as error:
+        return f"the chain is not kept: {error}"
+    return ""
+
+
+def _names(layout: Layout) -> dict[str, np.ndarray]:
+    return {"names": np.array(layout.names), "coordinates": np.array(layout.coordinates)}
+
+
+@one_core_a_call
+def sample(
+    fitted: Fitted,
+    samples: Samples,
+    max_steps: int,
+    seed: int,
+    path: Path,
+    resume: bool = False,
+    report: Report = silent,
+) -> Sampled:
+    """:func:`draw`, and what the draws are in units of physics; all of it in ``path``."""
+    found, layout = draw(fitted, samples, max_steps, seed, path, resume, report), fitted.layout
+    values, quantities = physical(layout, np.concatenate([found.draws, fitted.solution.z[None]]))
+    done = Sampled(
+        found, values[:-1], {k: x[:-1] for k, x in quantities.items()}, {k: x[-1] for k, x in quantities.items()}
+    )
+    draws = {"draws_free": found.draws, "weights": found.weights, "log_ratio": found.log_ratio, "values": done.values}
+    told = {**_names(layout), **found.chain.arrays(), **draws}
+    if said := _unwritten(path, {**told, **{f"derived_{k}": x for k, x in done.derived.items()}}):
+        return replace(done, posterior=replace(found, message=f"{found.message}; {said}"))
+    return done

@@ -1,0 +1,176 @@
+"""Results as JSON: read, validated and written atomically; the schema that the package ships."""
+
+import ast
+import codecs
+import json
+import math
+import os
+import platform
+import re
+from importlib import metadata
+from itertools import pairwise
+from pathlib import Path
+from typing import IO, Any, ClassVar, get_origin, get_type_hints
+
+from pydantic import (
+    BaseModel,
+    TypeAdapter,
+    ValidationError,
+)
+from pydantic_core import from_json
+
+from ...merl_io.atomic import write_atomically
+from ...model.acquisition import Apparatus
+from ...model.registry import models
+from ...model.two_scale import ANY, TwoScale
+from ..settings.choice import Choice
+from . import schema as parts
+from .schema import OLDER, SCHEMA_VERSION, Model, Result
+from .upgrade import upgraded
+
+PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
+
+
+class ResultError(ValueError):
+    """A result file that cannot be used; the message is one line that names the file."""
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computed the numbers."""
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
+
+
+def finite(x: float) -> float | None:
+    """The number, or None (null in JSON) where it is not finite."""
+    return float(x) if math.isfinite(x) else None
+
+
+def write_result(path: Path, result: Result) -> None:
+    """Write JSON, atomically; numbers that are not finite are refused, since JSON has none.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: it cannot be written.
+    """
+    text = json.dumps(result.model_dump(mode="json"), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+    def write(file: IO[bytes]) -> None:
+        file.write(text.encode())
+
+    write_atomically(path, write)
+
+
+class _Versioned(BaseModel):
+    schema_version: str
+
+
+def read_result(path: str | os.PathLike[str]) -> Result:
+    """Read and validate a result.
+
+    Raises:
+        ResultError: missing, not JSON, not a result, of a schema version that this program does not know, or with
+            numbers, names or lists that no fit writes.
+    """
+    path = Path(path)
+    try:
+        text = path.read_bytes().removeprefix(codecs.BOM_UTF8)
+        version = _Versioned.model_validate_json(text).schema_version
+        _check_version(path, version)
+        result = (
+            Result.model_validate(upgraded(from_json(text))) if version in OLDER else Result.model_validate_json(text)
+        )
+    except OSError as error:
+        raise ResultError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except ValidationError as error:
+        raise ResultError(f"{path}: is not a merlfit result: {_in_words(error)}") from None
+    if "run" not in result.model_fields_set:  # of an older version: it is not known, and not that of this process
+        result.run = None
+    return result
+
+
+def _check_version(path: Path, version: str) -> None:
+    known = (*OLDER, SCHEMA_VERSION)
+    if version in known:
+        return
+    numbers = [version.split("."), known[-1].split(".")]
+    if all(part.isdecimal() for part in numbers[0]) and [int(x) for x in numbers[0]] > [int(x) for x in numbers[1]]:
+        raise ResultError(
+            f"{path}: was written by a newer merlfit (schema {version}, this one knows {known[-1]} at the most): "
+            "update merlfit"
+        )
+    raise ResultError(f"{path}: is not a merlfit result: schema_version {version!r} is none of {', '.join(known)}")
+
+
+SAID = {
+    "missing": "is missing",
+    "extra_forbidden": "is no field of a result",
+    "finite_number": "is not a finite number",
+}
+
+
+def _in_words(error: ValidationError) -> str:
+    """The first thing that is wrong, and where."""
+    first = error.errors()[0]
+    said = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "json_invalid":
+        return said.replace("Invalid JSON", "it is not JSON")
+    said = SAID.get(first["type"], said.replace("Input should be", "should be"))
+    where = ".".join(map(str, first["loc"]))
+    return f"{where}: {said}" if where else said
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema of a result; the package ships it as ``fitting/results/result.schema.json``."""
+    found = Result.model_json_schema(mode="serialization")
+    kinds = models()
+    for kind in kinds.values():
+        found["$defs"][kind.__name__] = {**TypeAdapter(kind).json_schema(), "additionalProperties": False}
+    told = _below_fields() | {kind.__name__: _attributes(kind) for kind in (*kinds.values(), Apparatus, Choice)}
+    for kind, part in {**found["$defs"], Result.__name__: found}.items():
+        for name, field in part["properties"].items():
+            field["description"] = told[kind][name]
+    found["$defs"][TwoScale.__name__]["properties"]["body"]["enum"].remove(ANY)
+    model = found["$defs"][Model.__name__]
+    model["properties"]["name"]["enum"] = list(kinds)
+    model["oneOf"] = [
+        {"properties": {"name": {"const": name}, "settings": {"$ref": f"#/$defs/{kind.__name__}"}}}
+        for name, kind in kinds.items()
+    ]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"merlfit/result-{SCHEMA_VERSION}",
+        **found,
+    }
+
+
+def _below_fields() -> dict[str, dict[str, str]]:
+    """Descriptions by class and field from the strings below the fields of this file.
+
+    Pydantic would read them, too (``use_attribute_docstrings``), but at every import, which takes a tenth of a second.
+    """
+    found: dict[str, dict[str, str]] = {}
+    tree = ast.parse(Path(str(parts.__file__)).read_text(encoding="utf-8"))
+    for kind in (node for node in tree.body if isinstance(node, ast.ClassDef)):
+        for field, below in pairwise(kind.body):
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(below, ast.Expr)
+                and isinstance(below.value, ast.Constant)
+            ):
+                said = " ".join(str(below.value.value).split())
+                found.setdefault(kind.name, {})[ast.unparse(field.target)] = said
+    return found
+
+
+def _attributes(kind: type) -> dict[str, str]:
+    """Descriptions by attribute from the docstring of a class."""
+    text = re.sub(r":[a-z]+:`([^`]+)`", r"\1", " ".join((kind.__doc__ or "").partition("Attributes:")[2].split()))
+    names = [name for name, hint in get_type_hints(kind).items() if get_origin(hint) is not ClassVar]
+    if not names:
+        return {}
+    parts = re.split(rf"\b({'|'.join(names)}): ", text)
+    return dict(zip(parts[1::2], map(str.strip, parts[2::2]), strict=True))
+
+
+if __name__ == "__main__":  # `make schema`
+    target = Path(__file__).with_name("result.schema.json")
+    target.write_text(json.dumps(schema(), indent=2) + "\n")

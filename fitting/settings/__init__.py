@@ -1,0 +1,1 @@
+"""Settings of a run, and those that trade accuracy for time."""

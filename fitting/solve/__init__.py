@@ -1,0 +1,1 @@
+"""Minimising it: starting points and Levenberg-Marquardt."""

@@ -1,0 +1,1 @@
+"""What every other part uses: threads, clocks, compiled programs and tables on disk, the terminal."""
