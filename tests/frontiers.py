@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting.cost.frontier import OBJECTIVE, Frontier, Point, Spread, Tier
+from merlfit.fitting.cost.frontier import OBJECTIVE, Frontier, Percentiles, Point, Tier
 from merlfit.fitting.cost.measure import calibration, tiers
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output import synthesis
@@ -16,12 +16,12 @@ from merlfit.merl_io.binary import Measurement
 
 
 def spread(value):
-    return Spread(median=value / 2, p95=value, worst=2 * value)
+    return Percentiles(median=value / 2, p95=value, worst=2 * value)
 
 
-def point(choice, error, seconds, astray=0.0):
+def point(choice, error, seconds, other_minimum=0.0):
     return Point(
-        choice=choice, error=spread(error), promised=spread(error), astray=astray, failed=0.0, other_body=0.0,
+        choice=choice, error=spread(error), promised=spread(error), other_minimum=other_minimum, failed=0.0, other_body=0.0,
         rmse=spread(0.1), parameters=None, seconds=spread(seconds), estimate_seconds=spread(0.5), megabytes=900.0,
     )  # fmt: skip
 

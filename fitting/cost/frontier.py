@@ -32,7 +32,7 @@ class _Frozen(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
 
 
-class Spread(_Frozen):
+class Percentiles(_Frozen):
     """Over cases: median, what 95 % of them do not exceed, and the largest."""
 
     median: float
@@ -40,7 +40,7 @@ class Spread(_Frozen):
     worst: float
 
     @classmethod
-    def of(cls, values: Sequence[float] | np.ndarray) -> "Spread":
+    def of(cls, values: Sequence[float] | np.ndarray) -> "Percentiles":
         """Of a sample."""
         median, p95 = np.median(values), np.quantile(values, 0.95, method="inverted_cdf")
         return cls(median=float(median), p95=float(p95), worst=float(np.max(values)))
@@ -51,7 +51,7 @@ class Point(_Frozen):
 
     Attributes:
         error: as above. promised: the larger of the error and its estimate (:mod:`merlfit.fitting.cost.accuracy`).
-        astray: 95th percentile of the errors that exceed their estimate, 0 of the others: fits that ended in another
+        other_minimum: 95th percentile of the errors that exceed their estimate, 0 of the others: fits that ended in another
             minimum than the reference, of which an estimate knows nothing.
         failed: share of fits that ended without usable parameters. other_body: share of materials for which it
             chose another body than the reference.
@@ -62,15 +62,15 @@ class Point(_Frozen):
     """
 
     choice: Choice
-    error: Spread
-    promised: Spread
-    astray: float
+    error: Percentiles
+    promised: Percentiles
+    other_minimum: float
     failed: float
     other_body: float
-    rmse: Spread
-    parameters: Spread | None
-    seconds: Spread
-    estimate_seconds: Spread
+    rmse: Percentiles
+    parameters: Percentiles | None
+    seconds: Percentiles
+    estimate_seconds: Percentiles
     megabytes: float
 
 
@@ -85,7 +85,7 @@ class Tier(_Frozen):
     """
 
     name: str
-    error: Spread | None
+    error: Percentiles | None
     value_ns: float
     gradient_ns: float
     compile_seconds: tuple[float, float]
@@ -106,7 +106,7 @@ class Frontier(_Frozen):
         data: what the calibration materials are. directions: those of the tiers' errors.
     """
 
-    schema_version: Literal["1.0"] = "1.0"
+    schema_version: Literal["1.1"] = "1.1"
     objective: int = 1
     data: str
     directions: str

@@ -22,7 +22,7 @@ from ..solve.levenberg_marquardt import Status
 from ..support.compilation import use_persistent_cache
 from ..support.threads import machine
 from . import calibration, tiers
-from .frontier import OBJECTIVE, Frontier, Point, Spread, Tier
+from .frontier import OBJECTIVE, Frontier, Percentiles, Point, Tier
 
 Rows = dict[str, dict[str, Any]]  # by section, then by what was measured
 Report = Callable[[str], None]
@@ -146,12 +146,12 @@ def _point(choice: Choice, rows: list[dict[str, Any]]) -> Point:
     column = {key: [row[key] for row in rows] for key in rows[0]}
     pairs = list(zip(column["error"], column["estimate"], strict=True))
     away = [x for x in column["parameters"] if x is not None]
-    spreads = {key: Spread.of(column[key]) for key in ("error", "rmse", "seconds", "estimate_seconds")}
+    spreads = {key: Percentiles.of(column[key]) for key in ("error", "rmse", "seconds", "estimate_seconds")}
     return Point(
-        choice=choice, promised=Spread.of([max(pair) for pair in pairs]),
-        astray=Spread.of([error if error > estimated else 0.0 for error, estimated in pairs]).p95,
+        choice=choice, promised=Percentiles.of([max(pair) for pair in pairs]),
+        other_minimum=Percentiles.of([error if error > estimated else 0.0 for error, estimated in pairs]).p95,
         failed=sum(not Status[name].succeeded for name in column["status"]) / len(rows),
-        other_body=sum(column["other_body"]) / len(rows), parameters=Spread.of(away) if away else None,
+        other_body=sum(column["other_body"]) / len(rows), parameters=Percentiles.of(away) if away else None,
         megabytes=max(column["megabytes"]), **spreads,
     )  # fmt: skip
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, LogFormatterMathtext,
 from matplotlib.transforms import Bbox
 
 from ..settings.choice import default_choice
-from .frontier import Frontier, Spread, pareto
+from .frontier import Frontier, Percentiles, pareto
 from .report import default_tier
 
 KINDS = {
@@ -154,7 +154,7 @@ def _front(axis: Axes, times: list[float], errors: list[float], colour: str) -> 
     return [*across, *(((x[k], y[k - 1]), (x[k], y[k])) for k in steps)]
 
 
-def _pair(axis: Axes, time: float, error: Spread, marker: str, colour: str) -> tuple[Point, Point]:
+def _pair(axis: Axes, time: float, error: Percentiles, marker: str, colour: str) -> tuple[Point, Point]:
     """Median, full, and 95th percentile, hollow, joined by a line; its ends. No median of 0 is on a log axis."""
     size = STAR if marker == "*" else MARK
     axis.plot([time, time], [error.median or axis.get_ylim()[0], error.p95], "-", color=colour, zorder=1, **FAINT)

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ..output.report import number
 from ..settings.choice import Choice, default_choice
-from .frontier import Frontier, Point, Spread, pareto
+from .frontier import Frontier, Percentiles, Point, pareto
 
 MARK = "*"
 NOTICED = 0.9  # of an error: less is a step that gains something
@@ -32,7 +32,7 @@ def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
     return table
 
 
-def _cells(spread: Spread | None) -> list[str]:
+def _cells(spread: Percentiles | None) -> list[str]:
     return [number(x, 2) for x in ((None,) * 3 if spread is None else (spread.median, spread.p95, spread.worst))]
 
 

@@ -27,7 +27,7 @@ from ..objective.problem import make_problem
 from ..objective.residuals import cost, normal_equations
 from ..objective.transforms import layout_of
 from ..objective.weights import weighted_samples
-from .frontier import Spread
+from .frontier import Percentiles
 
 SEED, SETS, DIRECTIONS = 20261122, 40, 64
 WHAT = f"synthetic: {SETS} conductors drawn from the priors of the fit, {DIRECTIONS} directions of MERL's grid each"
@@ -51,12 +51,12 @@ TYPICAL = {"beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "n": np
 
 
 def errors() -> dict[str, dict[str, float]]:
-    """Spread of the relative errors of every tier but `exact`."""
+    """Percentiles of the relative errors of every tier but `exact`."""
     values, wavelength, geometry = _draws()
     target = _evaluate(TIERS["exact"], values, wavelength, geometry)
     found = {name: _evaluate(TIERS[name], values, wavelength, geometry) for name in TIERS if name != "exact"}
     lit = target > 0
-    return {name: Spread.of(np.abs(x - target)[lit] / target[lit]).model_dump() for name, x in found.items()}
+    return {name: Percentiles.of(np.abs(x - target)[lit] / target[lit]).model_dump() for name, x in found.items()}
 
 
 def _draws() -> tuple[dict[str, Array], np.ndarray, Geometry]:

@@ -1,4 +1,4 @@
-"""Our trust region against optimistix' own Levenberg-Marquardt, from the same starting points on the coarse grid."""
+"""Our trust region against optimistix' own parts, from the same starting points on the coarse grid."""
 
 import time
 
@@ -13,6 +13,7 @@ from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
+from merlfit.fitting.solve.trust_region import TrustRegion
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 
@@ -26,9 +27,19 @@ SCALE = 100.0  # of the residuals, with which the stock solver's first damping, 
 SAME = 1e-3  # of the cost: ends so near to each other are the same
 
 
-def stock(evaluate, z, tolerance=1e-5):
-    """Cost with prior, evaluations, and whether it converged, of optimistix' solver driven as `solve` drives ours."""
-    solver, size = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance), len(z)
+TOLERANCES = {"rtol": 1e-5, "atol": 1e-5}
+SOLVERS = {
+    "stock": optx.LevenbergMarquardt(**TOLERANCES),
+    "indirect": TrustRegion(
+        **TOLERANCES, descent=optx.IndirectDampedNewtonDescent(),
+        search=optx.ClassicalTrustRegion(high_cutoff=0.75, low_cutoff=0.25),
+    ),
+}  # fmt: skip
+
+
+def driven(solver, evaluate, z):
+    """Cost with prior, evaluations, and whether it converged, of a solver driven as `solve` drives ours."""
+    size = len(z)
 
     def affine(z, near):
         value, slope, at = near
@@ -66,50 +77,55 @@ def ours(layout, z, problem):
 
 
 def measure(path, body):
-    """Costs, evaluations and ends of both from random starting points, and seconds an evaluation of each."""
+    """Costs, evaluations and ends of all from random starting points, and seconds of each."""
     config = load(body=body)
     layout = cheaper(config.layout_of(*config.candidates), COARSE_ORDER)
     problem = make_problem(thin(weighted_samples(read(path)), COARSE), COARSE_AZIMUTHS)
-    rng, rows = np.random.default_rng(0), {"stock": [], "ours": []}
+    rng, rows = np.random.default_rng(0), {name: [] for name in (*SOLVERS, "ours")}
     for _ in range(STARTS):
         z = SPREAD * rng.standard_normal(layout.size)
-        for name, run in (
-            ("stock", lambda z: stock(lambda x: normal_equations(layout, x, problem), z)),
-            ("ours", lambda z: ours(layout, z, problem)),
-        ):
+        for name in rows:
             begun = time.perf_counter()
-            rows[name].append([*run(z), time.perf_counter() - begun])
+            found = (
+                ours(layout, z, problem)
+                if name == "ours"
+                else driven(SOLVERS[name], lambda x: normal_equations(layout, x, problem), z)
+            )
+            rows[name].append([*found, time.perf_counter() - begun])
     return rows
 
 
 NOTES = [
     f"{STARTS} starting points each, drawn from the prior with {SPREAD:g} times its standard deviation; the same for "
-    f"both. At most {MOST} evaluations of the normal equations; both stop at the same relative offset. stock: "
-    "`optimistix.LevenbergMarquardt` with its defaults, residuals times 100; ours: `fitting/solve/trust_region.py`.",
+    f"all. At most {MOST} evaluations of the normal equations; all stop at the same relative offset. stock: "
+    "`optimistix.LevenbergMarquardt` with its defaults, residuals times 100; indirect: optimistix' own parts for a "
+    "trust region, `IndirectDampedNewtonDescent` and `ClassicalTrustRegion` with thresholds 0.75 and 0.25, residuals "
+    "times 100; ours: `fitting/solve/trust_region.py`. The driving loop is the same.",
     f"Same end: pairs whose costs differ by less than {SAME:.1%}, for which evaluations are compared (ratio of "
-    "medians). Lower: pairs in which one ended lower by more than that.",
+    "medians, the other's over ours). Lower: pairs in which one ended lower by more than that.",
 ]
 
 
 def run(folder, out, every):
     """Four materials, or all twelve."""
-    record = Record(
-        "solver", "The trust region against optimistix' Levenberg-Marquardt", RECONSTRUCTIONS, NOTES, folder=out
-    )
+    record = Record("solver", "The trust region against optimistix' own parts", RECONSTRUCTIONS, NOTES, folder=out)
     for material in TWELVE if every else FOUR:
         seen, _ = worker("solver", file(folder, material), TWELVE[material])
-        cost, steps, ended, _ = (
-            np.array(x) for x in zip(*(np.array(seen[q]).T for q in ("stock", "ours")), strict=True)
-        )
-        relative = cost[0] / cost[1] - 1
-        same = np.abs(relative) < SAME
-        middle = [float(np.median(s[same])) if same.any() else float("nan") for s in steps]
-        record.add({
-            "material": material, "body": TWELVE[material], "stock converged": int(ended[0].sum()),
-            "ours converged": int(ended[1].sum()), "same end": int(same.sum()), "stock evaluations": middle[0],
-            "our evaluations": middle[1], "ratio": middle[0] / middle[1],
-            "stock lower": int((relative < -SAME).sum()), "ours lower": int((relative > SAME).sum()),
-        }, seen)  # fmt: skip
-    ratios = record.column("ratio")
-    record.notes.append(f"Evaluations to the same end: {np.nanmedian(ratios):.2g} times as many in the median.")
+        ended = {name: int(sum(converged for _, _, converged, _ in rows)) for name, rows in seen.items()}
+        row = {"material": material, "body": TWELVE[material], **{f"{name} converged": n for name, n in ended.items()}}
+        for name in SOLVERS:
+            cost, steps, _, _ = (np.array(x) for x in zip(*(np.array(seen[q]).T for q in (name, "ours")), strict=True))
+            relative = cost[0] / cost[1] - 1
+            same = np.abs(relative) < SAME
+            middle = [float(np.median(s[same])) if same.any() else float("nan") for s in steps]
+            row |= {
+                f"{name}: same end": int(same.sum()), f"{name} evaluations": middle[0],
+                f"ours beside {name}": middle[1],
+                f"{name} ratio": middle[0] / middle[1], f"{name} lower": int((relative < -SAME).sum()),
+                f"ours lower than {name}": int((relative > SAME).sum()),
+            }  # fmt: skip
+        record.add(row, seen)
+    for name in SOLVERS:
+        ratio = np.nanmedian(record.column(f"{name} ratio"))
+        record.notes.append(f"{name}, evaluations to the same end: {ratio:.2g} times as many in the median.")
     record.finish()

@@ -112,7 +112,7 @@ def test_a_fit_that_misses_is_taken_on(one):
     alone = Aim(Request(seconds=9.0), start, config, "here").finish(rough, measured, samples)[1]
     assert alone.met is None
     assert len(alone.tried) == 1
-    loose = Aim(Request(accuracy=0.9), point(POINTS[1], 0.5, 1.0, astray=0.4), config, "here")
+    loose = Aim(Request(accuracy=0.9), point(POINTS[1], 0.5, 1.0, other_minimum=0.4), config, "here")
     told = loose.finish(rough, measured, samples)[1]
     assert (told.estimated, told.floor) == (0.4, True)
 
@@ -139,8 +139,8 @@ def test_a_floor_is_told_as_a_floor(one, monkeypatch):
     samples, config, fitted, _ = one
     measured, *_ = measurement(HELD[0])
     monkeypatch.setattr(accuracy, "estimate", lambda *_: 1e-3)
-    for astray, found in ((0.4, (0.4, True)), (1e-4, (1e-3, False))):
-        aim = Aim(Request(accuracy=0.9), point(POINTS[1], 0.5, 1.0, astray=astray), config, "here")
+    for other_minimum, found in ((0.4, (0.4, True)), (1e-4, (1e-3, False))):
+        aim = Aim(Request(accuracy=0.9), point(POINTS[1], 0.5, 1.0, other_minimum=other_minimum), config, "here")
         told = aim.finish(fitted, measured, samples)[1]
         assert (told.estimated, told.floor) == found == (told.tried[0].estimated, told.tried[0].floor)
 

@@ -140,13 +140,13 @@ def test_calibration_materials_exist():
     assert np.nanmin(calibration.drawn(1000)) > 0
 
 
-def test_errors_beyond_their_estimate_are_counted_as_astray():
+def test_errors_beyond_their_estimate_are_counted_as_other_minima():
     row = {"rmse": 0.1, "estimate": 1e-3, "seconds": 1.0, "other_body": False, "error": 1e-4, "parameters": 0.5,
            "megabytes": 900.0, "estimate_seconds": 0.5, "status": "AT_BOUND"}  # fmt: skip
-    astray = {**row, "error": 0.05, "other_body": True, "parameters": None, "status": "UNEXPLAINED"}
-    once, twice = (measure._point(POINTS[0], [row] * (20 - k) + [astray] * k) for k in (1, 2))
-    assert (once.astray, once.promised.p95, once.error.p95, once.error.worst) == (0.0, 1e-3, 1e-4, 0.05)
-    assert (twice.astray, twice.promised.p95, twice.other_body, twice.failed) == (0.05, 0.05, 0.1, 0.1)
+    other_minimum = {**row, "error": 0.05, "other_body": True, "parameters": None, "status": "UNEXPLAINED"}
+    once, twice = (measure._point(POINTS[0], [row] * (20 - k) + [other_minimum] * k) for k in (1, 2))
+    assert (once.other_minimum, once.promised.p95, once.error.p95, once.error.worst) == (0.0, 1e-3, 1e-4, 0.05)
+    assert (twice.other_minimum, twice.promised.p95, twice.other_body, twice.failed) == (0.05, 0.05, 0.1, 0.1)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from frontiers import point
 from merlfit.fitting import cli
-from merlfit.fitting.cost.frontier import Frontier, Spread, pareto
+from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
 from merlfit.fitting.cost.measure import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
@@ -90,7 +90,7 @@ def test_no_finer_settings_are_taken_for_an_accuracy_that_the_default_keeps_to_a
     """Both keep to 1e-3 in half of the fits, and to nearly the same in 95 %."""
     half = {"median": 1e-3, "p95": 1.8e-3, "worst": 2e-3}
     default, finer = (
-        point(choice, 1e-3, seconds).model_copy(update={"promised": Spread(**half)})
+        point(choice, 1e-3, seconds).model_copy(update={"promised": Percentiles(**half)})
         for choice, seconds in ((default_choice(), 4.0), (REFERENCE, 8.0))
     )
     assert Request(accuracy=1e-3).choose([default, finer]).choice == default_choice()
@@ -197,7 +197,7 @@ def test_a_calibration_of_another_objective_is_a_rough_guide(monkeypatch, tmp_pa
 
 
 def test_a_fit_that_came_to_nothing_is_kept_as_infinitely_wrong(made, tmp_path):
-    stray = made.points[0].model_copy(update={"promised": Spread.of([0.1, np.inf])})
+    stray = made.points[0].model_copy(update={"promised": Percentiles.of([0.1, np.inf])})
     kept = made.model_copy(update={"points": [stray, *made.points[1:]]})
     read = Frontier.model_validate_json(frontier.keep(kept, tmp_path).read_bytes())
     assert read == kept
