@@ -51,8 +51,8 @@ class Point(_Frozen):
 
     Attributes:
         error: as above. promised: the larger of the error and its estimate (:mod:`merlfit.fitting.cost.accuracy`).
-        other_minimum: 95th percentile of the errors that exceed their estimate, 0 of the others: fits that ended in another
-            minimum than the reference, of which an estimate knows nothing.
+        other_minimum: 95th percentile of the errors that exceed their estimate, 0 of the others: fits that ended in
+            another minimum than the reference, of which an estimate knows nothing.
         failed: share of fits that ended without usable parameters. other_body: share of materials for which it
             chose another body than the reference.
         rmse: against the file, 1/sr. parameters: the largest difference from the reference among parameters that are
