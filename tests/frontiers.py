@@ -22,7 +22,8 @@ def spread(value):
 def point(choice, error, seconds, other_minimum=0.0):
     return Point(
         choice=choice, error=spread(error), promised=spread(error), other_minimum=other_minimum, failed=0.0,
-        other_body=0.0, rmse=spread(0.1), parameters=None, seconds=spread(seconds), estimate_seconds=spread(0.5), megabytes=900.0,
+        other_body=0.0, rmse=spread(0.1), parameters=None, seconds=spread(seconds), estimate_seconds=spread(0.5),
+        megabytes=900.0,
     )  # fmt: skip
 
 
