@@ -18,7 +18,7 @@ from rich.console import Console
 from ..merl_io.binary import Measurement, read
 from .output import plots
 from .output.inspection import file_of
-from .output.keeping import place_of
+from .output.keeping import claimed, place_of, taken
 from .output.report import print_result
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of, fit_file
@@ -119,7 +119,7 @@ class Fit:
             import arviz_base  # pyright: ignore[reportMissingImports] - of the extra `arviz`
         except ImportError:
             raise ImportError("to_arviz() needs arviz-base: pip install 'merlfit[arviz]'") from None
-        chain = plots.chain_file(self.result, self.path.parent)
+        chain = plots.chain_file(self.result, self.path)
         weights = chain["weights"].ravel()
         places = (np.arange(len(weights)) + 0.5) / len(weights)
         drawn = chain["values"][np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)]
@@ -147,7 +147,7 @@ class Fit:
         chain = None
         if self.result.posterior is not None and self.result.posterior.sufficient:
             try:
-                chain = plots.chain_file(self.result, self.path.parent)
+                chain = plots.chain_file(self.result, self.path)
             except plots.NoPicture as error:
                 warnings.warn(f"no bands: {error}", stacklevel=2)
         measurement = read(file_of(self.path, self.result), self.result.source.sha1)
@@ -159,7 +159,7 @@ class Fit:
         Raises:
             merlfit.NoPicture: there is no posterior, or its chain is missing.
         """
-        return _kept(plots.corner_figure(self.result, plots.chain_file(self.result, self.path.parent)), path)
+        return _kept(plots.corner_figure(self.result, plots.chain_file(self.result, self.path)), path)
 
     def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
         """The result as JSON, without the chain (docs/result.md); ``path``: a file to write it to, too."""
@@ -239,7 +239,9 @@ def fit(
     measurement = file if isinstance(file, Measurement) else read(Path(file).absolute())
     folder = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out)
     try:
-        with place_of(folder, measurement.name) as place:
+        with claimed(folder) as alone, place_of(folder, measurement.name) as place:
+            if not alone:
+                warnings.warn(taken(folder), stacklevel=2)
             result = fit_file(measurement, place.folder, config, report)
     except BaseException:  # raised again
         if out is None and not any(folder.iterdir()):

@@ -135,6 +135,7 @@ def sample(
     from ..merl_io.atomic import WriteError
     from ..merl_io.binary import MerlError
     from .output.inspection import file_of
+    from .output.keeping import claimed, taken
     from .output.report import print_result
     from .pipeline.resampling import resample
     from .posterior.chain import ChainError
@@ -145,7 +146,9 @@ def sample(
     use_persistent_cache()
     try:
         read = read_result(result)
-        with progress_display() as progress:
+        with claimed(result.parent) as alone, progress_display() as progress:
+            if not alone:
+                note(taken(result.parent))
             task = progress.add_task(result.name)
             report = reporter(progress, task, read.source.material)
             found = resample(result, read, file or file_of(result, read), max_steps, report)
@@ -243,8 +246,9 @@ def cost(
 ) -> None:
     """Measure on this machine how much time accuracy takes. `merlfit fit --accuracy` and `--time` choose by the result.
 
-    Takes half an hour; if it is interrupted, the same command continues. With a FILE it measures that material
-    only and writes the result, but `merlfit fit` does not use it.
+    Takes half an hour; if it is interrupted, the same command continues.
+
+    With a FILE it measures that material only and writes the result, but `merlfit fit` does not use it.
     """
     from ..merl_io.binary import MerlError
     from .cost.frontier import keep

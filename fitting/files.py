@@ -10,7 +10,7 @@ from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
 from .cost.accuracy import Aim, aim
 from .cost.request import request
-from .output.keeping import Complete, Place, claimed, completeness, place_of
+from .output.keeping import Complete, Place, claimed, completeness, place_of, taken
 from .output.report import Outcome, accuracy_line, summary_table
 from .pipeline.run import fit_file
 from .results.export import read_result
@@ -58,20 +58,20 @@ def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = 
         raise fail(
             f"several files are named {twice[0]}, and a result is named after its file: fit them into different folders"
         )
-    taken, finish = (aim.settings, aim.finish) if aim else (settings, None)
+    chosen, finish = (aim.settings, aim.finish) if aim else (settings, None)
     outcomes = []
     with claimed(out) as alone, progress_display() as progress:
         if not alone:
-            note(
-                f"{out}: another merlfit is writing there; if both write a result of the same name, the later one stays"
-            )
+            note(taken(out))
+        batch = progress.add_task(f"{len(files)} files", total=len(files), visible=len(files) > 1)
         for k, path in enumerate(files, 1):
-            task = progress.add_task(path.name)
+            progress.update(batch, completed=k - 1, description=f"{k - 1} of {len(files)} files")
+            task = progress.add_task(path.name, total=None)
             label = f"[{k}/{len(files)}] {path.stem}"
             place = None
             try:
                 with place_of(out, path.stem) as place:
-                    result = fit_file(path, place.folder, taken, reporter(progress, task, label), finish)
+                    result = fit_file(path, place.folder, chosen, reporter(progress, task, label), finish)
                 outcomes.append(Outcome(path, result))
                 console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s")
                 if result.accuracy is not None:

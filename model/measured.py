@@ -16,8 +16,8 @@ from jax.typing import ArrayLike
 
 from . import acquisition
 from .acquisition import APPARATUS, Apparatus
-from .parameters import LOSSES, Parameter
-from .reflectance import Factor, Lobes, Reflectance, Setting, Values
+from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
+from .reflectance import Factor, Lobes, Reflectance, Setting, Values, Wavelengths
 
 GrazingLoss = Literal["off", "free", "derived"]
 
@@ -43,6 +43,8 @@ class Measured(Reflectance):
         """Refuse what is no loss; forget an apparatus that nothing asks for."""
         if isinstance(self.material, Measured):
             raise ValueError(f"{self.material} is measured already")
+        if unknown := [lobe for lobe in self.material.lobes if lobe not in LOSSES]:
+            raise ValueError(f"{self.material} has lobes without an exponent in `LOSSES`: {', '.join(unknown)}")
         number = type(self.grazing_loss) in (int, float)
         if not (0 <= float(self.grazing_loss) <= 1 if number else self.grazing_loss in get_args(GrazingLoss)):
             raise ValueError(f"grazing_loss {self.grazing_loss!r} is neither off, free, derived nor a number in [0, 1]")
@@ -68,17 +70,17 @@ class Measured(Reflectance):
         shared = tuple(q for q in own if not q.per_channel)
         return shared + tuple(LOSSES[lobe] for lobe in self.lobes) + own[len(shared) :]
 
-    def exponent(self, lobe: str, v: Values) -> Array:
+    def exponent(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:
         """k of one sharp lobe at these parameter values; 0 where nothing is lost."""
         if self.grazing_loss == "free":
             return v[LOSSES[lobe].name]
         if self.grazing_loss == "derived":
             table = f"{lobe}_exponent"
-            return v[table] if table in v else self._derived(lobe, v)
+            return v[table] if table in v else self._derived(lobe, v, wavelengths_um)
         return jnp.asarray(float(self.grazing_loss) if self.loses else 0.0)
 
-    def _derived(self, lobe: str, v: Values) -> Array:
-        return acquisition.exponent_of_lobe(self.material.profile(lobe, v), self.apparatus)
+    def _derived(self, lobe: str, v: Values, wavelengths_um: Wavelengths) -> Array:
+        return acquisition.exponent_of_lobe(self.material.profile(lobe, v, wavelengths_um), self.apparatus)
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
         losses: dict[str, Factor] = {f"{lobe}_loss": self._loss(lobe) for lobe in self.lobes if self.loses}
@@ -87,7 +89,10 @@ class Measured(Reflectance):
     def tables(self) -> Mapping[str, Factor]:  # noqa: D102
         found = self._inside(self.material.tables())
         if self.grazing_loss == "derived":
-            found |= {f"{lobe}_exponent": lambda v, s, lobe=lobe: self._derived(lobe, v) for lobe in self.lobes}
+            found |= {
+                f"{lobe}_exponent": lambda v, s, lobe=lobe: self._derived(lobe, v, s.wavelength_um.reshape(-1))
+                for lobe in self.lobes
+            }
         return found
 
     def _inside(self, functions: Mapping[str, Factor]) -> dict[str, Factor]:
@@ -98,7 +103,7 @@ class Measured(Reflectance):
         def p(v: Values, s: Setting) -> Array:
             """HP17 Eq. 59-60."""
             log_base = acquisition.grazing_log_base(s.geometry) if s.log_base is None else s.log_base
-            return jnp.exp(self.exponent(lobe, v) * log_base)
+            return jnp.exp(self.exponent(lobe, v, s.wavelength_um.reshape(-1)) * log_base)
 
         return p
 
@@ -108,8 +113,8 @@ class Measured(Reflectance):
             return found
         return found._replace(sharp={lobe: at[f"{lobe}_loss"] * x for lobe, x in found.sharp.items()})
 
-    def profile(self, lobe: str, v: Values) -> Array:  # noqa: D102
-        return self.material.profile(lobe, v)
+    def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:  # noqa: D102
+        return self.material.profile(lobe, v, wavelengths_um)
 
     @property
     def variant(self) -> str:  # noqa: D102

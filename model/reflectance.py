@@ -2,8 +2,8 @@
 
 A model is a frozen, hashable value: its settings are its fields, and equal models are equal programs. Its BRDF is put
 together from factors, each a function of some of the parameters and of a part of the directions. On a grid a factor of
-theta_h alone is computed for every theta_h, not for every bin, and whoever differentiates needs a factor's derivatives
-by those parameters only that it reads. Which these are is found by recording what it asks for (:func:`reads`).
+theta_h alone is computed for every theta_h, not for every bin, and a factor is differentiated only by the parameters
+that it reads. Which these are is found by recording what it asks for (:func:`reads`).
 
 A model is a material. What an apparatus makes of it is :class:`merlfit.model.measured.Measured`, a model, too.
 """
@@ -26,6 +26,7 @@ from .numerics import floats
 from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
 
 Values = Mapping[str, Array]
+Wavelengths = ArrayLike | Sequence[float]
 LEAST_ORDER = 6  # of a quadrature
 
 
@@ -100,24 +101,26 @@ class Reflectance(ABC):
         """Short words for tables, by which those variants of a model that a fit compares are told apart."""
         return self.name
 
-    def profile(self, lobe: str, v: Values) -> Array:
+    def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:
         """A sharp lobe over theta_h at ``acquisition.RINGS_RAD``, at theta_d = 0 and of any unit: its width matters.
 
-        In the middle channel; masking and foreshortening are left out, which vary little over a lobe that is narrow,
-        and so are derivatives by parameters per channel.
+        In the middle channel, whose lobe stands for all. Masking and foreshortening are left out, which vary little
+        over a lobe that is narrow, and so are derivatives by parameters per channel.
         """
         zero, one = jnp.zeros((1, 1)), jnp.ones((1, 1))
-        s = setting(Geometry(jnp.asarray(RINGS_RAD)[:, None], zero, one, one), self)
+        s = setting(Geometry(jnp.asarray(RINGS_RAD)[:, None], zero, one, one), self, wavelengths_um)
         still = jax.lax.stop_gradient
         own = {q.name: still(jnp.reshape(v[q.name], -1)) if q.per_channel else v[q.name] for q in self.parameters}
         found = self.assemble(factor_values(shaped(own, s), s), s).sharp[lobe]
-        return jnp.broadcast_to(found, (len(WAVELENGTHS_UM), len(RINGS_RAD), 1))[len(WAVELENGTHS_UM) // 2, :, 0]
+        channels = len(s.wavelength_um)
+        return jnp.broadcast_to(found, (channels, len(RINGS_RAD), 1))[channels // 2, :, 0]
 
     def tables(self) -> Mapping[str, Factor]:
         """What depends on parameters and on theta_d at the most, so that many directions can share it.
 
-        Who evaluates directions in blocks computes it once and gives it along among the values. Parameters per channel
-        come as ``(C,)`` or with more axes of length one.
+        Code that evaluates directions in blocks computes it once and passes it on with the values; other code does not,
+        so that a factor must do without its table, too. Parameters per channel come as ``(C,)`` or with more axes of
+        length one.
         """
         return {}
 
@@ -174,8 +177,12 @@ class Reflectance(ABC):
 class OneFormula(Reflectance):
     """Base of models that are one formula: what is ``sharp`` and what is the ``body``, each by all its parameters.
 
-    A model without one of them leaves its method out; without a sharp lobe, its ``lobes`` are none.
+    A model without one of them leaves its method out.
     """
+
+    @property
+    def lobes(self) -> tuple[str, ...]:  # noqa: D102 - as declared, like what follows
+        return () if type(self).sharp is OneFormula.sharp else super().lobes
 
     def sharp(self, v: Values, s: Setting) -> Array:
         """Light reflected by the surface (1/sr), ``(C, ...)``."""

@@ -36,13 +36,14 @@ def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
     """
     known = models()
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-        raise ValueError(f"there is no model {name!r}; the nearest is {near[0]!r} (`merlfit models` lists all)")
+        near = difflib.get_close_matches(name.casefold(), known, n=1)
+        nearest = f"; the nearest is {near[0]!r}" if near else ""
+        raise ValueError(f"there is no {name!r}{nearest} (`merlfit models` lists the models)")
     declared, hints = [field.name for field in fields(known[name])], get_type_hints(known[name])  # pyright: ignore[reportArgumentType] - models are dataclasses
     for key, value in settings.items():
         if key not in declared:
             said = f"its settings are {', '.join(declared)}" if declared else "it has no settings"
-            raise ValueError(f"model {name} has no setting {key!r}: {said}")
+            raise ValueError(f"{name} has no setting {key!r}: {said}")
         _check(f"{name}: {key}", value, hints[key])
     return known[name](**settings)
 
@@ -53,4 +54,4 @@ def _check(where: str, value: object, kind: Any) -> None:  # noqa: ANN401 - a ty
         if value not in get_args(kind):
             raise ValueError(f"{where} {value!r} is none of {', '.join(map(str, get_args(kind)))}")
     elif not (type(value) is kind or (kind is float and type(value) is int)):
-        raise ValueError(f"{where} {value!r} should be of type {kind.__name__}")
+        raise ValueError(f"{where} {value!r} should be of type {getattr(kind, '__name__', kind)}")

@@ -32,7 +32,7 @@ from .geometry import Geometry
 from .masking.smith import masking_table
 from .measured import Measured
 from .parameters import WAVELENGTHS_UM, Parameter
-from .reflectance import LEAST_ORDER, Factor, Lobes, Reflectance, Setting, Values, evaluate
+from .reflectance import LEAST_ORDER, Factor, Lobes, Reflectance, Setting, Values, Wavelengths, evaluate
 from .terms import ANY, BODIES, WHICH
 
 HALF = float(np.log(np.log(2.0))) / 2  # tan(theta_h) is beta exp(HALF / p) where D has fallen to half
@@ -169,7 +169,7 @@ class TwoScale(Reflectance):
             body = None if body is None else through[0] * body
         return Lobes(sharp, common, body)
 
-    def profile(self, lobe: str, v: Values) -> Array:  # noqa: D102
+    def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:  # noqa: D102
         return epd_of_rings(v["beta"], v["p"]) if lobe == "specular" else terms.blurred_over_rings(v, self)
 
     @property

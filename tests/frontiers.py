@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+from merlfit.fitting.cost import calibration, tiers
 from merlfit.fitting.cost.frontier import OBJECTIVE, Frontier, Percentiles, Point, Tier
-from merlfit.fitting.cost.measure import calibration, tiers
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output import synthesis
 from merlfit.fitting.pipeline import run

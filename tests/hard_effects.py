@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel, scaled, zonal
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking import smith
+from merlfit.model.measured import Measured
 from merlfit.model.ndf.epd import epd
 from merlfit.model.two_scale import TwoScale, two_scale
 
@@ -15,7 +16,8 @@ if __package__:  # python -m tests.hard_cases; pytest has tests/ on its path
 else:
     from oracles import precise
 
-CHOICES = tuple(x.name for x in fields(TwoScale))
+FIELDS = tuple(x.name for x in fields(TwoScale))
+CHOICES = (*FIELDS[: FIELDS.index("index")], "acquisition", *FIELDS[FIELDS.index("index") :])  # marks of cases go by it
 TIERS = ("quadrature", "zonal", "scaled", "exact", "conserving")  # with accuracies of their own
 DEAR = ("convolve", "convolve_256", "zonal", "scaled_outside", "lobe_albedo", "two_scale", "two_scale_quadrature",
         "two_scale_zonal", "two_scale_exact", "two_scale_conserving")  # fmt: skip
@@ -50,9 +52,10 @@ def convolve(theta_h, B, c, beta, p, order):
 
 def assembled(theta_h, theta_d, phi_d, wavelength_um, **rest):
     """The BRDF at one wavelength; ``rest`` are effects and parameters."""
-    effects = TwoScale(**{name: rest.pop(name) for name in CHOICES if name in rest})
+    loss = rest.pop("acquisition", "off")
+    model = Measured(TwoScale(**{name: rest.pop(name) for name in FIELDS if name in rest}), loss)
     geometry = Geometry.from_half_difference(theta_h, theta_d, phi_d)
-    return two_scale(rest, geometry, effects, wavelength_um[None])[0]
+    return two_scale(rest, geometry, model, wavelength_um[None])[0]
 
 
 def convolved(order, **at):

@@ -1,6 +1,7 @@
 """Results made by hand: what a fit would have written, without a fit."""
 
 import jax.numpy as jnp
+import numpy as np
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.settings.config import Config
@@ -32,7 +33,7 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
         ),
         model=schema.Model.of(
             model if isinstance(model, Measured) else Measured(model, "off"),
-            {q.name: jnp.asarray(q.default) for q in model.parameters},
+            {q.name: jnp.asarray(np.float64(q.default)) for q in model.parameters},
         ),
         parameters=parameters,
         fit=schema.Fit(

@@ -38,12 +38,14 @@ def test_the_plain_model_is_the_same_model(values):
     where = Geometry(*map(jnp.asarray, (theta_h[:, None, None], theta_d[:, None], *cosines)))
 
     def differs(**changed):
-        ours = np.asarray(two_scale(values, where, TwoScale(**{"acquisition": "free", "order": 64, **changed})))
+        loss = changed.pop("grazing_loss", "free")
+        model = Measured(TwoScale(**{"order": 64, **changed}), loss)
+        ours = np.asarray(two_scale(values, where, model))
         np.testing.assert_array_equal(plain > 0, ours > 0)
         return np.max(np.abs(plain - ours)[ours > 0] / ours[ours > 0])
 
     assert differs() < 1e-3
-    others = [{"colour": "fresnel"}, {"renormalised": False}, {"masking": "height_correlated"}, {"acquisition": 0.3}]
+    others = [{"colour": "fresnel"}, {"renormalised": False}, {"masking": "height_correlated"}, {"grazing_loss": 0.3}]
     for changed in others:
         assert differs(**changed) > 1e-2, changed
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from merlfit.fitting import cli
 from merlfit.fitting.output import plots
-from merlfit.fitting.posterior.chain import importance
+from merlfit.fitting.posterior import importance
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.settings.config import Config, ConfigError, known_keys, load, parse
 from merlfit.fitting.solve.levenberg_marquardt import Status
@@ -365,14 +365,26 @@ def test_models_are_candidates_the_fewest_parameters_first():
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"model": {"name": "gx"}}, "model: there is no model 'gx'; the nearest is 'ggx'"),
+        ({"model": {"name": "gx"}}, "model: there is no 'gx'; the nearest is 'ggx'"),
+        ({"model": {"name": "GGX"}}, "the nearest is 'ggx'"),
+        ({"model": {"name": "phong"}}, r"there is no 'phong' \(`merlfit models` lists"),
         ({"model": {"name": []}}, "should be one model, or several different ones"),
         ({"model": {"name": ["ggx", "ggx"]}}, "should be one model, or several different ones"),
         ({"model": {"name": 3}}, "model.name: should be a model's name, or a list of them, not 3"),
-        ({"model": {"name": "ggx", "order": 3}}, "model ggx has no setting 'order': it has no settings"),
-        ({"model": {"order": 3}}, r"order: settings of the two-scale model belong into \[effects\]"),
+        ({"model": {"name": "ggx", "order": 3}}, "model: ggx has no setting 'order': it has no settings"),
+        (
+            {"model": {"order": 3}},
+            r"'order' is none of its keys: .* belong in \[effects\]",
+        ),
         ({"model": {"name": ["ggx", "two-scale"], "order": 3}}, "order is a setting of one model"),
-        ({"model": {"name": "ggx"}, "effects": {"body": "lambert"}}, "effects.body is of the two-scale model"),
+        (
+            {"model": {"name": "ggx"}, "effects": {"body": "lambert"}},
+            "effects.body is a setting of the two-scale",
+        ),
+        (
+            {"model": {"name": "oren-nayar-qualitative"}, "acquisition": {"grazing_loss": 0.5}},
+            "of which the model has no",
+        ),
         ({"acquisition": {"grazing_loss": 2}}, "acquisition.grazing_loss: should be 'off', 'free', 'derived' or a"),
     ],
     ids=str,

@@ -11,6 +11,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from hard_effects import MODEL, scaled_lobe
+from merlfit.model.measured import GrazingLoss
 from merlfit.model.two_scale import ANY, KINDS, TwoScale
 from oracles import precise
 
@@ -64,12 +65,14 @@ def choices(kind):
 
 def test_every_choice_of_every_effect_is_there():
     told = [case.static for case in CASES if case.effect.startswith("two_scale")]
-    seen = [TwoScale(**static) for static in told]
+    losses = [static.get("acquisition", "off") for static in told]
+    seen = [TwoScale(**{name: x for name, x in static.items() if name != "acquisition"}) for static in told]
     for field in fields(TwoScale):
         special = {"usual", ANY}  # one of the rest; of no material
         missing = choices(field.type) - {getattr(effects, field.name) for effects in seen} - special
         assert not missing, f"{field.name}: no case has {missing}"
-    assert any(isinstance(effects.acquisition, float) for effects in seen)
+    assert set(get_args(GrazingLoss)) <= set(losses)
+    assert any(isinstance(loss, float) for loss in losses)
     bodies, ways = (choices(field.type) - {ANY} for field in fields(TwoScale) if field.name in ("body", "diffraction"))
     together = {(effects.body, effects.diffraction) for effects in seen}
     assert together >= {(body, way) for body in bodies for way in ways & {"off", "lobe", "quadrature"}}

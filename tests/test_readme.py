@@ -3,12 +3,14 @@
 import re
 import shlex
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 import readme_commands
 import typer.main
 from merlfit.fitting import cli
+from merlfit.fitting.settings.config import Replaced, load
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
@@ -26,6 +28,23 @@ def test_every_command_and_option_of_the_readme_exists(command):
 def test_the_readme_shows_every_command_but_the_demo():
     shown = {command.split()[1] for command, _ in FOUND}
     assert shown == set(typer.main.get_command(cli.app).commands) - {"demo"}
+
+
+def test_the_readme_names_version_module_and_completion():
+    known = {word for each in typer.main.get_command(cli.app).params for word in each.opts}
+    for word in ("--version", "--install-completion"):
+        assert word in TEXT
+        assert word in known
+    assert "python -m merlfit" in TEXT
+
+
+@pytest.mark.parametrize("command", [command for command, _ in FOUND if command.startswith("merlfit fit ")])
+def test_the_settings_that_shorten_a_fit_are_no_reason_to_refuse_it(command):
+    known = typer.main.get_command(cli.app).commands["fit"]
+    _, _, *words = shlex.split(readme_commands.shortened(command))
+    given = known.make_context("fit", words).params
+    settings = tomllib.loads(readme_commands.SHORT) if given["config"] else None
+    load(settings, **{name: given[name] for name in Replaced.__annotations__})
 
 
 def test_the_readme_says_what_every_parameter_means():

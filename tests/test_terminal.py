@@ -13,6 +13,7 @@ from made_results import made
 from merlfit.fitting import cli
 from merlfit.fitting.output.report import Outcome, check_table, print_result, summary_table
 from merlfit.fitting.support import compilation, terminal
+from merlfit.fitting.support.clock import Stage
 from merlfit.fitting.support.terminal import Screen
 from merlfit.merl_io.check import FileReport
 from rich.table import Table
@@ -182,3 +183,30 @@ jax.jit(lambda x: jnp.sin(x) @ x)(jnp.ones((8, 8)))
     assert repaired.count("damaged programs") == 1
     assert "Warning" not in repaired
     assert run() == ""
+
+
+def test_progress_says_how_much_is_done_and_how_long_it_will_take(monkeypatch):
+    """At 80 columns, with the longest name; nothing is squeezed."""
+    clock = iter(range(0, 10_000, 1))
+    shown = terminal.Screen(markup=False, force_terminal=True, width=80, color_system=None, file=io.StringIO())
+    monkeypatch.setattr(terminal, "console", shown)
+    with terminal.progress_display() as progress:
+        monkeypatch.setattr(progress, "get_time", lambda: float(next(clock)))
+        task = progress.add_task("", total=None)
+        report = terminal.reporter(progress, task, "[2/100] specular-violet-phenolic")
+        report("coarse grid")
+        assert progress.tasks[0].total is None
+        for share in (0.1, 0.2, 0.3):
+            report(Stage(f"posterior: step {6000 * share:.0f} of at most 6000", share))
+        found = progress.tasks[0]
+        assert (found.total, found.completed) == (1.0, 0.3)
+        assert found.time_remaining > 0
+        with shown.capture() as caught:
+            shown.print(progress.make_tasks_table(progress.tasks))
+        (line,) = caught.get().splitlines()
+        assert "specular-violet-phenolic: posterior: step 18" in line
+        assert re.search(r"\d:\d\d left$", line.rstrip())
+        report(Stage("posterior: step 100 of at most 6000", 0.01))  # the chain began anew
+        assert progress.tasks[0].completed == 0.01
+        report("writing")
+        assert progress.tasks[0].total is None

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
-from merlfit.fitting.cost.measure import tiers
+from merlfit.fitting.cost import tiers
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.geometry import Geometry

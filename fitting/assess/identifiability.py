@@ -67,7 +67,8 @@ def in_words(found: schema.Identifiability) -> list[str]:
     said = [f"the data determine {found.determined} of {size} independent combinations of the parameters"]
     for direction in found.undetermined:
         together = ", ".join(f"{name} {value:+.1f}" for name, value in direction.components.items())
-        said.append(f"not determined (the data say {direction.curvature:.2g} times as much as the prior): {together}")
+        told = f"the data constrain it {direction.curvature:.2g} times as much as the prior does"
+        said.append(f"not determined by the data ({told}): {together}")
     pairs = [
         (found.correlation[i][j], found.names[i], found.names[j])
         for i in range(size)

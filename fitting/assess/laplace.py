@@ -1,4 +1,4 @@
-"""The Gaussian approximation of the posterior at an optimum; its likelihood is that of `posterior`."""
+"""The Gaussian approximation of the posterior at an optimum; its likelihood is that of ``posterior.likelihood``."""
 
 import numpy as np
 

@@ -1,8 +1,9 @@
-"""What a fit found, and how it is told in JSON."""
+"""What a fit found, and what a user of it should know."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,11 +21,9 @@ from . import metrics
 from .laplace import laplace_covariance
 from .selection import alike, lost
 
-if TYPE_CHECKING:  # the sampler's libraries take a second to load
-    pass
-
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
+METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
 METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
 OUTLIERS = (
@@ -113,7 +112,7 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
     if np.isfinite(peak) and lost(peak):
         adaptive = config.fit.weights == "adaptive"
         mend = "no exponent of the weights keeps it" if adaptive else "fit with --weights adaptive"
-        found.append(f"the highlight is lost: at its peak the fit has {peak:.2g} times the file's brightness; {mend}")
+        found.append(f"the highlight is lost: the fit's peak is {peak:.2g} times as bright as the file's; {mend}")
     found += others(fitted)
     if fitted.status is Status.STEP_LIMIT:
         found.append("the cost was still falling when the fit stopped: raise fit.max_steps to go on")
@@ -129,10 +128,21 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
         found.append(
             "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
         )
-    floor = max((x for name, x in values.items() if name.startswith("albedo")), default=0.0)
-    if isinstance(fitted.material, TwoScale) and fitted.material.index == "complex" and floor > METAL_FLOOR:
-        found.append("a body this bright lies under no metal: n and k are effective values, not those of a material")
+    if isinstance(fitted.material, TwoScale) and fitted.material.index == "complex":
+        found += _of_no_metal(fitted, values)
     return found
+
+
+def _of_no_metal(fitted: Fitted, values: Mapping[str, float]) -> list[str]:
+    """Why the optical constants, or the floor under them, are not those of a metal; nothing if they may be."""
+    effective = "n and k are effective values, not those of a material"
+    if max((x for name, x in values.items() if name.startswith("albedo")), default=0.0) > METAL_FLOOR:
+        return [f"a body this bright lies under no metal: {effective}"]
+    for channel in fitted.layout.channels:
+        n, k = values[f"n_{channel}"], values[f"k_{channel}"]
+        if not (METALS_N[0] <= n <= METALS_N[1] and METALS_K[0] <= k <= METALS_K[1]):
+            return [f"no metal has n {n:.2g} with k {k:.2g} ({channel}): {effective}"]
+    return []
 
 
 def others(fitted: Fitted) -> list[str]:

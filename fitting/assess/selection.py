@@ -10,7 +10,7 @@ halves the error that anybody sees. So the error of cube roots of the BRDF, whic
 with J the cost with its prior (which keeps an index of 3 from passing for a plastic), E the cube-root error and N the
 effective count. Kinds within `ALIKE` of the lowest score (strong evidence begins at 6, Kass & Raftery 1995), whose J
 and E are no more than `MARGIN` times the best one's, describe the file alike: the simplest is taken, that which comes
-first in ``model.two_scale.KINDS``.
+first among the candidates, which are sorted by their number of parameters.
 
 **Weights.** ``adaptive`` keeps the fit with the nearest picture (`picture`) among those that keep the highlight.
 """

@@ -205,6 +205,9 @@ def aim(request: Request, config: Config) -> Aim:
     if chosen:
         raise ConfigError(f"{chosen[0]} is chosen by --accuracy and --time: leave it out")
     if config.model.names != [TwoScale.name]:
-        raise ConfigError("--accuracy and --time choose among settings of the two-scale model: leave --model out")
+        raise ConfigError(
+            "--accuracy and --time choose among settings of the two-scale model alone, and what is to be fitted is "
+            f"{', '.join(config.model.names)}"
+        )
     frontier, calibration = load()
     return Aim(request, request.choose(usable(frontier.points, config)), config, calibration)

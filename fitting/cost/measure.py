@@ -99,7 +99,7 @@ def _write(path: Path, rows: Rows) -> None:
 def _worker(work: Path, section: str, names: list[str], file: Path | None, repeats: int) -> Iterator[Rows]:
     """Rows as a process of its own prints them."""
     job = {"work": str(work), "section": section, "names": names, "file": file and str(file), "repeats": repeats}
-    command = [sys.executable, "-m", f"{__package__}.cost", json.dumps(job)]
+    command = [sys.executable, "-m", f"{__package__}.measure", json.dumps(job)]
     with open(work / "errors.txt", "w+") as said:
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True) as process:
             try:

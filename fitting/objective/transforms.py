@@ -319,6 +319,9 @@ def layout_of(model: Reflectance, priors: Priors = PRIORS) -> Layout:
             raise ValueError(f"{model}: {q.name} has a logarithmic scale, but no prior: declare one")
         if q.quantity == ODDS and (q.lower, q.upper) != (0.0, 1.0):
             raise ValueError(f"{model}: {q.name} has odds: its bounds should be 0 and 1")
-        if q.name == "eta" and not q.per_channel:
-            raise ValueError(f"{model}: eta is an index of refraction per channel: name another parameter otherwise")
+        if q.name == "eta" and not (q.per_channel and q.scale == "log"):
+            raise ValueError(
+                f"{model}: eta is an index of refraction per channel, on a logarithmic scale: "
+                "name another parameter otherwise"
+            )
     return Layout(model, priors)

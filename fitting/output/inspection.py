@@ -14,12 +14,14 @@ from .report import print_result
 
 
 def file_of(path: Path, result: Result) -> Path:
-    """The MERL file of a result: where it was when it was fitted, as seen from here or from a folder above the result.
+    """The MERL file of a result: as it was named, seen from here, from a folder above the result or from where it ran.
 
-    Its name may be relative to where the fit ran, and a project may have moved as a whole.
+    A project may have moved as a whole.
     """
     named = Path(result.source.path)
     places = [named, *(folder / named for folder in path.absolute().parents), path.parent / named.name]
+    if result.run is not None and result.run.folder is not None:
+        places.append(Path(result.run.folder) / named)
     try:
         return next((place for place in places if place.is_file()), named)
     except ValueError:  # a NUL in it, which reading it complains about
@@ -57,7 +59,7 @@ def show(path: Path, result: Result, file: Path, out: Path, needs_file: bool = F
 
     chain = None
     try:
-        drawn_from = plots.chain_file(result, path.parent)
+        drawn_from = plots.chain_file(result, path)
         save("corner", plots.corner_figure(result, drawn_from))
         if result.posterior is not None and result.posterior.sufficient:  # of no other the lobe plot has a band
             chain = drawn_from

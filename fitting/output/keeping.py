@@ -69,6 +69,11 @@ def claimed(out: Path) -> Iterator[bool]:
         os.close(folder)
 
 
+def taken(out: Path) -> str:
+    """What to say of a folder that another run has claimed."""
+    return f"{out}: another merlfit is writing there; if both write a result of the same name, the later one stays"
+
+
 class Place:
     """Where a result is written: ``folder`` and, in it, ``path``; ``said`` at the end, if there is something to say."""
 
@@ -81,7 +86,7 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
     """Where to write the result ``name`` of ``out``.
 
     Where one stands already, the new one is written into a folder beside it, and moved to its place in the end, however
-    that comes, if it is at least as complete. Otherwise both stay where they are.
+    that comes, if it is of the same model and at least as complete. Otherwise both stay where they are.
     """
     target = Place(out, name)
     if completeness(target.path) == Complete.NOTHING:
@@ -94,13 +99,24 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
         yield new
     finally:
         before, after = completeness(target.path), completeness(new.path)
-        if after >= before and not after == before == Complete.CHAIN:  # which of two unfinished chains is the longer?
+        models = [_model(place.path) for place in (target, new)]
+        other = after > Complete.NOTHING and models[0] != models[1]  # a fit of another model says other things
+        if not other and after >= before and not after == before == Complete.CHAIN:  # whose chain is the longer?
             _move(new.path, target.path)
             new.path = target.path
         elif new.path.exists():
-            new.said = f"{target.path} stays as it was, with {before.words}; {new.path} is the new one, {after.words}"
+            of_model, of_new = (f" of the {model} model" if other else "" for model in models)
+            new.said = f"{target.path} stays as it was, with {before.words}{of_model}; "
+            new.said += f"{new.path} is the new one, {after.words}{of_new}"
         with suppress(OSError):  # not empty
             beside.rmdir()
+
+
+def _model(path: Path) -> str | None:
+    """Name of the model of a result; None if there is none."""
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        return str(json.loads(path.read_bytes())["model"]["name"])
+    return None
 
 
 def _move(new: Path, target: Path) -> None:

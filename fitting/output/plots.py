@@ -22,6 +22,7 @@ from ...merl_io.grid import MerlGrid, merl_grid
 from ...model.geometry import Geometry
 from ...model.reflectance import Reflectance, evaluate
 from ..objective.weights import THETA_MAX, within
+from ..pipeline.run import chain_of
 from ..results.schema import Model, ParameterResult, Result
 from ..support.tables import UNSOUND
 from .report import in_words_of, number
@@ -93,15 +94,20 @@ def _compiled_of_many(model: Reflectance, values: dict, geometry: Geometry, wave
     return jax.lax.map(lambda v: evaluate(model, v, geometry, wavelengths_um), values)
 
 
-def chain_file(result: Result, folder: Path) -> dict[str, np.ndarray]:
+def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     """Names, weighted draws (physical values) and weights of the posterior, from the chain beside the result.
+
+    Args:
+        path: of the result. Where the chain has another name than the result says, which a JSON cannot if it is no
+            UTF-8, that of the result's own file counts.
 
     Raises:
         NoPicture: it was not sampled, or its chain is missing or of another fit.
     """
     if result.posterior is None:
         raise NoPicture("the posterior was not sampled")
-    path = folder / Path(result.posterior.chain_file).name
+    named = path.parent / Path(result.posterior.chain_file).name
+    path = named if named.is_file() or not chain_of(path).is_file() else chain_of(path)
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as chain:
             found = {name: chain[name] for name in ("names", "values", "weights")}

@@ -176,8 +176,6 @@ def print_result(console: Console, result: Result) -> None:
     if result.identifiability is not None:
         for line in in_words(result.identifiability):
             console.print(line)
-    if bound := [f"{q.name} ({q.at_bound})" for q in result.parameters if q.at_bound != "no"]:
-        console.print(f"at a bound: {', '.join(bound)}")
     if result.accuracy is not None:
         console.print(accuracy_line(result.accuracy))
     if result.posterior is None:
@@ -188,9 +186,9 @@ def print_result(console: Console, result: Result) -> None:
     p = result.posterior
     least = min((x or 0.0 for x in p.effective_size), default=0.0)
     console.print(
-        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}; {p.draws} draws, weighted by the "
-        f"likelihood of all bins; smallest effective sample size {number(least, 3)}; the residuals count as "
-        f"{number(p.effective_bins, 3)} independent ones",
+        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}. {p.draws} draws are weighted by "
+        f"the likelihood of all bins; the smallest effective sample size is {number(least, 3)}. The residuals are "
+        f"correlated: they count as {number(p.effective_bins, 3)} independent ones",
         markup=False,
     )
 

@@ -3,7 +3,7 @@
 Weighted residuals of a channel are smooth functions of the few coordinates that it depends on. Their principal
 components over the training points (a proper orthogonal decomposition) are interpolated by cubic radial basis
 functions with a quadratic polynomial; the sum of their squares is the cost. Walkers are led by its gradient
-(`posterior.Hamiltonian`) and judged by the stand-in itself: on its accuracy depends but how often a step is accepted.
+(`chain.Hamiltonian`) and judged by the stand-in itself: on its accuracy depends but how often a step is accepted.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from ..objective.transforms import Layout
 from .likelihood import StandIn
 
 NEGLECTED = 1e-3  # of log L, on average over the training points: components that matter less are left out
-MOST, MOST_EVER = 1024, 2048  # points, and where the posterior is too crooked for them (`posterior.extend`)
+MOST, MOST_EVER = 1024, 2048  # points, and where the posterior is too crooked for them (`chain.extend`)
 ROUNDED = 1024, 16  # centres and components are filled up with idle ones to multiples of these: few shapes to compile
 NUGGET = 1e-9  # on the kernel's diagonal, relative to its largest entry
 

@@ -17,12 +17,14 @@ from ..assess.laplace import laplace_covariance
 from ..assess.outcome import Fitted
 from ..objective.problem import make_problem
 from ..objective.transforms import Layout
-from ..support.clock import Report, silent
+from ..support.clock import Report, Stage, silent
 from ..support.threads import CORES, one_core_a_call, side_by_side
 from .chain import Chain, begin, extend, read_chain, write_chain
 from .emulator import Emulator
 from .importance import Posterior, correct
 from .likelihood import log_likelihood, stand_in
+
+DRAWN = ("draws_free", "weights", "log_ratio", "values")  # arrays of a finished chain
 
 
 @dataclass(frozen=True)
@@ -76,25 +78,35 @@ def draw(
     few = stand_in(layout, samples, solution, fitted.count)
 
     def say(done: int, most: int) -> None:
-        report(f"posterior: step {done} of at most {most}" if most else f"posterior: tuning, step {done}")
+        words = f"step {done} of at most {most}" if most else f"tuning, step {done}"
+        report(Stage(f"posterior: {words}", done / most if most else None))
 
+    drawn: dict[str, np.ndarray] = {}
     if resume:
         chain = read_chain(path, solution.z)
+        drawn = _drawn(path)  # those that the result names, until there are new ones
         emulator = Emulator.of(few, layout, chain.taught)
     else:
         covariance = laplace_covariance(solution.normal, fitted.count)
         chain, emulator = begin(few, layout, solution.z, covariance, seed, say)
 
     def keep(chain: Chain) -> None:
-        if said := _unwritten(path, {**_names(layout), **chain.arrays()}):
+        if said := _unwritten(path, {**_names(layout), **drawn, **chain.arrays()}):
             report(f"posterior: {said}")
 
     chain = extend(chain, few, emulator, max_steps + (len(chain.states) if resume else 0), say, keep)
     problem, lowest = make_problem(samples, precision="float32"), solution.cost  # 1e-6 of S is 1e-6 N of log L
+
+    def say_draw(done: int, most: int) -> None:
+        report(Stage(f"posterior: all bins, draw {done} of {most}", done / most))
+
     return correct(
-        chain, few.log_likelihood, lambda z: log_likelihood(layout, z, problem, fitted.count, lowest),
-        layout.coordinates, lambda done, most: report(f"posterior: all bins, draw {done} of {most}"),
-    )  # fmt: skip
+        chain,
+        few.log_likelihood,
+        lambda z: log_likelihood(layout, z, problem, fitted.count, lowest),
+        layout.coordinates,
+        say_draw,
+    )
 
 
 def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:
@@ -104,6 +116,12 @@ def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:
     except WriteError as error:
         return f"the chain is not kept: {error}"
     return ""
+
+
+def _drawn(path: Path) -> dict[str, np.ndarray]:
+    """Weighted draws in the file of a chain, and what goes with them; nothing while it is unfinished."""
+    with np.load(path, allow_pickle=False) as chain:
+        return {name: chain[name] for name in chain.files if name in DRAWN or name.startswith("derived_")}
 
 
 def _names(layout: Layout) -> dict[str, np.ndarray]:

@@ -1,5 +1,7 @@
 """The result of one material: what its JSON holds, field by field."""
 
+import math
+import os
 import sys
 from collections.abc import Sized
 from dataclasses import asdict
@@ -116,8 +118,8 @@ class Model(_Part):
                 raise ValueError(f"body should be {', '.join(BODIES)}, not {ANY!r}")
             if self.material.diffraction == "exact":
                 raise ValueError("diffraction 'exact' is a reference that takes hours; no fit uses it")
-        if unknown := self.acquisition.exponents.keys() - {*self.material.lobes}:
-            raise ValueError(f"exponents of {', '.join(sorted(unknown))}: the model has no such lobe")
+        if self.acquisition.exponents.keys() != {*self.material.lobes}:
+            raise ValueError(f"acquisition.exponents should be those of {', '.join(self.material.lobes) or 'no lobe'}")
         if self.channels != list(CHANNELS):
             raise ValueError(f"channels should be {', '.join(CHANNELS)}, not {', '.join(self.channels) or 'none'}")
         _same_length("channels", len(self.channels), wavelengths_um=self.wavelengths_um)
@@ -449,6 +451,8 @@ class Run(_Part):
     """When it was computed: date and time in UTC (ISO 8601)."""
     command: list[Text]
     """Command line; empty where Python called merlfit as a library."""
+    folder: Text | None = None
+    """Folder that it ran in, from which a relative `source.path` is seen; null before version 2.0."""
 
 
 def this_run() -> Run:
@@ -456,7 +460,15 @@ def this_run() -> Run:
     program = PurePath(sys.argv[0] if sys.argv else "")
     ours = program.stem == "merlfit" or (program.name == "__main__.py" and program.parent.name in ("merlfit", "main"))
     command = ["merlfit", *(str(_readable(word)) for word in sys.argv[1:])] if ours else []
-    return Run(finished=datetime.now(UTC).isoformat(timespec="seconds"), command=command)
+    return Run(finished=datetime.now(UTC).isoformat(timespec="seconds"), command=command, folder=_here())
+
+
+def _here() -> str | None:
+    """Working folder; None if it is gone."""
+    try:
+        return os.getcwd()
+    except OSError:
+        return None
 
 
 class Result(_Part):
@@ -498,6 +510,7 @@ class Result(_Part):
     @model_validator(mode="after")
     def _parameters_are_the_models(self) -> Self:
         expected = _expected_parameters(self.model) if self.model else []
+        declared = {q.name: q for q in self.model.measured.parameters} if self.model else {}
         found = [(q.name, q.parameter, q.channel) for q in self.parameters]
         if found != expected:
             here, there = ([name for name, *_ in each] for each in (found, expected))
@@ -508,6 +521,12 @@ class Result(_Part):
                 f"the parameters are not those of the model: {', '.join(wrong) or 'their order or channels'}; "
                 "an older merlfit wrote it, or it was edited: fit the file again"
             )
+        for q in self.parameters:  # whatever the bounds of the fit were
+            kind = declared[q.parameter]
+            slack = ROUNDING * abs(kind.upper)
+            least, most = (kind.offset, math.inf) if kind.scale == "log" else (kind.lower - slack, kind.upper + slack)
+            if not least <= q.value <= most or (kind.scale == "log" and q.value == least):
+                raise ValueError(f"{q.name} {q.value:g} is impossible, whatever its bounds")
         return self
 
     def values(self, flat: np.ndarray | None = None) -> dict[str, Any]:

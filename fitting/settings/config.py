@@ -54,6 +54,12 @@ class ModelSection(_Section):
         """As a list."""
         return [self.name] if isinstance(self.name, str) else self.name
 
+    @field_validator("name", mode="before")
+    @classmethod
+    def _one(cls, name: object) -> object:
+        """A list of one is that one."""
+        return name[0] if isinstance(name, (list, tuple)) and len(name) == 1 else name
+
     @model_validator(mode="after")
     def _known(self) -> "ModelSection":
         if not self.names or len(set(self.names)) < len(self.names):
@@ -61,7 +67,10 @@ class ModelSection(_Section):
         if self.model_extra and len(self.names) > 1:
             raise ValueError(f"{next(iter(self.model_extra))} is a setting of one model, and several are compared")
         if self.model_extra and self.names == [TwoScale.name]:
-            raise ValueError(f"{next(iter(self.model_extra))}: settings of the two-scale model belong into [effects]")
+            raise ValueError(
+                f"{next(iter(self.model_extra))!r} is none of its keys: it has 'name', and settings of the two-scale "
+                "model belong in [effects]"
+            )
         for name in self.names:
             made(name, self.model_extra or {})
         return self
@@ -216,7 +225,13 @@ class Config(_Section):
         if self.apparatus != ApparatusSection() and self.acquisition.grazing_loss != "derived":
             raise ValueError("[apparatus] has an effect only where acquisition.grazing_loss is derived: leave it out")
         if TwoScale.name not in self.model.names and (idle := _changed(effects)):
-            raise ValueError(f"effects.{idle[0]} is of the two-scale model, which is not fitted: leave it out")
+            raise ValueError(
+                f"effects.{idle[0]} is a setting of the two-scale model, which is not among the models to fit "
+                f"({', '.join(self.model.names)}): leave it out, or add the two-scale model to them"
+            )
+        losing = [model for model in self.candidates if model.lobes]
+        if not losing and self.acquisition != AcquisitionSection():
+            raise ValueError("acquisition.grazing_loss has an effect only on sharp lobes, of which the model has none")
         return self
 
     @property
@@ -300,9 +315,8 @@ def load(
     }  # fmt: skip
     for name, (section, key) in places.items():
         value = replaced.get(name)
-        if name == "model" and isinstance(value, list) and len(value) < 2:
-            value = value[0] if value else None
-        if value is not None and isinstance(data.setdefault(section, {}), dict):
+        value = list(value) if isinstance(value, tuple) else value  # as the command line gives several
+        if value not in (None, []) and isinstance(data.setdefault(section, {}), dict):
             data[section][key] = value
     if (seed := replaced.get("seed")) is not None:
         data["seed"] = seed

@@ -44,12 +44,12 @@ class Status(Enum):
     """How a fit ended, in a sentence that says what to do."""
 
     CONVERGED = "converged: no further step lowers the cost noticeably"
-    AT_BOUND = "converged with parameters at a bound: the data ask for a value at or beyond it, see at_bound"
+    AT_BOUND = "converged with parameters at a bound: the best values lie there, or would lie beyond it"
     STEP_LIMIT = "usable, but stopped at the step limit while the cost was still falling: raise fit.max_steps"
     NON_FINITE = "failed: the model is not finite at the starting point; check the file with `merlfit check`"
     UNEXPLAINED = (
         f"failed: the model explains less than {1 - UNEXPLAINED_COST:.0%} of the file; check it with `merlfit check`, "
-        "try body = 'auto' and acquisition = 'free'"
+        "try effects.body = 'auto', acquisition.grazing_loss = 'free' or another --model"
     )
     NO_DATA = (
         f"failed: fewer than {LEAST_BINS} valid bins brighter than {BLACK:g}/sr, on all bins or on a thinned grid; "

@@ -6,8 +6,8 @@ methods", chapters 6 and 7. Tests: ``tests/fitting/test_trust_region.py``.
 Free coordinates are scaled by what is known of each parameter beforehand, so that a length in them means something and
 the radius is one number. Parts for optimistix: the descent finds the best point of the ball, the search says how large
 the ball may be. optimistix' own Levenberg-Marquardt lengthens its steps only where the linear model is right to 1 %,
-and creeps; so do its ``IndirectDampedNewtonDescent`` and ``ClassicalTrustRegion`` with our thresholds, which need 1.2
-to 8 times as many evaluations. ``results/bench/solver.md`` compares them.
+and creeps; so do its ``IndirectDampedNewtonDescent`` and ``ClassicalTrustRegion`` with our thresholds, which need at
+least 1.2 to 8 times as many evaluations. ``results/bench/solver.md`` compares them.
 """
 
 from collections.abc import Callable

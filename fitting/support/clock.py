@@ -3,8 +3,20 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Self
 
 Report = Callable[[str], None]
+
+
+class Stage(str):
+    """What is being done, in words, and which share of it is done already, if that is known."""
+
+    share: float | None
+
+    def __new__(cls, words: str, share: float | None = None) -> Self:  # noqa: D102
+        found = super().__new__(cls, words)
+        found.share = share
+        return found
 
 
 def silent(_: str) -> None:

@@ -15,10 +15,23 @@ from types import FrameType
 import typer
 from rich.console import Console
 from rich.measure import Measurement
-from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Column, Table
+from rich.text import Text
+
+from .clock import Stage
 
 BAD_INPUT, FAILED_FIT = 2, 1  # exit codes
+BAR = 6  # columns of a progress bar: beside it there is room for the longest name of MERL
 WORDS = 28  # columns that are left to running text in a table before it gets a table of its own
 STOPS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 
@@ -145,13 +158,25 @@ def note(message: str, style: str | None = None) -> None:
         progress.start()
 
 
+class Left(TimeRemainingColumn):
+    """Time that is left, with a word that says so; how long it has been while nobody knows."""
+
+    def render(self, task: Task) -> Text:  # noqa: D102
+        known = task.total is not None and task.time_remaining is not None
+        return Text.assemble(super().render(task), " left") if known else TimeElapsedColumn().render(task)
+
+
 @contextmanager
 def progress_display() -> Iterator[Progress]:
-    """What is being done and for how long, on a terminal."""
+    """What is being done, how much of it is done, for how long it has been and how long it will still be."""
+    words = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+    bar, left = (
+        BarColumn(BAR, table_column=Column(min_width=BAR)),
+        Left(compact=True, table_column=Column(min_width=10)),
+    )
     progress = Progress(
-        SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(),
-        console=console, transient=True, disable=not console.is_terminal,
-    )  # fmt: skip
+        SpinnerColumn(), words, bar, left, console=console, transient=True, disable=not console.is_terminal
+    )
     _shown.append(progress)
     try:
         with progress:
@@ -172,10 +197,15 @@ def writable_folder(out: Path) -> None:
 
 def reporter(progress: Progress, task: TaskID, label: str) -> Callable[[str], None]:
     """Stages to the progress display on a terminal, to plain lines elsewhere (a new stage, not every step)."""
-    last = [""]
+    last, before = [""], [0.0]
 
     def report(stage: str) -> None:
-        progress.update(task, description=f"{label}: {stage}")
+        share = stage.share if isinstance(stage, Stage) else None
+        if share is None or share < before[0]:  # another thing is done now, or the same anew
+            progress.reset(task, total=None)
+        before[0] = share or 0.0
+        total = None if share is None else 1.0
+        progress.update(task, description=f"{label}: {stage}", total=total, completed=before[0])
         if not console.is_terminal and stage.split(":")[0] != last[0]:
             last[0] = stage.split(":")[0]
             console.print(f"{label}: {stage}")

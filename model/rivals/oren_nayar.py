@@ -30,10 +30,6 @@ class OrenNayarQualitative(OneFormula):
                               1.5, source="Oren & Nayar 1994, Eq. 17", prior=LogNormal(0.3, 2.5))  # fmt: skip
         return (roughness, ALBEDO)
 
-    @property
-    def lobes(self) -> tuple[str, ...]:  # noqa: D102
-        return ()
-
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         g, square = s.geometry, v["roughness"] ** 2
         A, B = 1 - square / (2 * (square + 0.33)), 0.45 * square / (square + 0.09)

@@ -41,7 +41,7 @@ def synthetic(seed):
     """Layout, truth in free coordinates and noisy samples of one material drawn from the prior."""
     rng, kind = np.random.default_rng([20261122, seed]), KINDS[seed % len(KINDS)]
     config = load(index=kind[0], body=kind[1])
-    layout = config.layout_of(kind)
+    layout = config.layout_of(config.two_scale(kind))
     truth, grid = rng.standard_normal(layout.size), merl_grid()
     used = grid.above & (grid.weight > 0)
     blank = Measurement(Path(f"synthetic-{seed}"), np.ones((3, *used.shape)), used, 0, 0, 0, "", "")

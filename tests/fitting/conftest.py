@@ -2,7 +2,7 @@
 
 import frontiers
 import pytest
-from merlfit.fitting.cost.measure import calibration
+from merlfit.fitting.cost import calibration
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from frontiers import fit, measurement, point
 from merlfit.fitting import cli
+from merlfit.fitting.cost import accuracy, calibration, frontier
 from merlfit.fitting.cost.accuracy import Aim, distance, estimate, reference_problem, remaining, resume_fit
-from merlfit.fitting.cost.measure import accuracy, calibration, frontier
 from merlfit.fitting.cost.request import Request
 from merlfit.fitting.objective.problem import energy
 from merlfit.fitting.objective.transforms import layout_of

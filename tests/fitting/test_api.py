@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from merlfit.fitting import api
 from merlfit.fitting.output import plots
-from merlfit.fitting.posterior.chain import importance
+from merlfit.fitting.posterior import importance
 from merlfit.fitting.results.export import read_result
 
 QUICK = {
@@ -69,7 +69,7 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     assert found["n"].dims == ("chain", "draw", "channel")
     assert found["beta"].shape[0] == 1
     assert list(found["channel"].values) == ["R", "G", "B"]
-    drawn = plots.chain_file(fit.result, fit.path.parent)["values"][:, 0]
+    drawn = plots.chain_file(fit.result, fit.path)["values"][:, 0]
     assert np.isin(found["beta"].values, drawn).all()
 
     fit.plot_lobes(tmp_path / "lobes.png")

@@ -9,8 +9,8 @@ import pytest
 from frontiers import measurement, point, spread
 from matplotlib.text import Text
 from merlfit.fitting import cli
+from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.frontier import Frontier
-from merlfit.fitting.cost.measure import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.plot import frontier_figure
 from merlfit.fitting.cost.report import changes, front, gains, tables, write_markdown
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice

@@ -25,10 +25,10 @@ def edited(tmp_path, edit, **kind):
     return path
 
 
-def set_value(name, value):
+def set_value(name, value, **others):
     def edit(data):
         (found,) = [q for q in data["parameters"] if q["name"] == name]
-        found["value"] = value
+        found |= {"value": value, **others}
 
     return edit
 
@@ -40,16 +40,21 @@ def drop(data, name):
 EDITS = {
     "beta is 0": (set_value("beta", 0), r"parameters\.0: beta 0 is outside its bounds \[0\.001, 1\]"),
     "beta is -1": (set_value("beta", -1), "beta -1 is outside its bounds"),
+    "beta is -1, and so is its bound": (set_value("beta", -1, lower=-2), "beta -1 is impossible, whatever its bounds"),
+    "beta is 0, and so is its bound": (set_value("beta", 0, lower=0), "beta 0 is impossible, whatever its bounds"),
     "NaN": (set_value("beta", math.nan), "value: is not a finite number"),
     "1e999": (set_value("beta", math.inf), "value: is not a finite number"),
     "a missing parameter": (lambda d: drop(d, "beta"), "beta is missing"),
     "a missing channel": (lambda d: drop(d, "n_G"), "n_G is missing"),
     "another body": (lambda d: d["model"]["settings"].update(body="plastic", index="real"), "eta_R is missing"),
     "no such body": (lambda d: d["model"]["settings"].update(body="wood"), "body 'wood' is none of none, lambert"),
-    "no such model": (lambda d: d["model"].update(name="gx"), "there is no model 'gx'; the nearest is 'ggx'"),
+    "no such model": (lambda d: d["model"].update(name="gx"), "there is no 'gx'; the nearest is 'ggx'"),
     "no such setting": (lambda d: d["model"]["settings"].update(bodies="none"), "two-scale has no setting 'bodies'"),
     "an order that is text": (lambda d: d["model"]["settings"].update(order="32"), "order '32' should be of type int"),
-    "a lobe that is none": (lambda d: d["model"]["acquisition"]["exponents"].update(body=0.1), "exponents"),
+    "a lobe that is none": (
+        lambda d: d["model"]["acquisition"]["exponents"].update(body=0.1),
+        "should be those of",
+    ),
     "complex under plastic": (
         lambda d: d["model"]["settings"].update(body="plastic"),
         "its index is real, not complex",
@@ -153,12 +158,23 @@ def test_a_damaged_chain_is_one_line_in_plain_words(contents, words, tmp_path):
     elif contents is not None:
         np.savez(path, **contents)
     with pytest.raises(plots.NoPicture, match=words) as error:
-        plots.chain_file(made(posterior=True), tmp_path)
+        plots.chain_file(made(posterior=True), tmp_path / "nickel.json")
     assert "pickle" not in str(error.value)
     if not isinstance(contents, dict):
         with pytest.raises(ChainError, match=words) as error:
             read_chain(path, np.zeros(13))
         assert "pickle" not in str(error.value)
+
+
+def test_the_chain_of_a_name_that_is_no_utf8_is_found(tmp_path):
+    """The JSON cannot say its name."""
+    name = b"caf\xe9".decode("utf-8", "surrogateescape")
+    result = made(material=name, posterior=True)
+    write_result(tmp_path / f"{name}.json", result)
+    np.savez(tmp_path / f"{name}.chain.npz", **chain())
+    found = read_result(tmp_path / f"{name}.json")
+    assert not (tmp_path / found.posterior.chain_file).exists()
+    np.testing.assert_array_equal(plots.chain_file(found, tmp_path / f"{name}.json")["weights"], np.full(5, 0.2))
 
 
 def test_a_chain_with_a_flipped_bit_is_damaged(tmp_path):
@@ -168,7 +184,7 @@ def test_a_chain_with_a_flipped_bit_is_damaged(tmp_path):
     spoiled[len(spoiled) // 2 :: 500] = b"\xff" * len(spoiled[len(spoiled) // 2 :: 500])
     path.write_bytes(spoiled)
     with pytest.raises(plots.NoPicture, match="is damaged"):
-        plots.chain_file(made(posterior=True), tmp_path)
+        plots.chain_file(made(posterior=True), tmp_path / "nickel.json")
 
 
 def test_sampling_a_finished_posterior_whose_chain_is_gone_is_refused(tmp_path):

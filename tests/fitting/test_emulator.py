@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.posterior.chain import emulator as emulators
+from merlfit.fitting.posterior import emulator as emulators
 from merlfit.fitting.posterior.emulator import Emulator, coordinates_of, cost_at
 from stand_ins import LAYOUT, OWN, banana, gentle, taught
 

@@ -11,7 +11,7 @@ from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.output import keeping
 from merlfit.fitting.output.keeping import Complete, completeness, place_of
 from merlfit.fitting.pipeline.run import chain_of, fit_file
-from merlfit.fitting.posterior.chain import sampling
+from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.importance import Posterior
 from merlfit.fitting.results.export import read_result, write_result
 from merlfit.fitting.settings.config import Config
@@ -19,6 +19,7 @@ from merlfit.fitting.support.terminal import Stopped
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, MerlError, write
 from merlfit.model.measured import Measured
+from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
@@ -292,3 +293,15 @@ def test_names_of_files_and_folders_may_be_text_in_python(tmp_path):
     found = fit_file(str(tmp_path / "dark.binary"), str(tmp_path / "fits"), Config())
     assert read_result(tmp_path / "fits" / "dark.json") == found
     assert found.fit.status == "NO_DATA"
+
+
+def test_a_fit_of_another_model_does_not_take_the_place_of_one(tmp_path, stand_in):
+    out = tmp_path / "fits"
+    put_result(out, chain=None)
+    before = (out / "nickel.json").read_bytes()
+    stand_in(lambda path, folder: write_result(folder / "nickel.json", made(model=Measured(GGX()))))
+    shown = call("fit", "nickel.binary", "-o", out)
+    assert shown.exit_code == 0
+    assert "stays as it was, with a fit without a posterior of the two-scale model" in shown.stderr
+    assert (out / "nickel.json").read_bytes() == before
+    assert read_result(out / "nickel.2" / "nickel.json").model.name == "ggx"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from frontiers import point
 from merlfit.fitting import cli
+from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
-from merlfit.fitting.cost.measure import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.settings.config import Config, ConfigError, load

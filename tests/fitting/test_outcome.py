@@ -47,8 +47,9 @@ def test_a_good_fit_needs_no_caution():
     (fitted(cost=1.1 * POOR), ["does not describe this file well", "6% of its weighted energy"]),
     (fitted({**VALUES, "sigma_s": 0.3}), ["sigma_s is more than half a wavelength"]),
     (fitted({**VALUES, "albedo": np.array([0.0, 2 * METAL_FLOOR, 0.0])}), ["no metal", "effective values"]),
+    (fitted({**VALUES, "n": np.full(3, 0.8), "k": np.full(3, 0.9)}), ["no metal has n 0.8 with k 0.9 (R)"]),
     (fitted({**VALUES, "p": 0.2005}), ["at a bound", "p (lower)"]),
-    (fitted(errors=replace(GOOD, highlight=0.3)), ["0.3 times the file's brightness", "--weights adaptive"]),
+    (fitted(errors=replace(GOOD, highlight=0.3)), ["0.3 times as bright as the file's", "--weights adaptive"]),
     (fitted(converged=False), ["still falling"]),
 ])  # fmt: skip
 def test_what_is_doubtful_is_said(one, words):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.assess.laplace import laplace_covariance
+from merlfit.fitting.posterior import chain as sampler
 from merlfit.fitting.posterior.chain import (
     CHECK_EVERY,
     ENOUGH,
@@ -24,7 +25,6 @@ from merlfit.fitting.posterior.chain import (
     spread_over,
     write_chain,
 )
-from merlfit.fitting.posterior.chain import chain as sampler
 from merlfit.fitting.posterior.emulator import Emulator, log_posterior
 from scipy.optimize import minimize
 from stand_ins import LAYOUT, banana, gentle, taught

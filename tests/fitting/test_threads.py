@@ -8,7 +8,7 @@ from merlfit.fitting.support import threads
 
 
 def test_nobody_gets_threads_by_an_import():
-    said = "from merlfit.fitting import threads; print(threads._pool.cache_info().currsize)"
+    said = "from merlfit.fitting.support import threads; print(threads._pool.cache_info().currsize)"
     found = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "0"
 

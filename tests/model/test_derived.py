@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from energy import half_vectors
 from merlfit.model.derived import derived, directional_albedo, quantities
-from merlfit.model.measured import Measured
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.two_scale import TwoScale, two_scale
 from oracles import diffraction as o_diffraction
@@ -13,7 +12,7 @@ from oracles import fresnel as o_fresnel
 
 ANGLES = np.radians([0.0, 60.0])
 EFFECTS = [
-    Measured(TwoScale("none")),
+    TwoScale("none"),
     TwoScale("lambert"),
     TwoScale("plastic", split="conserving"),
     TwoScale("subsurface", "off"),
