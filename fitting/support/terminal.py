@@ -169,14 +169,12 @@ class Left(TimeRemainingColumn):
 @contextmanager
 def progress_display() -> Iterator[Progress]:
     """What is being done, how much of it is done, for how long it has been and how long it will still be."""
-    words = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
-    bar, left = (
-        BarColumn(BAR, table_column=Column(min_width=BAR)),
-        Left(compact=True, table_column=Column(min_width=10)),
-    )
+    words = Column(ratio=1, no_wrap=True, overflow="ellipsis")
     progress = Progress(
-        SpinnerColumn(), words, bar, left, console=console, transient=True, disable=not console.is_terminal
-    )
+        SpinnerColumn(), TextColumn("{task.description}", markup=False, table_column=words),
+        BarColumn(BAR, table_column=Column(width=BAR)), Left(compact=True, table_column=Column(width=len("00:00 left"))),
+        console=console, transient=True, expand=True, disable=not console.is_terminal,
+    )  # fmt: skip
     _shown.append(progress)
     try:
         with progress:

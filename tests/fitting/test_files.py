@@ -299,7 +299,7 @@ def test_a_fit_of_another_model_does_not_take_the_place_of_one(tmp_path, stand_i
     out = tmp_path / "fits"
     put_result(out, chain=None)
     before = (out / "nickel.json").read_bytes()
-    stand_in(lambda path, folder: write_result(folder / "nickel.json", made(model=Measured(GGX()))))
+    stand_in(lambda path, folder: put_result(folder, chain=None, model=Measured(GGX())))
     shown = call("fit", "nickel.binary", "-o", out)
     assert shown.exit_code == 0
     assert "stays as it was, with a fit without a posterior of the two-scale model" in shown.stderr
