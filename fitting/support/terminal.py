@@ -169,10 +169,10 @@ class Left(TimeRemainingColumn):
 @contextmanager
 def progress_display() -> Iterator[Progress]:
     """What is being done, how much of it is done, for how long it has been and how long it will still be."""
-    words = Column(ratio=1, no_wrap=True, overflow="ellipsis")
+    words, time = Column(ratio=1, no_wrap=True, overflow="ellipsis"), Column(width=len("00:00 left"))
     progress = Progress(
         SpinnerColumn(), TextColumn("{task.description}", markup=False, table_column=words),
-        BarColumn(BAR, table_column=Column(width=BAR)), Left(compact=True, table_column=Column(width=len("00:00 left"))),
+        BarColumn(BAR, table_column=Column(width=BAR)), Left(compact=True, table_column=time),
         console=console, transient=True, expand=True, disable=not console.is_terminal,
     )  # fmt: skip
     _shown.append(progress)
