@@ -196,14 +196,15 @@ def writable_folder(out: Path) -> None:
 def reporter(progress: Progress, task: TaskID, label: str) -> Callable[[str], None]:
     """Stages to the progress display on a terminal, to plain lines elsewhere (a new stage, not every step)."""
     last, before = [""], [0.0]
+    (own,) = (each for each in progress.tasks if each.id == task)
 
     def report(stage: str) -> None:
         share = stage.share if isinstance(stage, Stage) else None
         if share is None or share < before[0]:  # another thing is done now, or the same anew
-            progress.reset(task, total=None)
+            progress.reset(task)
+            own.total = None  # which rich takes for "as it is" if it is told so
         before[0] = share or 0.0
-        total = None if share is None else 1.0
-        progress.update(task, description=f"{label}: {stage}", total=total, completed=before[0])
+        progress.update(task, description=f"{label}: {stage}", total=share and 1.0, completed=before[0])
         if not console.is_terminal and stage.split(":")[0] != last[0]:
             last[0] = stage.split(":")[0]
             console.print(f"{label}: {stage}")
