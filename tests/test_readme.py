@@ -66,3 +66,10 @@ def test_a_command_that_fails_is_named(tmp_path):
     text = "    merlfit check missing.binary  # fast\n    merlfit materials   # slow\n"
     failed = readme_commands.run(tmp_path, Path(sys.executable).parent, quick=True, text=text)
     assert failed == ["merlfit check missing.binary: exit code 2"]
+
+
+def test_the_tests_that_the_newcomers_table_names_exist():
+    found = re.findall(r"`(tests/[\w/]+\.py)::(\w+)", (readme_commands.ROOT / "docs" / "newcomer.md").read_text())
+    assert len(found) > 60
+    for file, name in found:
+        assert f"def {name}(" in (readme_commands.ROOT / file).read_text(), f"{file}::{name}"

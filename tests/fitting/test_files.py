@@ -1,6 +1,7 @@
 """Batches of files and the folder that they are written to; fits are stood in for, none is compiled."""
 
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from made_results import made
 from merlfit.fitting import cli, files
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.output import keeping
+from merlfit.fitting.output.inspection import file_of
 from merlfit.fitting.output.keeping import Complete, completeness, place_of
 from merlfit.fitting.pipeline.run import chain_of, fit_file
 from merlfit.fitting.posterior import sampling
@@ -305,3 +307,23 @@ def test_a_fit_of_another_model_does_not_take_the_place_of_one(tmp_path, stand_i
     assert "stays as it was, with a fit without a posterior of the two-scale model" in shown.stderr
     assert (out / "nickel.json").read_bytes() == before
     assert read_result(out / "nickel.2" / "nickel.json").model.name == "ggx"
+
+
+def test_the_file_of_a_fit_is_found_from_where_it_ran(tmp_path):
+    """Its name is relative to a folder that is none of those above the result."""
+    data = tmp_path / "data"
+    data.mkdir()
+    (data / "nickel.binary").write_bytes(b"measured")
+    result = made()
+    assert file_of(tmp_path / "fits" / "nickel.json", result) == Path("nickel.binary")
+    result.run.folder = str(data)
+    assert file_of(tmp_path / "fits" / "nickel.json", result) == data / "nickel.binary"
+
+
+def test_draws_stay_while_their_chain_is_continued(tmp_path):
+    """The result names them until there are new ones."""
+    drawn = {name: np.ones(3) for name in (*sampling.DRAWN, "derived_f0")}
+    np.savez(tmp_path / "nickel.chain.npz", names=np.array(["beta"]), chain_free=np.zeros((5, 2, 1)), **drawn)
+    assert sampling._drawn(tmp_path / "nickel.chain.npz").keys() == drawn.keys()
+    np.savez(tmp_path / "unfinished.npz", names=np.array(["beta"]), chain_free=np.zeros((5, 2, 1)))
+    assert sampling._drawn(tmp_path / "unfinished.npz") == {}
