@@ -24,7 +24,7 @@ from .support.terminal import (
 # the commands import what they need: `merlfit --help` does not wait for JAX
 app = typer.Typer(
     name="merlfit", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
-    help="Fit the two-scale reflection + diffraction model to MERL BRDF files, with error bars.",
+    help="Fit reflectance models to MERL BRDF files, with error bars.",
 )  # fmt: skip
 
 # typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
@@ -90,13 +90,16 @@ def fit(
         ),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(help="What is simulated: hp17, conserving, microfacet, preview or fast.")
+        str | None,
+        typer.Option(help="Two-scale model: what is simulated, hp17, conserving, microfacet, preview or fast."),
     ] = None,
     index: Annotated[
-        str | None, typer.Option(help="Index of refraction: auto, complex (metal) or real (plastic, coat).")
+        str | None,
+        typer.Option(help="Two-scale model: index of refraction, auto, complex (metal) or real (plastic, coat)."),
     ] = None,
     body: Annotated[
-        str | None, typer.Option(help="What lies under the surface: auto, none, lambert, plastic or subsurface.")
+        str | None,
+        typer.Option(help="Two-scale model: what lies under the surface, auto, none, lambert, plastic or subsurface."),
     ] = None,
     weights: Annotated[
         str | None,

@@ -38,7 +38,7 @@ def settings_of(config: Path | None = None, **replaced: Unpack[Replaced]) -> Con
 
 
 def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim | None:
-    """What to take for an accuracy or a time, told; None if nothing was asked."""
+    """Choose settings for an accuracy or a time, and print them; None if neither was asked for."""
     if accuracy is None and within is None:
         return None
     try:

@@ -66,14 +66,14 @@ class TwoScale(Reflectance):
         order: radial nodes of ``quadrature``, and of ``scaled`` outside its table; accuracy in
             :func:`merlfit.model.convolution.convolve`.
         zonal_order: highest degree of ``zonal``.
-        fresnel: of the mirror term: ``exact`` (HP17 Eq. 3-4), or Schlick's polynomial.
+        fresnel: of the specular term: ``exact`` (HP17 Eq. 3-4), or Schlick's polynomial.
         masking: ``smith`` (masking and shadowing independent, HP15 Eq. 6), ``height_correlated`` (Smith's joint form,
             Heitz 2014), ``none`` (1).
         renormalised: sigma_rel for sigma_s and the lobe's amplitude over the directions that exist (HP17 Eq. 17-19).
-        split: of the energy, between mirror term, diffraction lobe and what lies below: ``printed`` (HP17 Eq. 25), or
+        split: of the energy, between specular term, diffraction lobe and what lies below: ``printed`` (HP17 Eq. 25), or
             ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives.
         colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
-            formula chosen for the mirror term).
+            formula chosen for the specular term).
         index: of refraction of the interface, per channel: ``complex`` (n + i k, a conductor), ``real`` (a
             dielectric), or ``usual``: complex over no body, real over one. A Lambert floor under a complex index is
             stray light and dust on a metal; plastic and subsurface ask how light gets through the interface, and so

@@ -92,7 +92,9 @@ def _lead(points: Array, chances: Chances, root: Array, channels: Channels, scal
         new, turned = leapfrog(log_density, root, z, chance.momenta, chance.leaps, chance.lengths)
         found = log_density(new)
         kinetic = jnp.sum(chance.momenta**2 - turned**2, -1) / 2
-        accepted = found - held + kinetic > chance.thresholds  # not where a walker was led astray and all is nan
+        accepted = (
+            found - held + kinetic > chance.thresholds
+        )  # not where a walker left the model's domain and all is nan
         return (jnp.where(accepted[:, None], new, z), jnp.where(accepted, found, held)), jnp.mean(accepted)
 
     start = log_density(points)

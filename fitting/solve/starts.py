@@ -1,4 +1,4 @@
-"""Starting points: one read off the data, and others scattered over all that matter may be, the best of each kind.
+"""Starting points: one read off the data, and others spread over the whole prior, the best of each kind.
 
 What matters is where basins of attraction differ: how wide the lobe of microfacets is, how much light is diffracted,
 and whether that is the highlight, by a long correlation length, or a haze around it. Costs of starting points of
