@@ -3,8 +3,9 @@
 HP17 Eq. 25 dims the specular term by A_spec(theta_d), but A depends on the direction of the viewer: towards grazing
 incidence the diffraction lobe takes more light than the specular term gives up. Three remedies, all reciprocal:
 
-1. **On the facet.** A facet meets the light at theta_d, so the specular term is dimmed by A'(theta_d) = 1 - E(theta_d), E
-   being the directional albedo at |F| = 1 of the facet's own diffraction lobe (`lobe_albedo`), a table over theta_d.
+1. **On the facet.** A facet meets the light at theta_d, so the specular term is dimmed by A'(theta_d) = 1 -
+   E(theta_d), E being the directional albedo at |F| = 1 of the facet's own diffraction lobe (`lobe_albedo`), a table
+   over theta_d.
 2. **On the surface.** Eq. 33 drops the facets' foreshortening, Q/2 of a metal is not bounded at grazing angles, and
    masking may be switched off. Let E(theta) be the surface's directional albedo (`two_scale.surface_albedo`): the
    lobes are divided by max(1, E(theta_i)) max(1, E(theta_o)), which is 1 where nothing is in excess.
