@@ -23,7 +23,7 @@ from .output.report import print_result
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of, fit_file
 from .results.export import ResultError, read_result, write_result
-from .results.schema import ParameterResult, Result
+from .results.schema import Model, ParameterResult, Result
 from .settings.config import Replaced
 from .settings.config import load as settings_of
 from .support.clock import Report, silent
@@ -187,7 +187,7 @@ class Fit:
         self.path = target
         return target
 
-    def _model(self) -> Any:  # noqa: ANN401 - schema.Model
+    def _model(self) -> Model:
         if self.result.model is None:
             raise ResultError(f"{self.path}: the fit failed ({self.result.fit.status}), it has no material")
         return self.result.model

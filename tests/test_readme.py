@@ -44,7 +44,9 @@ def test_the_settings_that_shorten_a_fit_are_no_reason_to_refuse_it(command):
     _, _, *words = shlex.split(readme_commands.shortened(command))
     given = known.make_context("fit", words).params
     settings = tomllib.loads(readme_commands.SHORT) if given["config"] else None
-    load(settings, **{name: given[name] for name in Replaced.__annotations__})
+    found = load(settings, **{name: given[name] for name in Replaced.__annotations__})  # which refuses idle keys
+    assert len(found.candidates) == 1, "one model is quick to fit"
+    assert found.model.names == (list(given["model"]) or ["two-scale"])
 
 
 def test_the_readme_says_what_every_parameter_means():
