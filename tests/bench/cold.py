@@ -39,7 +39,7 @@ def run(folder, out, every):
         "cold", "Cold start", RECONSTRUCTIONS,
         [f"A new process each time, compiled programs in the cache (from an earlier start), median of {REPEATS}. "
          "First iteration: the first normal equations of the solver, of the first starting point on the coarse grid; "
-         "beside it the first ones of all bins. Body `auto` fits four bodies, two at a time."],
+         "beside it the first ones of all bins. Body `auto` compares five kinds of interface and body."],
         {body + material: Target(f"cold start to the first iteration, {material}, body {body}", 6, "s")
          for material, body in CASES},
         folder=out,
