@@ -30,6 +30,17 @@ app = typer.Typer(
 # typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
 Files = Annotated[list[Path], typer.Argument(help="MERL .binary files.", show_default=False, readable=False)]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
+Models = Annotated[
+    str | None,
+    typer.Option(
+        help="Models to fit, by name and with commas between: see `merlfit models` \\[default: all].",
+        show_default=False,
+    ),
+]
+Weights = Annotated[
+    str | None,
+    typer.Option(help="compressive (dark bins count, too), log, none (least RMSE) or adaptive (nearest picture)."),
+]
 Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False)]
 
 
@@ -101,10 +112,7 @@ def fit(
         str | None,
         typer.Option(help="Two-scale model: what lies under the surface, auto, none, lambert, plastic or subsurface."),
     ] = None,
-    weights: Annotated[
-        str | None,
-        typer.Option(help="compressive (dark bins count, too), log, none (least RMSE) or adaptive (nearest picture)."),
-    ] = None,
+    weights: Weights = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
     accuracy: Annotated[
@@ -124,6 +132,62 @@ def fit(
     )
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within))
     summarise(outcomes)
+
+
+@app.command(epilog="Example: merlfit compare nickel.binary red-plastic.binary --models two-scale,ggx,sgd -o compared")
+def compare(
+    files: Files,
+    models: Models = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the tables and all results.")] = Path("compared"),
+    config: Annotated[
+        Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
+    ] = None,
+    weights: Weights = None,
+    published: Annotated[
+        bool, typer.Option("--published/--no-published", help="Beside the fits, published parameters of the material.")
+    ] = True,
+) -> None:
+    """Fit several models to each file; write one table (CSV, Markdown, HTML) and a plot of all their errors.
+
+    Results are in OUT/MODEL/NAME.json; those that are there already are kept if they are of the same file and settings.
+    """
+    from .files import compare_files, settings_of
+
+    compare_files(files, models, out, settings_of(config, weights=weights, posterior=False), published)
+
+
+@app.command(epilog="Example: merlfit which nickel.binary")
+def which(
+    file: Annotated[Path, typer.Argument(help="A MERL .binary file.", show_default=False, readable=False)],
+    models: Models = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder to keep the results in \\[default: they are not kept].")
+    ] = None,
+    weights: Weights = None,
+) -> None:
+    """Say which model is the least that explains a material, and how the others compare."""
+    from tempfile import TemporaryDirectory
+
+    from .files import settings_of, which_model
+
+    settings = settings_of(None, weights=weights, posterior=False)
+    with TemporaryDirectory(prefix="merlfit-") as scratch:
+        which_model(file, models, out or Path(scratch), settings)
+
+
+@app.command(epilog="Example: merlfit metrics fits/nickel.json --against nickel.binary")
+def metrics(
+    results: Annotated[list[Path], typer.Argument(help="RESULT.json of fits.", show_default=False, readable=False)],
+    against: Annotated[Path, typer.Option(help="The MERL file to compare with.", show_default=False, readable=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Folder for metrics.csv and the RMSE by theta_i as CSV and PNG."),
+    ] = None,
+) -> None:
+    """Print all errors of fits against a file: RMSE, sMAPE, cube root, log, CIELAB of spheres, peak."""
+    from .files import metrics_of
+
+    metrics_of(results, against, out)
 
 
 @app.command(epilog="Example: merlfit sample fits/nickel.json")

@@ -8,12 +8,15 @@ import typer
 
 from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
+from ..model.registry import made, models
 from .cost.accuracy import Aim, aim
 from .cost.request import request
+from .output.comparison import by_label, judged_result, metrics_table, table_of, verdict, write_metrics, write_tables
 from .output.keeping import Complete, Place, claimed, completeness, place_of, taken
 from .output.report import Outcome, accuracy_line, summary_table
+from .pipeline.comparison import compare_file
 from .pipeline.run import fit_file
-from .results.export import read_result
+from .results.export import ResultError, read_result
 from .settings.config import Config, ConfigError, Replaced, load
 from .support.compilation import use_persistent_cache
 from .support.terminal import (
@@ -123,3 +126,84 @@ def summarise(outcomes: list[Outcome]) -> None:
         raise typer.Exit(BAD_INPUT)
     if any(o.result is None or not o.result.fit.succeeded for o in outcomes):
         raise typer.Exit(FAILED_FIT)
+
+
+def chosen_models(names: str | None) -> list[str]:
+    """Models by name, with commas between; all for none."""
+    if names is None:
+        return list(models())
+    found = [name.strip() for name in names.split(",") if name.strip()]
+    try:
+        for name in found:
+            made(name, {})
+    except ValueError as error:
+        raise fail(str(error)) from None
+    if not found or len(set(found)) < len(found):
+        raise fail(f"--models {names!r} should be different names, with commas between")
+    return found
+
+
+def compare_files(
+    files: list[Path], names: str | None, out: Path, settings: Config, with_published: bool = True
+) -> None:
+    """Fit all models to each file, print medians and write tables; whatever one file runs into, the others go on."""
+    use_persistent_cache()
+    writable_folder(out)
+    wanted, rows, bad = chosen_models(names), [], False
+    with claimed(out) as alone, progress_display() as progress:
+        if not alone:
+            note(taken(out))
+        for k, path in enumerate(files, 1):
+            task = progress.add_task(path.name, total=None)
+            label = f"[{k}/{len(files)}] {path.stem}"
+            try:
+                found, _ = compare_file(path, wanted, settings, out, reporter(progress, task, label), with_published)
+                rows += found
+                console.print(f"{label}: {verdict(found)}", soft_wrap=True)
+            except (MerlError, WriteError) as error:
+                bad = True
+                fail(str(error))
+            except Stopped as stop:
+                note(f"stopped by {stop}; the same command goes on from there")
+                raise typer.Exit(stop.code) from None
+            progress.remove_task(task)
+    if rows:
+        genuine = sum(row.genuine for row in rows) == len(rows)
+        data = (
+            "genuine MERL measurements" if genuine else "files that are not (all) genuine MERL measurements, by SHA-1"
+        )
+        console.print(table_of(rows))
+        written = write_tables(
+            rows, out, "comparison", f"{len({r.material for r in rows})} materials, {len(by_label(rows))} models", data
+        )
+        console.print(f"wrote {written[0]}, and .md, .html and .png beside it", soft_wrap=True)
+    if bad:
+        raise typer.Exit(BAD_INPUT)
+
+
+def which_model(path: Path, names: str | None, out: Path, settings: Config) -> None:
+    """Print which model is the least that explains a file."""
+    use_persistent_cache()
+    wanted = chosen_models(names)
+    try:
+        with progress_display() as progress:
+            task = progress.add_task(path.name, total=None)
+            rows, _ = compare_file(path, wanted, settings, out, reporter(progress, task, path.stem), False)
+    except (MerlError, WriteError) as error:
+        raise fail(str(error)) from None
+    console.print(table_of(rows))
+    console.print(verdict(rows), soft_wrap=True)
+
+
+def metrics_of(results: list[Path], against: Path, out: Path | None) -> None:
+    """Print the errors of results against a file; with a folder, write them and the curves over theta_i."""
+    use_persistent_cache()
+    try:
+        found = [judged_result(path, read_result(path), against) for path in results]
+    except (MerlError, ResultError, ValueError) as error:
+        raise fail(str(error)) from None
+    console.print(metrics_table(found, against))
+    if out is not None:
+        writable_folder(out)
+        for path in write_metrics(found, out):
+            console.print(f"wrote {path}", soft_wrap=True)

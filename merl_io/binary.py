@@ -17,6 +17,7 @@ from typing import IO
 import numpy as np
 
 from .atomic import WriteError, write_atomically
+from .bands import MERL, Bands
 
 DIMS = (90, 90, 180)
 CHANNELS = 3
@@ -69,6 +70,11 @@ class Measurement:
     def name(self) -> str:
         """Name of the material: that of the file without ``.binary``."""
         return self.path.stem
+
+    @property
+    def bands(self) -> Bands:
+        """Of the planes of ``values``."""
+        return MERL
 
     @cached_property
     def outliers(self) -> int:

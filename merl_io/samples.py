@@ -5,6 +5,7 @@ from functools import reduce
 
 import numpy as np
 
+from .bands import MERL, Bands
 from .grid import MerlGrid
 
 
@@ -18,6 +19,7 @@ class Samples:
         value: mean measured BRDF (1/sr), shape (C, H, D, P); 0 where no datum is valid.
         weight: sum of the weights that stand behind a value, shape (C, H, D, P); 0 where no datum is valid.
         scatter: sum of w (m - mean)^2 over all folded pairs: what no reciprocal model can explain.
+        bands: of the C planes.
     """
 
     theta_h: np.ndarray
@@ -28,6 +30,7 @@ class Samples:
     value: np.ndarray
     weight: np.ndarray
     scatter: float
+    bands: Bands = MERL
 
 
 def fold(grid: MerlGrid, value: np.ndarray, weight: np.ndarray) -> Samples:

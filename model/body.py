@@ -49,6 +49,11 @@ def lambert(albedo: Real) -> Real:
     return albedo / jnp.pi
 
 
+def lambert_under(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
+    """:func:`lambert` with the arguments that other bodies have."""
+    return lambert(albedo)
+
+
 def plastic(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
     """Diffuse base of reflectance ``albedo`` under a clear smooth layer, with all inter-reflections (HP17 Eq. 43).
 

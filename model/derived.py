@@ -1,7 +1,7 @@
 """What a set of parameters comes to: quantities that mean the same whatever the parameters behind them."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,21 +11,14 @@ from jax.typing import ArrayLike
 from . import diffraction, energy
 from .fresnel import fresnel
 from .parameters import WAVELENGTHS_UM
-from .reflectance import Reflectance
-from .two_scale import TwoScale, two_scale
+from .reflectance import Quantity, Wavelengths, evaluate
+
+if TYPE_CHECKING:  # which imports this module
+    from .two_scale import TwoScale
 
 ALBEDO_INCIDENCES_DEG = (0, 60)
 ORDER = 16  # of the convolution in the albedos
 LEAST_INCIDENCE = 1e-4  # rad: at the normal itself no viewer is where a ring begins
-
-
-class Quantity(NamedTuple):
-    """A derived quantity: its key, what it is, its unit, whether it has one value per colour channel."""
-
-    name: str
-    meaning: str
-    unit: str
-    per_channel: bool
 
 
 LOBE = Quantity("lobe_half_width", "half width at half maximum of the distribution of the facets' slopes", "deg", False)
@@ -37,14 +30,14 @@ ALBEDOS = tuple(
 )
 
 
-def quantities(material: Reflectance) -> tuple[Quantity, ...]:
-    """Those that a material has; so far only two-scale ones have any."""
-    if not isinstance(material, TwoScale):
-        return ()
+def quantities(material: "TwoScale") -> tuple[Quantity, ...]:
+    """Those that a material has."""
     return (LOBE, *((DIFFRACTED,) if material.diffraction != "off" else ()), F0, *ALBEDOS)
 
 
-def derived(values: Mapping[str, ArrayLike], material: Reflectance) -> dict[str, Array]:
+def derived(
+    values: Mapping[str, ArrayLike], material: "TwoScale", wavelengths_um: Wavelengths = WAVELENGTHS_UM
+) -> dict[str, Array]:
     """Derived quantities by name, scalars and (C,) for those per channel; of the material, without the apparatus.
 
     - lobe_half_width (degrees): arctan(beta (ln 2)^(1 / 2p)), where exp(-(tan/beta)^(2p)) of HP17 Eq. 35 is a half.
@@ -55,8 +48,6 @@ def derived(values: Mapping[str, ArrayLike], material: Reflectance) -> dict[str,
     Args:
         values: by name, as for :func:`merlfit.model.two_scale.two_scale`.
     """
-    if not isinstance(material, TwoScale):
-        return {}
     v = {name: jnp.asarray(x) for name, x in values.items()}
     n, k = (v["n"], v["k"]) if "n" in v else (v["eta"], jnp.zeros_like(v["eta"]))
     found = {
@@ -64,23 +55,26 @@ def derived(values: Mapping[str, ArrayLike], material: Reflectance) -> dict[str,
         F0.name: fresnel(jnp.ones(()), n, k),
     }
     if material.diffraction != "off":
-        wavelength = jnp.asarray(WAVELENGTHS_UM)
+        wavelength = jnp.asarray(wavelengths_um)
         share = jnp.ones(())
         if material.renormalised:
             share = diffraction.renormalisation(jnp.zeros(()), v["b"] / wavelength, v["c"])
         phase = diffraction.phase_variance(share * v["sigma_s"] ** 2, jnp.ones(()), wavelength)
         found[DIFFRACTED.name] = -jnp.expm1(-phase)
     incidences = jnp.radians(jnp.asarray(ALBEDO_INCIDENCES_DEG, float))
-    return found | dict(zip((q.name for q in ALBEDOS), directional_albedo(v, material, incidences).T, strict=True))
+    albedos = directional_albedo(v, material, incidences, wavelengths_um)
+    return found | dict(zip((q.name for q in ALBEDOS), albedos.T, strict=True))
 
 
-def directional_albedo(values: Mapping[str, Array], material: TwoScale, theta_i: Array) -> Array:
+def directional_albedo(
+    values: Mapping[str, Array], material: "TwoScale", theta_i: Array, wavelengths_um: Wavelengths = WAVELENGTHS_UM
+) -> Array:
     """Int of the BRDF times cos_o over all viewers for light at ``theta_i`` (rad), (A,): shape (C, A).
 
     Accuracy: 5e-3, relative, for incidences up to 60 degrees (``tests/model/test_derived.py``).
     """
-    largest_B = 2 * values["b"] / min(WAVELENGTHS_UM) if "b" in values else jnp.ones(())
+    largest_B = 2 * values["b"] / jnp.min(jnp.asarray(wavelengths_um)) if "b" in values else jnp.ones(())
     degree = material.zonal_order if material.diffraction == "zonal" else 0
     incidences = jnp.maximum(theta_i, LEAST_INCIDENCE)
     geometry, measure = energy.half_vectors(incidences, values["beta"], values["p"], largest_B, degree)
-    return jnp.sum(two_scale(values, geometry, material.coarse(ORDER)) * measure, (-2, -1))
+    return jnp.sum(evaluate(material.coarse(ORDER), values, geometry, wavelengths_um) * measure, (-2, -1))

@@ -71,8 +71,12 @@ def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
 
 def schlick(cos_theta: Real, n: Real, k: Real) -> Real:
     """Schlick's approximation F0 + (1 - F0)(1 - cos)^5, F0 that of the index ``n + i k``; arguments as `fresnel`."""
-    f0 = ((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2)
-    return f0 + (1 - f0) * (1 - cos_theta) ** 5
+    return schlick_of_F0(cos_theta, ((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2))
+
+
+def schlick_of_F0(cos_theta: Real, F0: Real) -> Real:
+    """The same from the reflectance at normal incidence."""
+    return F0 + (1 - F0) * (1 - cos_theta) ** 5
 
 
 def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k: Real) -> Real:

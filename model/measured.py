@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 from . import acquisition
 from .acquisition import APPARATUS, Apparatus
 from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
-from .reflectance import Factor, Lobes, Reflectance, Setting, Values, Wavelengths
+from .reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values, Wavelengths
 
 GrazingLoss = Literal["off", "free", "derived"]
 
@@ -126,8 +126,24 @@ class Measured(Reflectance):
     def stand_in(self, order: int) -> "Measured":  # noqa: D102
         return replace(self, material=self.material.stand_in(order))
 
-    def shifts(self) -> Mapping[str, Callable[[Values], Array]]:  # noqa: D102
-        return self.material.shifts()
+    def shifts(self, middle_um: float) -> Mapping[str, Callable[[Values], Array]]:  # noqa: D102
+        return self.material.shifts(middle_um)
+
+    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:  # noqa: D102
+        return self.material.starts(clues, middle_um)
+
+    @property
+    def basins(self) -> Mapping[str, int]:  # noqa: D102
+        return self.material.basins
+
+    @property
+    def separated(self) -> Separated | None:  # noqa: D102
+        found = self.material.separated
+        return found and found._replace(lobes=replace(self, material=found.lobes))
+
+    @property
+    def sought(self) -> "Measured":  # noqa: D102
+        return replace(self, material=self.material.sought)
 
     @property
     def chart(self) -> Reflectance:  # noqa: D102

@@ -13,7 +13,6 @@ from jax.typing import ArrayLike
 
 from .numerics import Real
 
-CHANNELS = ("R", "G", "B")
 WAVELENGTHS_UM = (0.645, 0.526, 0.444)  # HP17 Section 5: one wavelength stands for each MERL channel
 
 
@@ -39,8 +38,8 @@ class Priors:
             wavelength (HP17 Eq. 17): that is seen, and not sigma_s.
         n, k: of metals in visible light (silver's n is 0.05, rhodium's k 7).
         eta: eta - 1, of a coat or a plastic, in the middle channel.
-        dispersion: ratio of eta - 1 in another channel to that. Transparent matter disperses by a few per cent; the
-            rest is for what white balance may be off.
+        dispersion: ratio of what is alike in all channels, eta - 1, in another channel to that. Transparent matter
+            disperses by a few per cent; the rest is for what white balance may be off.
         odds: of an albedo, albedo / (1 - albedo): from the floor under a metal, a few thousandths, to snow.
     """
 
@@ -72,6 +71,8 @@ class Parameter:
         quantity: field of :class:`Priors` with its prior, if that is not of its own name.
         source: where the parameter is defined.
         prior: log-normal one of the parameter itself, if it has none in :class:`Priors`.
+        alike: whether it is nearly the same in all channels: then the prior in the middle one is its own, that in the
+            others of the ratio to the middle one (``Priors.dispersion``).
     """
 
     name: str
@@ -87,6 +88,7 @@ class Parameter:
     source: str = "HP17"
     quantity: str | None = None
     prior: LogNormal | None = None
+    alike: bool = False
 
     def between(self, u: Real) -> Real:
         """Value at the position u in [0, 1] between the bounds, in the parameter's own scale."""
@@ -129,13 +131,13 @@ CONDUCTOR = (
 )  # fmt: skip
 INTERFACE = (
     Parameter("eta", r"\eta", "index of refraction of the interface", "1", 1.5, 1.001, 2.6, offset=1.0,
-              per_channel=True, source="HP17 Eq. 3"),
+              per_channel=True, source="HP17 Eq. 3", alike=True),
 )  # fmt: skip
 ALBEDO = Parameter("albedo", r"\rho_d", "albedo of the body", "1", 0.3, 0.0, 1.0, "linear", per_channel=True,
                    source="HP17 Eq. 43, 44", quantity="odds")  # fmt: skip
 GRAZING = Parameter("grazing_exponent", "k_g", "exponent of the acquisition's loss of specular light at grazing angles",
                     "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
-GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "k_d", "the same of diffracted light", "1", 0.2, 0.0, 1.0,
+GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "k_d", "the same of diffracted light", "1", 0.3, 0.0, 1.0,
                                "linear", source="HP17 Eq. 60")  # fmt: skip
 LOSSES = {"specular": GRAZING, "diffracted": GRAZING_DIFFRACTED}
 """The apparatus's exponent of each sharp lobe that a model may have."""

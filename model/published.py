@@ -2,30 +2,28 @@
 
 import difflib
 import json
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Mapping
+from functools import cache, partial
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from . import reflectance
 from .geometry import Geometry
-from .parameters import Parameter
-from .rivals import abc_microfacet, cook_torrance, he, sgd, smooth
+from .reflectance import Reflectance
+from .rivals.abc_microfacet import ABCMicrofacet
+from .rivals.common import LOEW_PAPER
+from .rivals.cook_torrance import CookTorrance
+from .rivals.he import He
+from .rivals.sgd import ShiftedGamma
+from .rivals.smooth import Smooth
 
-LOEW = (
-    "Loew, Kronander, Ynnerman & Unger 2012, BRDF models for accurate and efficient rendering of glossy surfaces, "
-    "doi:10.1145/2077341.2077350 (parameters of the E2 metric)"
-)
+LOEW = f"{LOEW_PAPER} (parameters of the E2 metric)"
 NGAN = "Ngan, Durand & Matusik 2005, Experimental analysis of BRDF models, doi:10.5555/2383654.2383671"
-BAGHER = (
-    "Bagher, Soler & Holzschuch 2012, Accurate fitting of measured reflectances using a Shifted Gamma micro-facet "
-    "distribution, doi:10.1111/j.1467-8659.2012.03147.x"
-)
+BAGHER = ShiftedGamma.citation
 # Ngan's tables hold the numbers of MERL's files before the files' own factors 1, 1.15 and 1.66 for R, G and B are
 # applied: the median ratio of their diffuse albedos to Loew's is 0.98, 0.85, 0.58.
 MERL_SCALE = (1.0, 1.15, 1.66)
@@ -36,36 +34,25 @@ class Source(NamedTuple):
 
     Attributes:
         citation: where the numbers were printed.
-        model: the class of its parameters.
-        evaluate: the model's BRDF (1/sr) from parameters and geometry, shape ``(..., 3)``.
-        parameters: their declarations: meaning, unit, bounds.
+        model: that they are parameters of.
         table: name of the file.
         channel_scale: what ``rescaled`` multiplies the albedos by.
     """
 
     citation: str
-    model: type[eqx.Module]
-    evaluate: Callable[[Any, Geometry], Array]
-    parameters: tuple[Parameter, ...]
+    model: Reflectance
     table: str
     channel_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 SOURCES: dict[str, Source] = {
-    "sgd": Source(BAGHER, sgd.ShiftedGamma, sgd.evaluate, sgd.PARAMETERS, "bagher_sgd"),
-    "smooth": Source(LOEW, smooth.Smooth, smooth.evaluate, smooth.PARAMETERS, "low_lowsmooth_E2"),
-    "abc_microfacet": Source(
-        LOEW, abc_microfacet.ABCMicrofacet, abc_microfacet.evaluate, abc_microfacet.PARAMETERS, "low_lowmicrofacet_E2"
-    ),
-    "cook_torrance": Source(
-        LOEW, cook_torrance.CookTorrance, cook_torrance.evaluate, cook_torrance.PARAMETERS, "low_cooktorrance_E2"
-    ),
-    "cook_torrance_ngan": Source(
-        NGAN, cook_torrance.CookTorranceNgan, cook_torrance.evaluate_ngan, cook_torrance.PARAMETERS_NGAN,
-        "ngan_cooktorrance", MERL_SCALE,
-    ),
-    "he": Source(NGAN, he.He, he.evaluate, he.PARAMETERS, "ngan_he", MERL_SCALE),
-}  # fmt: skip
+    "sgd": Source(BAGHER, ShiftedGamma(), "bagher_sgd"),
+    "smooth": Source(LOEW, Smooth(), "low_lowsmooth_E2"),
+    "abc_microfacet": Source(LOEW, ABCMicrofacet(), "low_lowmicrofacet_E2"),
+    "cook_torrance": Source(LOEW, CookTorrance("loew"), "low_cooktorrance_E2"),
+    "cook_torrance_ngan": Source(NGAN, CookTorrance("ngan"), "ngan_cooktorrance", MERL_SCALE),
+    "he": Source(NGAN, He(), "ngan_he", MERL_SCALE),
+}
 
 
 @cache
@@ -98,16 +85,17 @@ def without_surface(source: str = "he") -> tuple[str, ...]:
         KeyError: unknown source.
     """
     _known("source of published parameters", source, tuple(SOURCES))
-    if "eta" not in {q.name for q in SOURCES[source].parameters}:
+    if "eta" not in {q.name for q in SOURCES[source].model.parameters}:
         return ()
     return tuple(name for name in materials(source) if _table(source)[name]["eta"] == 1)
 
 
-def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> Any:  # noqa: ANN401 - one class a source
-    """Published parameters of a material of MERL, as the class ``SOURCES[source].model``, in float64.
+def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> dict[str, np.ndarray]:
+    """Published parameters of a material of MERL by name, for the model ``SOURCES[source].model``.
 
     The numbers are those printed, even where they leave a model no specular light (:func:`without_surface`). Names
-    follow the models: SGD's ``eta`` is ``F0`` and ``F1``, Ngan's Cook-Torrance ``eta`` is ``F0``.
+    follow the models: SGD's ``eta`` is ``F0`` and ``F1``, Ngan's Cook-Torrance ``eta`` is ``F0``; SGD's ``K`` is no
+    parameter, because it is what normalises the distribution, to the 4e-6 of its rounding.
 
     Args:
         material: MERL's name, such as ``blue-metallic-paint``.
@@ -122,21 +110,23 @@ def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> 
     entry = {name: np.asarray(value, dtype=float) for name, value in _table(source)[material].items()}
     if source == "sgd":
         entry["F0"], entry["F1"] = entry.pop("eta")
+        del entry["K"]
     if source == "cook_torrance_ngan":
         entry["F0"] = entry.pop("eta")
     if rescaled and "albedo" in entry:
         scale = np.asarray(SOURCES[source].channel_scale)
         entry |= {name: entry[name] * scale for name in ("diffuse_albedo", "albedo")}
-    return SOURCES[source].model(**{name: jnp.asarray(value) for name, value in entry.items()})
+    return entry
 
 
-_compiled = {name: jax.jit(source.evaluate) for name, source in SOURCES.items()}
+@partial(jax.jit, static_argnums=0)
+def _compiled(model: Reflectance, values: Mapping[str, Array], geometry: Geometry) -> Array:
+    return reflectance.evaluate(model, values, geometry)
 
 
 def evaluate(material: str, source: str, geometry: Geometry, *, rescaled: bool = False) -> Array:
-    """BRDF (1/sr) of a material with its published parameters, shape ``(*broadcast shape of geometry, 3)``.
+    """BRDF (1/sr) of a material with its published parameters, shape ``(3, *broadcast shape of geometry)``.
 
     Arguments and errors are those of :func:`published`; compiled once for each source and shape.
     """
-    parameters = published(material, source, rescaled=rescaled)
-    return _compiled[source](parameters, geometry)
+    return _compiled(SOURCES[source].model, published(material, source, rescaled=rescaled), geometry)

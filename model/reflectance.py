@@ -65,6 +65,48 @@ class Lobes(NamedTuple):
 Factor = Callable[[Values, Setting], Array]
 
 
+class Quantity(NamedTuple):
+    """A derived quantity: its key, what it is, its unit, whether it has one value per channel."""
+
+    name: str
+    meaning: str
+    unit: str
+    per_channel: bool
+
+
+class Clues(NamedTuple):
+    """What data say of where to start.
+
+    Attributes:
+        half_width: tan(theta_h) where the highlight has fallen to half.
+    """
+
+    half_width: float
+
+
+class Separated(NamedTuple):
+    """What parameters per channel do to a BRDF, exactly or nearly, once the shared ones are given.
+
+        brdf = reflectance(cos_d; constants) lobes + body(cos_i, cos_o, constants, albedo)
+
+    Attributes:
+        lobes: the sharp lobes of facets that reflect everything. fixed: values per channel that make them so, by name.
+        constants: values of the interface that are worth a try, (K,) each, by name.
+        reflectance: of a facet, from cos_d (D,) and the constants (K, 1): (K, D).
+        alike: whether all channels take the same ones.
+        body: from the cosines, a constant and an albedo that broadcast against them; or None.
+        under: name of the constant that the body depends on, if it depends on one.
+    """
+
+    lobes: "Reflectance"
+    fixed: tuple[tuple[str, float], ...]
+    constants: Mapping[str, np.ndarray]
+    reflectance: Callable[..., Array]
+    alike: bool
+    body: Callable[[Array, Array, Array, Array], Array] | None = None
+    under: str | None = None
+
+
 class Reflectance(ABC):
     """A reflectance model. Subclasses are frozen dataclasses, static under jit; their fields are their settings.
 
@@ -101,6 +143,41 @@ class Reflectance(ABC):
         """Short words for tables, by which those variants of a model that a fit compares are told apart."""
         return self.name
 
+    @classmethod
+    def variants(cls) -> "tuple[Reflectance, ...]":
+        """Those that a fit may compare, the simplest first."""
+        return (cls(),)
+
+    @property
+    def words(self) -> str:
+        """What it is, for people."""
+        return str(self)
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """Those of its settings that matter, in words."""
+        return ()
+
+    @property
+    def objection(self) -> str | None:
+        """Why no fit can be of this model with these settings, in words; None of all others."""
+        return None
+
+    def cautions(
+        self, v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]
+    ) -> list[str]:
+        """What a user of fitted values should know, in sentences; ``v``: arrays (1,), or (C,) for those per channel."""
+        return []
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Those that :meth:`derived` gives."""
+        return ()
+
+    def derived(self, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> dict[str, Array]:
+        """Quantities that mean the same whatever the parameters behind them, scalars and (C,) for those per channel."""
+        return {}
+
     def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:
         """A sharp lobe over theta_h at ``acquisition.RINGS_RAD``, at theta_d = 0 and of any unit: its width matters.
 
@@ -132,12 +209,34 @@ class Reflectance(ABC):
         """A variant nearly equal to this one and quick at few scattered directions, for the posterior's chain."""
         return self.coarse(order)
 
-    def shifts(self) -> Mapping[str, Callable[[Values], Array]]:
+    def shifts(self, middle_um: float) -> Mapping[str, Callable[[Values], Array]]:
         """Of parameters whose priors move with others: by how much the logarithm of the median moves, given the others.
 
-        The others are none of these parameters.
+        The others are none of these parameters. ``middle_um``: wavelength of the middle channel.
         """
         return {}
+
+    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
+        """Shared parameters from which a fit may start, by name; what is left out has its default.
+
+        The first is a guess of everything; what others have differently is another reading of the same clues.
+        """
+        return []
+
+    @property
+    def basins(self) -> Mapping[str, int]:
+        """Shared parameters by which minima differ, and into how many classes, equally likely, they are divided."""
+        return {q.name: 3 for q in self.parameters if q.scale == "log" and not q.per_channel}
+
+    @property
+    def separated(self) -> Separated | None:
+        """How constants and albedos of the channels are found without a search; None if they cannot."""
+        return None
+
+    @property
+    def sought(self) -> "Reflectance":
+        """A variant with the same parameters, in which the lowest minimum is looked for."""
+        return self
 
     @property
     def chart(self) -> "Reflectance":

@@ -18,7 +18,6 @@ from .geometry import Geometry
 from .masking.smith import height_correlated, masking
 from .ndf.epd import epd
 from .numerics import safe_divide
-from .parameters import WAVELENGTHS_UM
 from .reflectance import Setting, Values, setting
 
 if TYPE_CHECKING:  # which imports this module
@@ -176,13 +175,12 @@ def conservation(v: Values, s: Setting) -> Array:
     return jnp.stack([kept, safe_divide(through, mean)])
 
 
-def blurred_over_rings(v: Values, model: "TwoScale") -> Array:
-    """(S * D) over the rings that a footprint sees, at normal incidence and the middle wavelength."""
+def blurred_over_rings(v: Values, model: "TwoScale", wavelength_um: Array) -> Array:
+    """(S * D) over the rings that a footprint sees, at normal incidence and one wavelength."""
     rings = jnp.asarray(RINGS_RAD)[:, None]
     ones = jnp.ones((1, 1))
     inner = replace(model, diffraction="quadrature", order=RING_ORDER)
-    middle = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
-    s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), inner, (middle,))
+    s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), inner, wavelength_um)
     return blurred_lobe(v, s)[0, :, 0]
 
 

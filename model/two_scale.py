@@ -24,15 +24,31 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from . import body as bodies
+from . import derived as derivation
 from . import parameters as declared
-from . import terms
+from . import plausible, terms
 from .acquisition import epd_of_rings
 from .diffraction import renormalisation
+from .fresnel import fresnel, schlick
 from .geometry import Geometry
+from .interfaces import DIELECTRICS, METALS, fresnel_of_dielectric, schlick_of_dielectric
 from .masking.smith import masking_table
 from .measured import Measured
 from .parameters import WAVELENGTHS_UM, Parameter
-from .reflectance import LEAST_ORDER, Factor, Lobes, Reflectance, Setting, Values, Wavelengths, evaluate
+from .reflectance import (
+    LEAST_ORDER,
+    Clues,
+    Factor,
+    Lobes,
+    Quantity,
+    Reflectance,
+    Separated,
+    Setting,
+    Values,
+    Wavelengths,
+    evaluate,
+)
 from .terms import ANY, BODIES, WHICH
 
 HALF = float(np.log(np.log(2.0))) / 2  # tan(theta_h) is beta exp(HALF / p) where D has fallen to half
@@ -48,6 +64,11 @@ KINDS: tuple[Kind, ...] = (
     ("complex", "none"), ("real", "lambert"), ("real", "plastic"), ("real", "subsurface"), ("complex", "lambert"),
 )  # fmt: skip
 """Interfaces and bodies that a fit compares, the simplest first: by the number of parameters, then of effects."""
+TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # where fits start
+UNDER = {
+    "none": None, "lambert": bodies.lambert_under, "plastic": bodies.plastic, "subsurface": bodies.subsurface,
+}  # fmt: skip
+MIRROR = (("n", 0.0), ("k", 1.0))  # reflects everything
 
 
 @dataclass(frozen=True)
@@ -133,6 +154,39 @@ class TwoScale(Reflectance):
     def variant(self) -> str:  # noqa: D102
         return " ".join(self.kind)
 
+    @classmethod
+    def variants(cls) -> "tuple[TwoScale, ...]":  # noqa: D102
+        return tuple(cls(body, index=index) for index, body in KINDS)
+
+    @property
+    def words(self) -> str:  # noqa: D102
+        interface = "conductor" if self.index == "complex" else "dielectric"
+        return f"{self.name}, {interface}" + ("" if self.body == "none" else f" over {self.body}")
+
+    @property
+    def details(self) -> tuple[str, ...]:  # noqa: D102
+        return f"diffraction by {self.diffraction}", f"energy split {self.split}"
+
+    @property
+    def objection(self) -> str | None:  # noqa: D102
+        if self.body == ANY:
+            return f"body should be {', '.join(BODIES)}, not {ANY!r}"
+        if self.diffraction == "exact":
+            return "diffraction 'exact' is a reference that takes hours; no fit uses it"
+        return None
+
+    def cautions(  # noqa: D102
+        self, v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]
+    ) -> list[str]:
+        return plausible.cautions(v, channels, wavelengths_um)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
+        return derivation.quantities(self)
+
+    def derived(self, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> dict[str, Array]:  # noqa: D102
+        return derivation.derived(v, self, wavelengths_um)
+
     def factors(self) -> dict[str, Factor]:  # noqa: D102
         diffracts = self.diffraction != "off"
         table: dict[str, Factor] = {} if self.masking == "none" else {"masking": terms.masking_G}
@@ -170,7 +224,9 @@ class TwoScale(Reflectance):
         return Lobes(sharp, common, body)
 
     def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:  # noqa: D102
-        return epd_of_rings(v["beta"], v["p"]) if lobe == "specular" else terms.blurred_over_rings(v, self)
+        if lobe == "specular":
+            return epd_of_rings(v["beta"], v["p"])
+        return terms.blurred_over_rings(v, self, jnp.asarray(wavelengths_um)[np.size(wavelengths_um) // 2])
 
     @property
     def _renormalises(self) -> bool:
@@ -191,13 +247,43 @@ class TwoScale(Reflectance):
         """Interface and body."""
         return self.index, self.body
 
-    def shifts(self) -> dict[str, Callable[[Values], Array]]:
+    def shifts(self, middle_um: float) -> dict[str, Callable[[Values], Array]]:
         """Of beta, whose prior is that of the half width, and of sigma_s, whose prior is that of sigma_rel."""
         found: dict[str, Callable[[Values], Array]] = {"beta": lambda v: -HALF / v["p"]}
         if self.diffraction != "off" and self.renormalised:
-            middle, normal = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2], jnp.zeros(())
-            found["sigma_s"] = lambda v: -jnp.log(renormalisation(normal, v["b"] / middle, v["c"])) / 2
+            normal = jnp.zeros(())
+            found["sigma_s"] = lambda v: -jnp.log(renormalisation(normal, v["b"] / middle_um, v["c"])) / 2
         return found
+
+    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
+        """The measured highlight may be the facets' lobe, or diffracted light.
+
+        A diffraction lobe's half width is where 2 tan(theta_h) / lambda = 1 / b.
+        """
+        first = {**TYPICAL, "beta": clues.half_width / float(np.exp(HALF / TYPICAL["p"]))}
+        if self.diffraction == "off":
+            return [{name: first[name] for name in ("beta", "p")}]
+        return [first, {**first, "b": middle_um / (2 * clues.half_width)}]
+
+    @property
+    def basins(self) -> dict[str, int]:  # noqa: D102
+        return {"beta": 3, "p": 2, **({} if self.diffraction == "off" else {"sigma_s": 2})}
+
+    @property
+    def separated(self) -> Separated | None:
+        """Nearly: with F instead of Q for the colour of diffracted light."""
+        exact, real = self.fresnel == "exact", self.index == "real"
+        of_metal, of_dielectric = (fresnel, fresnel_of_dielectric) if exact else (schlick, schlick_of_dielectric)
+        lobes = replace(self, body="none", index="complex", colour="fresnel", split="printed")
+        return Separated(
+            lobes, MIRROR, DIELECTRICS if real else METALS, of_dielectric if real else of_metal,
+            real, UNDER[self.body], "eta" if self.body in ("plastic", "subsurface") else None,
+        )  # fmt: skip
+
+    @property
+    def sought(self) -> "TwoScale":
+        """With the printed split of energy: the conserving one costs a hundred times as much."""
+        return replace(self, split="printed")
 
     @property
     def chart(self) -> "TwoScale":  # noqa: D102

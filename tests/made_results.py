@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.settings.config import Config
+from merlfit.merl_io.bands import MERL
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
@@ -35,6 +36,7 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
         model=schema.Model.of(
             model if isinstance(model, Measured) else Measured(model, "off"),
             DEFAULTS,
+            MERL,
         ),
         parameters=parameters,
         fit=schema.Fit(

@@ -10,7 +10,6 @@ import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 from merlfit.fitting.assess.metrics import SIN_FLOOR
@@ -82,7 +81,7 @@ def judged(row, path, pixels):
     for name in SETS:
         if row["material"] in published.materials(name):
             brdf = published.evaluate(row["material"], name, geometry, rescaled=True)
-            found[name] = errors(measured, np.asarray(jnp.moveaxis(brdf, -1, 0)), used)
+            found[name] = errors(measured, np.asarray(brdf), used)
     return found, spheres
 
 

@@ -1,6 +1,7 @@
 """Fits that go on from another fit's optimum with other effects: what is compared is optima, not two searches."""
 
 from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline import run
@@ -45,8 +46,8 @@ class Material:
         layout = fitted.layout.with_material(model)
         if isinstance(model, Measured):
             layout = layout_of(model, fitted.layout.priors)
-        near = solve(layout, layout.free(fitted.layout.values(fitted.solution.z)), self.coarse, coarse_steps)
-        solution = solve(layout, near.z, self.whole, max_steps)
+        near = solve(Objective(layout, self.coarse), layout.free(fitted.layout.values(fitted.solution.z)), coarse_steps)
+        solution = solve(Objective(layout, self.whole), near.z, max_steps)
         return run.assess(layout, solution, self.measurement, self.samples)
 
 

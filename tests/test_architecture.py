@@ -79,7 +79,7 @@ def test_the_line_of_work_test_sees_an_arrow_back(tmp_path):
     wrong = tmp_path / "objective" / "wrong.py"
     wrong.parent.mkdir()
     for line, seen in (
-        ("from ..solve.starts import read_off", {"solve"}), ("from .. import files", {"files"}),
+        ("from ..solve.starts import clues_of", {"solve"}), ("from .. import files", {"files"}),
         ("from .weights import within", {"objective"}), ("from ...model import body", set()),
     ):  # fmt: skip
         wrong.write_text(line)

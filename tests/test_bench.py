@@ -10,7 +10,7 @@ from bench import plain_numpy, processes, record
 from bench.against_scipy import Whole
 from lobes import ANGLES, draw
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import normal_equations
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.solve.levenberg_marquardt import compress
@@ -70,7 +70,7 @@ def test_scipy_is_given_the_same_problem():
     z = np.random.default_rng(1).normal(size=layout.size) / 2
     whole = Whole(layout, samples)
     residuals, slope = whole.residuals(z), whole.slope(z)
-    ours = compress(jnp.asarray(z), normal_equations(layout, jnp.asarray(z), make_problem(samples)))
+    ours = compress(jnp.asarray(z), Objective(layout, make_problem(samples)).normal_equations(jnp.asarray(z)))
     np.testing.assert_allclose(slope.T @ slope, ours.slope.T @ ours.slope, rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(slope.T @ residuals, ours.slope.T @ ours.value, rtol=1e-8, atol=1e-12)
     assert whole.objective(z) == pytest.approx(float(ours.value @ ours.value), rel=1e-9)

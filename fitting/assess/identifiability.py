@@ -45,14 +45,15 @@ def identifiability(layout: Layout, normal: np.ndarray, count: float, covariance
 
 def priors(layout: Layout) -> list[schema.Prior]:
     """The prior of every coordinate, as `transforms` has it."""
-    found, middle = [], layout.channels[len(layout.channels) // 2]
+    found, middle = [], layout.channels[layout.bands.middle]
+    shifts = layout.model.shifts(layout.bands.middle_um)
     for name, q in zip(layout.names, layout.entries, strict=True):
         quantity, offset = q.quantity or q.name, q.offset
-        if q.name == "eta" and not name.endswith(f"_{middle}"):
+        if q.alike and not name.endswith(f"_{middle}"):
             quantity, offset = "dispersion", 0.0
         uniform = q.scale == "linear" and q.quantity is None
         given = None if uniform else layout.priors.dispersion if quantity == "dispersion" else layout.log_normal(q)
-        if q.quantity == "sigma_rel" and q.name not in layout.model.shifts():
+        if q.quantity == "sigma_rel" and q.name not in shifts:
             quantity = q.name
         found.append(schema.Prior(
             parameter=name, quantity=quantity, distribution="log-normal" if given else "uniform", offset=offset,

@@ -11,6 +11,7 @@ from ..support.threads import side_by_side
 from . import picture
 
 LEAST_PAIRS = 10  # of bins, to speak of a correlation between them
+INCIDENCE = 0.1  # rad: interval of theta_i of `by_incidence`
 SIN_FLOOR = 0.02  # of theta_i in the RMSE weight, as the reference evaluation of the published parameters has it
 
 
@@ -74,6 +75,25 @@ def errors(
         float(np.sqrt(rmse)), float(smape), float(np.sqrt(cube_root)), float(np.sqrt(log)),
         highlight(measured, predicted, inside, grid), picture.difference(*_folded(measured, predicted, inside)),
     )  # fmt: skip
+
+
+def by_incidence(
+    measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, grid: MerlGrid, theta_max: float = THETA_MAX
+) -> tuple[np.ndarray, np.ndarray]:
+    """RMSE (1/sr) by the light's angle: middles of intervals of theta_i (rad) and the root mean squares over them.
+
+    The weights are those of :attr:`Errors.rmse`, whose square is their mean over theta_i. NaN where no bin is.
+    """
+    inside = valid & within(grid, theta_max)
+    measure = (np.sin(grid.theta_h) * np.gradient(grid.theta_h))[:, None, None] * np.sin(2 * grid.theta_d)[:, None]
+    cos_i = np.clip(grid.cos_i[inside], 0, 1)
+    weight = np.broadcast_to(measure, inside.shape)[inside] * cos_i**2 / np.maximum(np.sqrt(1 - cos_i**2), SIN_FLOOR)
+    edges = np.arange(0.0, theta_max + INCIDENCE / 2, INCIDENCE)
+    place = np.clip(np.digitize(np.arccos(cos_i), edges) - 1, 0, len(edges) - 2)
+    squares = np.mean((measured[:, inside] - predicted[:, inside]) ** 2, 0)
+    sums = [np.bincount(place, x, len(edges) - 1) for x in (weight * squares, weight)]
+    with np.errstate(invalid="ignore"):
+        return (edges[1:] + edges[:-1]) / 2, np.sqrt(sums[0] / sums[1])
 
 
 def cube_root_error(samples: Samples, predicted: np.ndarray) -> float:

@@ -1,6 +1,5 @@
 """What a fit found, and what a user of it should know."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -9,9 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.binary import OUTLIER, Measurement
-from ...model.parameters import WAVELENGTHS_UM
 from ...model.reflectance import Reflectance
-from ...model.two_scale import TwoScale
 from ..objective.transforms import ODDS, Layout
 from ..objective.weights import BEND, Bend
 from ..results import schema
@@ -23,8 +20,6 @@ from .selection import alike, lost
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
-METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
-METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
 OUTLIERS = (
     "{count} bins of the file are outliers, over {times:g} times brighter than what is beside them: they dominate the "
@@ -123,26 +118,9 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
     names = fitted.layout.names
     if bound := [f"{n} ({at})" for n, at in zip(names, fitted.at_bound, strict=True) if at != "no"]:
         found.append(f"at a bound, so that a value beyond it may fit better: {', '.join(bound)}")
-    values = dict(zip(names, fitted.values.tolist(), strict=True))
-    if values.get("sigma_s", 0.0) > min(WAVELENGTHS_UM) / 2:
-        found.append(
-            "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
-        )
-    if isinstance(fitted.material, TwoScale) and fitted.material.index == "complex":
-        found += _of_no_metal(fitted, values)
-    return found
-
-
-def _of_no_metal(fitted: Fitted, values: Mapping[str, float]) -> list[str]:
-    """Why the optical constants, or the floor under them, are not those of a metal; nothing if they may be."""
-    effective = "n and k are effective values, not those of a material"
-    if max((x for name, x in values.items() if name.startswith("albedo")), default=0.0) > METAL_FLOOR:
-        return [f"a body this bright lies under no metal: {effective}"]
-    for channel in fitted.layout.channels:
-        n, k = values[f"n_{channel}"], values[f"k_{channel}"]
-        if not (METALS_N[0] <= n <= METALS_N[1] and METALS_K[0] <= k <= METALS_K[1]):
-            return [f"no metal has n {n:.2g} with k {k:.2g} ({channel}): {effective}"]
-    return []
+    values = {name: fitted.values[s] for name, s in fitted.layout.slices.items()}
+    bands = fitted.layout.bands
+    return found + fitted.material.cautions(values, bands.names, bands.wavelengths_um)
 
 
 def others(fitted: Fitted) -> list[str]:

@@ -23,6 +23,7 @@ ALIKE = 6.0
 MARGIN = 1.05
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
 FACTOR = 2.0  # a highlight that is off by more is lost
+SEEN = 1.0  # CIELAB distance of spheres, just noticeable: by less a picture is as good
 
 
 def nearest(tried: Sequence[tuple[float, float]]) -> int:
@@ -52,6 +53,29 @@ def score(objective: float, cube_root: float, count: float) -> float:
         objective: J. cube_root: E. count: effective sample count N, the same for all fits that are compared.
     """
     return float(count * (np.log(max(objective, 1e-30)) + 2 * np.log(max(cube_root, 1e-30))))
+
+
+def bic(cost: float, numbers: int, count: float) -> float:
+    """Bayesian information criterion N log J + P log N; lower is better, and 6 are strong evidence.
+
+    Args:
+        cost: J. numbers: P, of parameters over all channels. count: effective sample count N, the same for all fits
+            that are compared.
+    """
+    return float(count * np.log(max(cost, 1e-30)) + numbers * np.log(max(count, 1.0)))
+
+
+def least(bics: Sequence[float], pictures: Sequence[float], highlights: Sequence[float], numbers: Sequence[int]) -> int:
+    """Which of some models is the least that explains a material.
+
+    Of those that keep the highlight (of all, if none does) and whose picture is as good as the nearest one's, to
+    `SEEN`: the one with the fewest numbers among those whose BIC is within `ALIKE` of the lowest, if there are any.
+    """
+    kept = [k for k in range(len(bics)) if not lost(highlights[k])] or list(range(len(bics)))
+    nearest_picture = min(pictures[k] for k in kept)
+    seen = [k for k in kept if pictures[k] <= nearest_picture + SEEN]
+    lowest = min(bics[k] for k in seen)
+    return min((k for k in seen if bics[k] <= lowest + ALIKE), key=lambda k: (numbers[k], bics[k]))
 
 
 def choose(objectives: Sequence[float], cube_roots: Sequence[float], scores: Sequence[float]) -> int:

@@ -23,7 +23,7 @@ from ...merl_io.samples import Samples, thin
 from ...model.two_scale import TwoScale
 from ..assess.outcome import Fitted
 from ..objective.problem import Problem, make_problem
-from ..objective.residuals import normal_equations, predict
+from ..objective.residuals import Objective, predict
 from ..objective.transforms import Layout
 from ..pipeline.run import GRIDS, assess
 from ..results import export, schema
@@ -55,7 +55,7 @@ def remaining(model: Model, problem: Problem) -> float:
     """Length |J dz| of the Gauss-Newton step from here, relative to the measurement; infinite where the model is."""
     layout, z = model
     point = jnp.asarray(z)
-    normal = normal_equations(layout, point, problem)
+    normal = Objective(layout, problem).normal_equations(point)
     if not np.all(np.isfinite(normal)):
         return np.inf
     near = compress(point, normal)
@@ -69,17 +69,15 @@ def estimate(model: Model, problem: Problem, config: Config) -> float:
         problem: all bins as the reference has them (`reference_problem`). config: what was asked for.
     """
     layout, z = model
-    reference = same_kind(REFERENCE.settings(config), layout), z
+    reference = same_variant(REFERENCE.settings(config), layout), z
     tier = 0.0 if reference[0] == layout else distance(model, reference, problem)
     return tier + remaining(reference, problem)
 
 
-def same_kind(settings: Config, layout: Layout) -> Layout:
-    """What these settings make of the kind of material that was fitted."""
+def same_variant(settings: Config, layout: Layout) -> Layout:
+    """What these settings make of the variant of the model that was fitted."""
     material = layout.material
-    if not isinstance(material, TwoScale):
-        raise TypeError(f"{material} has no settings that trade accuracy for time")
-    return settings.layout_of(settings.two_scale(material.kind))
+    return settings.layout_of(settings.variant(material.name, material.variant), layout.bands)
 
 
 def reference_problem(samples: Samples) -> Problem:
@@ -89,9 +87,9 @@ def reference_problem(samples: Samples) -> Problem:
 
 def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
-    layout = same_kind(settings, model[0])
+    layout = same_variant(settings, model[0])
     problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
-    return layout, solve(layout, model[1], problem, settings.fit.max_steps, backend=settings.fit.backend)
+    return layout, solve(Objective(layout, problem), model[1], settings.fit.max_steps, backend=settings.fit.backend)
 
 
 class _Try(NamedTuple):

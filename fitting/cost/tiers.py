@@ -24,7 +24,7 @@ from ...model.measured import Measured
 from ...model.parameters import WAVELENGTHS_UM
 from ...model.two_scale import TwoScale, two_scale
 from ..objective.problem import make_problem
-from ..objective.residuals import cost, normal_equations
+from ..objective.residuals import Objective
 from ..objective.transforms import layout_of
 from ..objective.weights import weighted_samples
 from .frontier import Percentiles
@@ -116,9 +116,10 @@ def _fit_times(effects: TwoScale, file: Path) -> dict[str, float]:
     problem, bins = make_problem(weighted_samples(read(file))), merl_grid().above.size
     fitted = Measured(TwoScale(effects.body, effects.diffraction, effects.order, effects.zonal_order))
     layout = layout_of(fitted)
+    objective = Objective(layout, problem)
     z = jnp.asarray(layout.free({**TYPICAL, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3}))
-    _, value = _clock(lambda z: cost(fitted, layout.values(z), problem), z)
-    _, gradient = _clock(lambda z: normal_equations(layout, z, problem), z)
+    _, value = _clock(lambda z: objective.costs(layout.values(z)), z)
+    _, gradient = _clock(objective.normal_equations, z)
     return {"fit_value_ns": value / bins * 1e9, "fit_gradient_ns": gradient / bins * 1e9}
 
 

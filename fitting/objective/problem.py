@@ -16,6 +16,7 @@ import numpy as np
 from jax import Array
 
 from ...merl_io.azimuth import gather
+from ...merl_io.bands import MERL, Bands
 from ...merl_io.samples import Samples
 from ...model.acquisition import grazing_log_base
 from ...model.geometry import Geometry
@@ -34,10 +35,12 @@ class Directions(eqx.Module):
     Attributes:
         geometry: theta_h (N, h, 1, 1), theta_d (N, 1, D, 1), cosines (N, h, D, K).
         log_base: of the grazing loss, (N, h, D, K).
+        bands: that are predicted in them; static.
     """
 
     geometry: Geometry
     log_base: Array
+    bands: Bands = eqx.field(static=True)
 
 
 class Part(eqx.Module):
@@ -80,7 +83,7 @@ def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precisio
     """
     unit = energy(samples)
     rows = gather(replace(samples, weight=samples.weight / unit), azimuths)
-    where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o, precision)
+    where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o, samples.bands, precision)
     blocks = len(where.log_base)
 
     def split(x: np.ndarray) -> np.ndarray:
@@ -108,7 +111,12 @@ def shares(blocks: T, size: int) -> list[T]:
 
 
 def directions(
-    theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray, precision: Precision = "float64"
+    theta_h: np.ndarray,
+    theta_d: np.ndarray,
+    cos_i: np.ndarray,
+    cos_o: np.ndarray,
+    bands: Bands = MERL,
+    precision: Precision = "float64",
 ) -> Directions:
     """Blocks of a product grid; cosines (H, D, K)."""
     rows, columns, azimuths = cos_i.shape
@@ -124,4 +132,4 @@ def directions(
     geometry = Geometry(
         split(theta_h[:, None, None]), jnp.asarray(columns_.astype(precision)), split(cos_i), split(cos_o)
     )
-    return Directions(geometry, jax.jit(grazing_log_base)(geometry))
+    return Directions(geometry, jax.jit(grazing_log_base)(geometry), bands)

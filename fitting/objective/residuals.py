@@ -5,6 +5,7 @@ loop over blocks on one core, so every core is given its share of them by a thre
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache, partial, reduce
 from operator import add
 from typing import Any, TypeVar
@@ -16,7 +17,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from ...model import reflectance
-from ...model.parameters import WAVELENGTHS_UM
 from ...model.reflectance import Reflectance, Setting, reads
 from ..support.threads import side_by_side
 from .problem import Directions, Part, Problem, shares
@@ -39,19 +39,55 @@ def _predict(model: Reflectance, values: Mapping[str, Array], part: Directions) 
     values = with_tables(model, values, part)
 
     def block(b: Directions) -> Array:
-        return _evaluate(model, values, b)
+        return evaluate_block(model, values, b)
 
     return jax.lax.map(block, part)
 
 
-def cost(model: Reflectance, values: Mapping[str, Array], problem: Problem) -> Array:
-    """Cost of Eq. 56 per channel, shape (C,), without the folding scatter, relative to the measurement's energy."""
-    return reduce(add, side_by_side(lambda part: _cost(model, values, part), problem.parts), problem.rest)
+@dataclass(frozen=True)
+class Objective:
+    """What a fit minimises: the cost of HP17 Eq. 56 of one model and the data of one material.
 
+    Attributes:
+        layout: the model, in its free coordinates z. problem: the data.
+    """
 
-def costs_of_many(model: Reflectance, values: Mapping[str, Array], problem: Problem) -> Array:
-    """:func:`cost` of N candidates, (N, C); values with a leading axis."""
-    return reduce(add, side_by_side(lambda part: _costs_of_many(model, values, part), problem.parts), problem.rest)
+    layout: Layout
+    problem: Problem
+
+    def costs(self, values: Mapping[str, Array]) -> Array:
+        """Per channel (C,), without the folding scatter, relative to the measurement's energy, of physical values."""
+        return self._sum(lambda part: _cost(self.layout.model, values, part))
+
+    def costs_of_many(self, values: Mapping[str, Array]) -> Array:
+        """The same of N candidates, (N, C); values with a leading axis."""
+        return self._sum(lambda part: _costs_of_many(self.layout.model, values, part))
+
+    def _sum(self, of_part: Callable[[Part], Array]) -> Array:
+        return reduce(add, side_by_side(of_part, self.problem.parts), self.problem.rest)
+
+    def normal_equations(self, z: ArrayLike) -> np.ndarray:
+        """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
+
+        Its last diagonal entry is :meth:`costs`. Sums are taken of derivatives by physical values. A channel's rows and
+        columns of other channels' parameters are zero, which is why one tangent a parameter, applied to all channels at
+        once, gives the whole Jacobian. One program does for all variants (`Reflectance.general`).
+        """
+        values, slopes = self.layout.values_and_slopes(z)
+        return self._spread_out(_normal_equations, values, slopes)
+
+    def normal_equations_of_many(self, points: ArrayLike) -> np.ndarray:
+        """The same at many points (M, P) in one call, shape (M, C, P+1, P+1): for few bins, where calls cost most."""
+        values, slopes = self.layout.values_and_slopes_of_many(points)
+        return self._spread_out(_normal_equations_of_many, values, slopes)
+
+    def _spread_out(self, compute: Callable[..., Array], values: Mapping[str, Array], slopes: Array) -> np.ndarray:
+        model = self.layout.model
+        given = model.generalised(values)
+        found = side_by_side(lambda part: np.asarray(compute(model.general, given, part)), self.problem.parts)
+        kept = _rows(model)
+        compact = reduce(add, found)[..., kept[:, None], kept]
+        return spread_out(self.layout, np.asarray(slopes), compact, np.asarray(self.problem.rest))
 
 
 @partial(jax.jit, static_argnums=0)
@@ -64,7 +100,7 @@ def _cost(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     values = with_tables(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
-        residual = b.target - _weigh(b.root, _evaluate(model, values, b.directions))
+        residual = b.target - weigh(b.root, evaluate_block(model, values, b.directions))
         return total + jnp.sum(residual**2, (1, 2, 3), dtype=jnp.float64), None
 
     return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
@@ -75,30 +111,14 @@ def weighted_prediction(model: Reflectance, values: Mapping[str, Array], part: P
     values = with_tables(model, values, part.directions)
 
     def block(b: Part) -> Array:
-        return _weigh(b.root, _evaluate(model, values, b.directions))
+        return weigh(b.root, evaluate_block(model, values, b.directions))
 
     return jax.vmap(block)(part)
 
 
-def _weigh(root: Array, nodes: Array) -> Array:
+def weigh(root: Array, nodes: Array) -> Array:
     """Root times the values at the nodes of every row."""
     return jnp.sum(root * nodes[..., None, :], -1)
-
-
-def normal_equations(layout: Layout, z: ArrayLike, problem: Problem) -> np.ndarray:
-    """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
-
-    Its last diagonal entry is :func:`cost`. Sums are taken of derivatives by physical values. A channel's rows and
-    columns of other channels' parameters are zero, which is why one tangent a parameter, applied to all channels at
-    once, gives the whole Jacobian. One program does for all kinds (`TwoScale.general`).
-    """
-    model = layout.model
-    values, slopes = layout.values_and_slopes(z)
-    given = model.generalised(values)
-    found = side_by_side(lambda part: np.asarray(_normal_equations(model.general, given, part)), problem.parts)
-    kept = _rows(model)
-    compact = reduce(add, found)[:, kept[:, None], kept]
-    return spread_out(layout, np.asarray(slopes), compact, np.asarray(problem.rest))
 
 
 @cache
@@ -109,9 +129,7 @@ def _rows(model: Reflectance) -> np.ndarray:
     return np.array([*map(rows.index, own), len(rows)])
 
 
-# XLA's older CPU emitters compile this program in half the time and run it as fast (CONTRIBUTING.md, compile times).
-@partial(jax.jit, static_argnums=0, compiler_options={"xla_cpu_use_fusion_emitters": False})
-def _normal_equations(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
+def _compact(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     """The same by physical values, with one row and column a parameter, whether it is per channel or not."""
     moving = _rates(model, values, part.directions)
 
@@ -122,15 +140,28 @@ def _normal_equations(model: Reflectance, values: Mapping[str, Array], part: Par
     return jax.lax.scan(step, jnp.zeros((channels, groups, groups)), part)[0]
 
 
+def _compact_of_many(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
+    """The same of M points, one after the other; values with a leading axis, but for the model's switches."""
+    fixed = {name: values[name] for name in model.switches}
+    moving = {name: x for name, x in values.items() if name not in fixed}
+    return jax.lax.map(lambda v: _compact(model, {**v, **fixed}, part), moving)
+
+
+# XLA's older CPU emitters compile these in half the time and run them as fast (CONTRIBUTING.md, compile times).
+OLDER_EMITTERS = {"xla_cpu_use_fusion_emitters": False}
+_normal_equations = jax.jit(_compact, static_argnums=0, compiler_options=OLDER_EMITTERS)
+_normal_equations_of_many = jax.jit(_compact_of_many, static_argnums=0, compiler_options=OLDER_EMITTERS)
+
+
 def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers) -> Any:  # noqa: ANN401 - as they come
     """Rows and columns of every parameter where its channel's are, by free coordinates: arrays of NumPy or JAX.
 
     Args:
-        slopes: of physical values by free coordinates, (P, P). compact: a row and column a parameter, (C, G+1, G+1).
-        rest: what is added to each channel's cost, (C,).
+        slopes: of physical values by free coordinates, (..., P, P). compact: a row and column a parameter,
+            (..., C, G+1, G+1). rest: what is added to each channel's cost, (C,).
     """
     place, last = _places(layout.chart)
-    chain = place[..., :-1] @ slopes @ np.eye(layout.size, layout.size + 1) + place * last
+    chain = place[..., :-1] @ (slopes @ np.eye(layout.size, layout.size + 1))[..., None, :, :] + place * last
     return chain.swapaxes(-1, -2) @ compact @ chain + rest[:, None, None] * (last[:, None] * last)
 
 
@@ -143,14 +174,14 @@ def _places(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     return np.eye(layout.size + 1)[np.array([*where, [layout.size] * channels]).T], last
 
 
-def _evaluate(model: Reflectance, values: Mapping[str, Array], b: Directions) -> Array:
+def evaluate_block(model: Reflectance, values: Mapping[str, Array], b: Directions) -> Array:
     """BRDF of one block (1/sr), with tables if given."""
     s = _setting(model, b)
     return reflectance.assembled(reflectance.shaped(values, s), s)
 
 
 def _setting(model: Reflectance, b: Directions) -> Setting:
-    return reflectance.setting(b.geometry, model, WAVELENGTHS_UM, b.log_base)
+    return reflectance.setting(b.geometry, model, b.bands.wavelengths_um, b.log_base)
 
 
 def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
@@ -224,8 +255,8 @@ def _block_gram(
         for q in model.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
             change = lambda part: model.assemble({**at, **part}, s).brdf(s)  # noqa: E731
-            result.append(_weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
-        return [*result, b.target - _weigh(b.root, model.assemble(at, s).brdf(s))]
+            result.append(weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
+        return [*result, b.target - weigh(b.root, model.assemble(at, s).brdf(s))]
 
     always = _true_of(b.target[0, 0, 0, 0])
     at, slopes = _materialised(factor_derivatives, always, values, b.directions)

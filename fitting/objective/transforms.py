@@ -7,12 +7,12 @@ prior of median m and factor f, cut at the bounds, is
 
 a uniform one lower + Phi(z) (upper - lower); an albedo's odds, albedo / (1 - albedo), are log-normal. The shifts make
 coordinates of what the data show: the half width of the lobe instead of beta, given p; the height that diffracts into
-directions that exist instead of sigma_s, given b and c; and the ratio of eta - 1 to that of the middle channel in the
-others.
+directions that exist instead of sigma_s, given b and c; and the ratio of what channels have alike (eta - 1) to that of
+the middle channel in the others.
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import NamedTuple
@@ -24,12 +24,12 @@ from jax import Array
 from jax.scipy.special import expit, ndtr, ndtri
 from jax.typing import ArrayLike
 
+from ...merl_io.bands import MERL, Bands
 from ...model.measured import material_of, with_material
-from ...model.parameters import CHANNELS, PRIORS, WAVELENGTHS_UM, LogNormal, Parameter, Priors
+from ...model.parameters import PRIORS, LogNormal, Parameter, Priors
 from ...model.reflectance import Reflectance
 
 INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved
-MIDDLE_UM = WAVELENGTHS_UM[len(WAVELENGTHS_UM) // 2]
 LEAST = 1e-300
 ODDS = "odds"  # quantity of what lies between 0 and 1 and may be a few thousandths
 TINY_ODDS = 1e-6  # least albedo that a start may have
@@ -40,12 +40,17 @@ class Layout:
     """Where each parameter sits in the flat vector: shared ones first, then per-channel ones, channel by channel.
 
     Attributes:
-        model: what is fitted. priors: of its parameters. channels: names of the colour channels.
+        model: what is fitted. priors: of its parameters. bands: of the measurement.
     """
 
     model: Reflectance
     priors: Priors = PRIORS
-    channels: tuple[str, ...] = CHANNELS
+    bands: Bands = MERL
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the bands."""
+        return self.bands.names
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -53,7 +58,7 @@ class Layout:
         return self.model.parameters
 
     def _width(self, parameter: Parameter) -> int:
-        return len(self.channels) if parameter.per_channel else 1
+        return len(self.bands) if parameter.per_channel else 1
 
     @property
     def material(self) -> Reflectance:
@@ -123,6 +128,10 @@ class Layout:
         """Both in one call."""
         return _values_and_slopes(self.chart, jnp.asarray(z))
 
+    def values_and_slopes_of_many(self, points: ArrayLike) -> tuple[dict[str, Array], Array]:
+        """The same for many points (M, P), with a leading axis M."""
+        return _values_and_slopes_of_many(self.chart, jnp.asarray(points))
+
     def _values(self, z: Array) -> Array:
         """Physical values, (P,): all given the medians of others first, then those that move with others."""
         found, moved = self._unmoved(z), self._moved
@@ -172,24 +181,28 @@ class Layout:
 
     def _shifts(self, flat: Array) -> Array:
         """By how much the medians of :attr:`_moved` are moved, given the values of the others."""
-        values = self._named(flat)
-        shifts = self.model.shifts()
+        values, shifts = self._named(flat), self._own_shifts
         found = [shifts[name](values)[None] for name in self.slices if name in shifts]
-        if "eta" in values:
-            middle = jnp.log(values["eta"][self._middle] - self.entries[self.slices["eta"].start].offset)
-            found.append(jnp.repeat(middle, len(self.channels) - 1))
+        for q in self._alike:
+            middle = jnp.log(values[q.name][self.bands.middle] - q.offset)
+            found.append(jnp.repeat(middle, len(self.bands) - 1))
         return jnp.concatenate(found)
 
     @property
-    def _middle(self) -> int:
-        return len(self.channels) // 2
+    def _own_shifts(self) -> Mapping[str, Callable[[Mapping[str, Array]], Array]]:
+        """Those that the model has."""
+        return self.model.shifts(self.bands.middle_um)
+
+    @property
+    def _alike(self) -> list[Parameter]:
+        return [q for q in self.parameters if q.alike]
 
     @cached_property
     def _moved(self) -> np.ndarray:
-        """Entries whose priors move with others: those that the model says, and eta in all channels but the middle."""
-        places = [self.slices[q.name].start for q in self.parameters if q.name in self.model.shifts()]
-        outer = np.delete(np.arange(len(self.channels)), self._middle)
-        return np.array([*places, *(self.slices["eta"].start + outer if "eta" in self.slices else [])], int)
+        """Entries whose priors move with others: those that the model says, and what is alike, off the middle."""
+        places = [self.slices[q.name].start for q in self.parameters if q.name in self._own_shifts]
+        outer = np.delete(np.arange(len(self.bands)), self.bands.middle)
+        return np.array([*places, *(self.slices[q.name].start + k for q in self._alike for k in outer)], int)
 
     @cached_property
     def _scales(self) -> "Scales":
@@ -200,7 +213,7 @@ class Layout:
             if q.quantity == ODDS:
                 given = self.priors.odds
             elif q.scale == "log":
-                given = self.priors.dispersion if q.name == "eta" and k in self._moved else self.log_normal(q)
+                given = self.priors.dispersion if q.alike and k in self._moved else self.log_normal(q)
             rows.append((np.log(given.median), np.log(given.factor), q.lower, q.upper, q.offset,
                          q.quantity == ODDS, q.scale == "log" and q.quantity != ODDS))  # fmt: skip
         return Scales(*map(np.array, zip(*rows, strict=True)))
@@ -212,7 +225,7 @@ class Layout:
         return np.asarray(_free(self.chart, np.concatenate(given)))
 
     def _shape(self, parameter: Parameter) -> tuple[int, ...]:
-        return (len(self.channels),) if parameter.per_channel else ()
+        return (len(self.bands),) if parameter.per_channel else ()
 
     def position(self, z: ArrayLike) -> np.ndarray:
         """Position of every entry between its bounds, in [0, 1], in the parameter's own scale."""
@@ -235,7 +248,7 @@ class Layout:
         of = parameter.quantity or parameter.name
         said = f"{of} - {parameter.offset:g}" if parameter.offset else of
         said += f" log-normal, {given.median:g} times or over {given.factor:g}"
-        if parameter.name == "eta":
+        if parameter.alike:
             said += f", in other channels that of the middle one times or over {self.priors.dispersion.factor:g}"
         return f"{said}; {parameter.name} {bounds}"
 
@@ -303,12 +316,17 @@ def _values_and_slopes(chart: Layout, z: Array) -> tuple[dict[str, Array], Array
 
 
 @partial(jax.jit, static_argnums=0)
+def _values_and_slopes_of_many(chart: Layout, points: Array) -> tuple[dict[str, Array], Array]:
+    return jax.vmap(lambda z: _values_and_slopes(chart, z))(points)
+
+
+@partial(jax.jit, static_argnums=0)
 def _free(chart: Layout, values: Array) -> Array:
     return chart._flat_free(values)
 
 
 @cache
-def layout_of(model: Reflectance, priors: Priors = PRIORS) -> Layout:
+def layout_of(model: Reflectance, priors: Priors = PRIORS, bands: Bands = MERL) -> Layout:
     """The flat vector of everything that this model leaves to be fitted.
 
     Raises:
@@ -319,9 +337,6 @@ def layout_of(model: Reflectance, priors: Priors = PRIORS) -> Layout:
             raise ValueError(f"{model}: {q.name} has a logarithmic scale, but no prior: declare one")
         if q.quantity == ODDS and (q.lower, q.upper) != (0.0, 1.0):
             raise ValueError(f"{model}: {q.name} has odds: its bounds should be 0 and 1")
-        if q.name == "eta" and not (q.per_channel and q.scale == "log"):
-            raise ValueError(
-                f"{model}: eta is an index of refraction per channel, on a logarithmic scale: "
-                "name another parameter otherwise"
-            )
-    return Layout(model, priors)
+        if q.alike and not (q.per_channel and q.scale == "log"):
+            raise ValueError(f"{model}: {q.name} is alike in all channels: it should be per channel, of a log scale")
+    return Layout(model, priors, bands)

@@ -73,11 +73,10 @@ def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: flo
             weight[0, used] = bin_weight * weigh(plane[used], cos_i)
         return fold(grid, plane[None], weight)
 
-    red, green, blue = side_by_side(channel, measurement.values)
-    value, weight = (
-        np.concatenate([getattr(each, name) for each in (red, green, blue)]) for name in ("value", "weight")
-    )
-    return replace(red, value=value, weight=weight, scatter=red.scatter + green.scatter + blue.scatter)
+    planes = side_by_side(channel, measurement.values)
+    value, weight = (np.concatenate([getattr(each, name) for each in planes]) for name in ("value", "weight"))
+    scatter = sum(each.scatter for each in planes)
+    return replace(planes[0], value=value, weight=weight, scatter=scatter, bands=measurement.bands)
 
 
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -8,8 +8,8 @@ from rich import box
 from rich.table import Table
 from scipy.ndimage import gaussian_filter
 
+from ...merl_io.bands import MERL
 from ...merl_io.binary import write
-from ...model.parameters import CHANNELS
 from ...model.two_scale import TwoScale, two_scale
 from ..results.schema import Result
 from ..settings.config import Config, parse
@@ -93,4 +93,4 @@ def verdict(result: Result) -> str:
 
 def _true(result: Result) -> list[float]:
     """True value of every entry."""
-    return [float(np.ravel(TRUTH[q.parameter])[CHANNELS.index(q.channel or "R")]) for q in result.parameters]
+    return [float(np.ravel(TRUTH[q.parameter])[MERL.names.index(q.channel or "R")]) for q in result.parameters]

@@ -25,7 +25,7 @@ from ..objective.weights import THETA_MAX, within
 from ..pipeline.run import chain_of
 from ..results.schema import Model, ParameterResult, Result
 from ..support.tables import UNSOUND
-from .report import in_words_of, number
+from .report import number
 
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
 WIDEST_DEG = 89.0  # of the viewers of the lobe plot
@@ -158,7 +158,7 @@ def lobe_figure(result: Result, measurement: Measurement, chain: dict[str, np.nd
     _peak(peak, result, measurement)
     _ratios(by_half, by_difference, result, measurement)
     origin = "genuine MERL measurement" if result.source.genuine_merl else "not a genuine MERL file"
-    figure.suptitle(f"{result.source.material} ({origin}): fit of {in_words_of(result.model.material)}")
+    figure.suptitle(f"{result.source.material} ({origin}): fit of {result.model.material.words}")
     return figure
 
 

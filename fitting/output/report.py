@@ -11,9 +11,7 @@ from rich.table import Table
 
 from ...merl_io.binary import BRIGHTEST, DIMS, OUTLIER
 from ...merl_io.check import FileReport
-from ...model.reflectance import Reflectance
 from ...model.registry import models
-from ...model.two_scale import KINDS, TwoScale
 from ..assess.identifiability import in_words
 from ..results.schema import Accuracy, DerivedResult, Model, ParameterResult, Result
 
@@ -95,8 +93,7 @@ def models_table() -> Table:
     for head in ("model", "parameter", "unit", "meaning"):
         table.add_column(head, overflow="fold", min_width=9 if head == "parameter" else None)
     for name, kind in models().items():
-        variants = [TwoScale(body, index=index) for index, body in KINDS] if kind is TwoScale else [kind()]
-        declared = {q.name: q for model in variants for q in model.parameters}
+        declared = {q.name: q for model in kind.variants() for q in model.parameters}
         table.add_row(name, "", "", kind.citation)
         for q in declared.values():
             unit = "-" if q.unit == "1" else q.unit
@@ -109,14 +106,6 @@ def interval(q: ParameterResult | DerivedResult) -> str:
     if q.quantiles is None:
         return "-"
     return f"{number(q.quantiles.q05)} .. {number(q.quantiles.q95)}"
-
-
-def in_words_of(material: Reflectance) -> str:
-    """Model, and interface and body of a two-scale one."""
-    if not isinstance(material, TwoScale):
-        return material.name
-    interface = "conductor" if material.index == "complex" else "dielectric"
-    return f"{material.name}, {interface}" + ("" if material.body == "none" else f" over {material.body}")
 
 
 def parameter_table(result: Result, width: int) -> Table:
@@ -136,10 +125,7 @@ def parameter_table(result: Result, width: int) -> Table:
 
 def _fitted_line(m: Model) -> str:
     """What was fitted: model, what of its settings matters, and the loss of the apparatus."""
-    material, a = m.material, m.acquisition
-    said = [in_words_of(material)]
-    if isinstance(material, TwoScale):
-        said += [f"diffraction by {material.diffraction}", f"energy split {material.split}"]
+    a, said = m.acquisition, [m.material.words, *m.material.details]
     if m.measured.loses:
         exponents = [f"{number(k, 3)} of {lobe} light" for lobe, k in a.exponents.items()]
         said.append(f"grazing exponent {' and '.join(exponents)} ({a.grazing_loss})")

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.grid import merl_grid
@@ -34,7 +33,7 @@ def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
     Raises:
         KeyError: unknown material or source; the message names the nearest known one.
     """
-    values = tabulate(lambda g: jnp.moveaxis(published.evaluate(material, source, g, rescaled=True), -1, 0))
+    values = tabulate(lambda g: published.evaluate(material, source, g, rescaled=True))
     table = published.SOURCES[source]
     rescaled = f", albedos times {table.channel_scale} (R, G, B)" if set(table.channel_scale) != {1.0} else ""
     said = f"synthetic MERL file of {material}, from published parameters: {table.citation}{rescaled}"

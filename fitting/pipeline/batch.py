@@ -6,9 +6,9 @@ are those of `residuals` and `levenberg_marquardt`, so each material goes the wa
 summed on: a batch takes as long as its slowest. On a CPU, files one by one are faster.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, partial, reduce
+from functools import partial, reduce
 from operator import add
 from typing import Any
 
@@ -19,12 +19,13 @@ import numpy as np
 from jax import Array
 
 from ...merl_io.samples import Samples, thin
+from ...model.reflectance import Clues
 from ..objective.problem import Part, Problem, make_problem
 from ..objective.residuals import _normal_equations, spread_out
 from ..objective.transforms import Layout
 from ..settings.config import Config
-from ..solve.levenberg_marquardt import CLEAR, OFFSET_TOLERANCE, Solution, _machine
-from ..solve.starts import ReadOff, read_off, starting_points
+from ..solve.levenberg_marquardt import Solution, solve_many
+from ..solve.starts import clues_of, starting_points
 from ..support.threads import side_by_side
 from .run import CANDIDATE_ORDER, COARSE_ORDER, GRIDS, RUNNERS_EACH, cheaper, make_coarse, race
 
@@ -34,11 +35,11 @@ class Prepared:
     """What a fit needs of one material.
 
     Attributes:
-        seen: where to start. coarse, roughly: problems of the race and of the candidates for starting points.
+        clues: where to start. coarse, roughly: problems of the race and of the candidates for starting points.
         problem: of the last steps.
     """
 
-    seen: ReadOff
+    clues: Clues
     coarse: Problem
     roughly: Problem
     problem: Problem
@@ -48,7 +49,7 @@ def prepare(samples: Samples, config: Config) -> Prepared:
     """Samples of a file gathered as `run.fit` does it."""
     settings = config.fit
     whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
-    return Prepared(read_off(samples), *make_coarse(samples), whole)
+    return Prepared(clues_of(samples), *make_coarse(samples), whole)
 
 
 def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> list[Solution]:
@@ -58,7 +59,7 @@ def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> 
     """
     cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
     count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
-    runners = [starting_points([rough], m.seen, m.roughly, count)[0] for m in materials]
+    runners = [starting_points([rough], m.clues, m.roughly, count)[0] for m in materials]
 
     def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
         model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])
@@ -83,65 +84,7 @@ def solve_batch(
         ValueError: problems whose directions differ.
     """
     stacked = _stack(problems)
-    start, advance = _mapped_machine(z.shape[1], rtol)
-    points = jnp.asarray(z, float)
-    fits = start(points, _equations(layout, points, stacked))
-    for step in range(max_steps):
-        if not bool(jnp.any(fits.active)):
-            break
-        fits = advance(fits, _equations(layout, fits.state.y_eval, stacked) if step else fits.kept)
-    return [_solution(fits, k) for k in range(len(problems))]
-
-
-class _Fit(eqx.Module):
-    """Where one material is on its way; in a batch all arrays have a leading axis.
-
-    Attributes:
-        y: accepted point (P,). state: of the solver. kept: normal equations at y.
-        offset: relative offset at y. steps: evaluations. blocked: last step whose trial was not finite.
-        converged: whether it met the tolerance. active: whether it goes on.
-    """
-
-    y: Array
-    state: Any
-    kept: Array
-    offset: Array
-    steps: Array
-    blocked: Array
-    converged: Array
-    active: Array
-
-
-@cache
-def _mapped_machine(size: int, rtol: float) -> tuple[Callable[..., _Fit], Callable[..., _Fit]]:
-    """Start and step of the solver, mapped over materials."""
-    dynamic, step = _machine(size, rtol)
-
-    def start(y: Array, kept: Array) -> _Fit:
-        state = eqx.tree_at(lambda s: s.y_eval, dynamic, y)
-        finite = jnp.all(jnp.isfinite(kept))
-        never = jnp.asarray(-CLEAR)
-        return _Fit(y, state, kept, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
-
-    def advance(fit: _Fit, normal: Array) -> _Fit:
-        y, state, stop, accepted, offset = step(fit.y, fit.state, normal)
-        steps = fit.steps + 1
-        better = accepted | (steps == 1)
-        offset = jnp.where(better, offset, fit.offset)
-        blocked = jnp.where(jnp.all(jnp.isfinite(normal)), fit.blocked, steps)
-        converged = (stop & (steps > blocked + CLEAR)) | (offset < OFFSET_TOLERANCE)
-        kept = jnp.where(better, normal, fit.kept)
-        moved = _Fit(y, state, kept, offset, steps, blocked, converged, ~converged)
-        return jax.tree.map(lambda new, old: jnp.where(fit.active, new, old), moved, fit)
-
-    return jax.jit(jax.vmap(start)), jax.jit(jax.vmap(advance))
-
-
-def _solution(fits: _Fit, k: int) -> Solution:
-    """Of the k-th material."""
-    y, kept = np.asarray(fits.y[k]), np.asarray(fits.kept[k])
-    cost = float(kept[:, -1, -1].sum()) if np.all(np.isfinite(kept)) else float("nan")
-    return Solution(y, cost, kept, max(int(fits.steps[k]), 1), float(fits.offset[k]), bool(fits.converged[k]))
+    return solve_many(lambda points: _equations(layout, jnp.asarray(points), stacked), z, max_steps, rtol)
 
 
 def _stack(problems: Sequence[Problem]) -> Problem:

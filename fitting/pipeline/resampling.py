@@ -2,12 +2,9 @@
 
 from pathlib import Path
 
-import jax.numpy as jnp
-import numpy as np
-
 from ...merl_io.binary import read
 from ..objective.problem import make_problem
-from ..objective.residuals import normal_equations
+from ..objective.residuals import Objective
 from ..objective.weights import weighted_samples
 from ..posterior.sampling import sample
 from ..results import export, schema
@@ -46,7 +43,7 @@ def resample(
     layout = config.layout_of(result.model.measured)  # which may have been carried on with other settings
     chain = chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
-    normal = np.asarray(normal_equations(layout, jnp.asarray(z), whole))
+    normal = Objective(layout, whole).normal_equations(z)
     offset = float("nan") if result.fit.relative_offset is None else result.fit.relative_offset
     solution = Solution(z, float(normal[:, -1, -1].sum()), normal, result.fit.steps, offset, converged=True)
     fitted = assess(layout, solution, measurement, samples, config.fit.theta_max)

@@ -8,7 +8,6 @@ import numpy as np
 
 from ...merl_io.binary import Measurement
 from ...merl_io.samples import Samples
-from ...model.derived import quantities
 from ...model.measured import Measured
 from ..assess.identifiability import identifiability
 from ..assess.outcome import Fitted, cautions, said
@@ -57,7 +56,7 @@ def make_result(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
-        weights=fitted.bend, cautions=cautions(fitted, config),
+        weights=fitted.bend, cautions=cautions(fitted, config), effective_bins=round(fitted.count, 2),
     )  # fmt: skip
     errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, fitted.count, fitted.covariance)
@@ -97,7 +96,7 @@ def _intervals(sampled: "Sampled", values: np.ndarray) -> list[schema.Quantiles 
 def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedResult]:
     """Every derived quantity with its value at the fit and posterior quantiles."""
     found, channels = [], fitted.layout.channels
-    for q in quantities(fitted.material):
+    for q in fitted.material.quantities:
         values = sampled.derived[q.name].reshape(len(sampled.values), -1)
         given = zip(np.ravel(sampled.at_fit[q.name]).tolist(), _intervals(sampled, values), strict=True)
         for k, (value, interval) in enumerate(given):
@@ -111,7 +110,7 @@ def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedRe
 
 def _model_part(layout: Layout, z: np.ndarray) -> schema.Model:
     measured = layout.model if isinstance(layout.model, Measured) else Measured(layout.model, "off")
-    return schema.Model.of(measured, layout.values(jnp.asarray(z)))
+    return schema.Model.of(measured, layout.values(jnp.asarray(z)), layout.bands)
 
 
 def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, object]:

@@ -4,27 +4,27 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.binary import Measurement, read
-from ...merl_io.grid import merl_grid
 from ...merl_io.samples import Samples, thin
-from ...model.two_scale import TwoScale
+from ...model.reflectance import Clues
 from ..assess import metrics
 from ..assess.outcome import Fitted
+from ..assess.published import judge
 from ..assess.selection import choose, nearest, score
-from ..objective.problem import Problem, directions, energy, make_problem
-from ..objective.residuals import predict
+from ..objective.problem import Problem, directions, make_problem
+from ..objective.residuals import Objective, predict
 from ..objective.transforms import Layout
 from ..objective.weights import THETA_MAX, weighted_samples
 from ..results import export, schema
 from ..settings.config import Config
-from ..solve.levenberg_marquardt import BLACK, LEAST_BINS, Solution, solve
-from ..solve.starts import ReadOff, read_off, starting_points
+from ..solve.levenberg_marquardt import BLACK, LEAST_BINS, Solution, solve, solve_many
+from ..solve.starts import clues_of, starting_points
 from ..support.clock import Clock, Report, silent
 from ..support.threads import CORES, one_core_a_call
 from .result import make_result
@@ -112,18 +112,16 @@ def fit(
     with clock.stage("coarse"):
         models = config.candidates
         report(f"coarse grid: {', '.join(model.variant for model in models)}")
-        coarse, seen = thin(samples, COARSE), read_off(samples)
-        seen = seen._replace(first=first or seen.first)
-        cheap = [cheaper(config.layout_of(model), COARSE_ORDER) for model in models]
-        printed = [printed_split(layout) for layout in cheap]
+        layouts = [config.layout_of(model, samples.bands) for model in models]
+        sought = [cheaper(replace(layout, model=layout.model.sought), COARSE_ORDER) for layout in layouts]
         problem, roughly = make_coarse(samples)
-        found = fit_coarse(printed, seen, problem, roughly, config)
-        candidates, chosen = compare(printed, found, coarse)
-        z = found[chosen].z
-        if cheap[chosen] != printed[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
-            z = solve(cheap[chosen], z, problem, config.fit.coarse_steps, backend=config.fit.backend).z
+        found = fit_coarse(sought, clues_of(samples), problem, roughly, config, first)
+        candidates, chosen = compare(sought, found, thin(samples, COARSE))
+        z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
+        if last != sought[chosen]:
+            z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
     report(f"{config.fit.grid} grid: {models[chosen].variant}")
-    tried = descend(config.layout_of(models[chosen]), z, measurement, samples, config, clock)
+    tried = descend(layouts[chosen], z, measurement, samples, config, clock)
     return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=candidates)
 
 
@@ -144,7 +142,7 @@ def descend(
         with clock.stage("full"):
             own = samples if k == 0 else weighted_samples(measurement, bend, settings.theta_max)
             problem = make_problem(thin(own, GRIDS[settings.grid]), settings.azimuths, settings.precision)
-            solution = solve(layout, z, problem, settings.max_steps, backend=settings.backend)
+            solution = solve(Objective(layout, problem), z, settings.max_steps, backend=settings.backend)
             z = solution.z
         if settings.weights == "adaptive" or k == len(config.rungs) - 1:
             with clock.stage("metrics"):
@@ -189,9 +187,7 @@ def assess(
 ) -> Fitted:
     """A solution with its cost on all bins, its errors and the effective count of its residuals."""
     predicted = predict_samples(layout, solution.z, samples)
-    unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
-    errors = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid(), theta_max)
-    costs = np.sum(samples.weight * (samples.value - predicted) ** 2, (1, 2, 3)) / energy(samples)
+    errors, costs = judge(predicted, measurement, samples, theta_max)
     normal = solution.normal.copy()
     normal[:, -1, -1] = costs
     exact = replace(solution, cost=float(costs.sum()), normal=normal)
@@ -199,26 +195,48 @@ def assess(
 
 
 def fit_coarse(
-    layouts: Sequence[Layout], seen: ReadOff, problem: Problem, roughly: Problem, config: Config
+    layouts: Sequence[Layout],
+    clues: Clues,
+    problem: Problem,
+    roughly: Problem,
+    config: Config,
+    first: Mapping[str, float] | None = None,
 ) -> list[Solution]:
-    """The lowest minima that a race from many starting points finds with every body, all cores at work.
+    """The lowest minima that a race from many starting points finds with every model, all cores at work.
 
     Args:
-        seen: where to start (`starts.starting_points`).
+        clues, first: where to start (`starts.starting_points`).
         roughly: on which candidates for starting points are compared, and the first lap is run (`CANDIDATES`).
     """
     count = RUNNERS_EACH * config.fit.starts
     with ThreadPoolExecutor(max_workers=CORES) as pool:
         rough = [cheaper(layout, CANDIDATE_ORDER) for layout in layouts]
-        runners = starting_points(rough, seen, roughly, count, pool.map)
+        runners = starting_points(rough, clues, roughly, count, pool.map, first)
 
         def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+            if first and config.fit.backend == "optimistix":
+                return follow_many(runners, steps)
             models, where = (rough, roughly) if first else (layouts, problem)
             pairs = [(layout, z) for layout, each in zip(models, runners, strict=True) for z in each]
-            solved = pool.map(lambda pair: solve(pair[0], pair[1], where, steps, backend=config.fit.backend), pairs)
+            solved = pool.map(
+                lambda pair: solve(Objective(pair[0], where), pair[1], steps, backend=config.fit.backend), pairs
+            )
             return [list(islice(solved, len(each))) for each in runners]
 
+        def follow_many(runners: list[np.ndarray], steps: int) -> list[list[Solution]]:
+            """Several by each call: on few bins it takes as long as what it computes."""
+            shares = [_shared_out(each) for each in runners]
+            pairs = [(Objective(layout, roughly), z) for layout, each in zip(rough, shares, strict=True) for z in each]
+            solved = pool.map(lambda pair: solve_many(pair[0].normal_equations_of_many, pair[1], steps), pairs)
+            together = [list(chain.from_iterable(islice(solved, len(each)))) for each in shares]
+            return [found[: len(each)] for found, each in zip(together, runners, strict=True)]
+
         return race(runners, follow, config, rivals=True)
+
+
+def _shared_out(points: np.ndarray) -> list[np.ndarray]:
+    """As many points for each core, the last one repeated where there are too few: one shape to compile."""
+    return np.split(np.concatenate([points, points[-1:].repeat(-len(points) % CORES, 0)]), CORES)
 
 
 Follow = Callable[[list[np.ndarray], int, bool], list[list[Solution]]]
@@ -261,14 +279,6 @@ def _leaders(found: list[Solution], most: int) -> list[Solution]:
     return chosen
 
 
-def printed_split(layout: Layout) -> Layout:
-    """The same with the printed split of energy, which costs a hundredth of the conserving one."""
-    material = layout.material
-    if not isinstance(material, TwoScale):
-        return layout
-    return layout.with_material(replace(material, split="printed"))
-
-
 def cheaper(layout: Layout, order: int) -> Layout:
     """The same with a convolution of no more than this order."""
     return replace(layout, model=layout.model.coarse(order))
@@ -276,7 +286,7 @@ def cheaper(layout: Layout, order: int) -> Layout:
 
 def predict_samples(layout: Layout, z: np.ndarray, samples: Samples) -> np.ndarray:
     """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
-    where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o, samples.bands)
     return predict(layout.model, layout.values(jnp.asarray(z)), where)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...merl_io.samples import Samples
 from ..objective.problem import Problem
-from ..objective.residuals import cost
+from ..objective.residuals import Objective
 from ..objective.transforms import Layout
 from ..solve.levenberg_marquardt import Solution
 from .coreset import few_rows
@@ -32,7 +32,8 @@ def log_likelihood(layout: Layout, z: np.ndarray, problem: Problem, count: float
     Args:
         count: effective sample count N. lowest: S at the fit.
     """
-    found = -count / 2 * float(jnp.sum(cost(layout.model, layout.values(jnp.asarray(z)), problem))) / lowest
+    costs = Objective(layout, problem).costs(layout.values(jnp.asarray(z)))
+    found = -count / 2 * float(jnp.sum(costs)) / lowest
     return found if np.isfinite(found) else -np.inf
 
 

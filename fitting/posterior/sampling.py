@@ -12,7 +12,6 @@ from jax import Array
 
 from ...merl_io.atomic import WriteError
 from ...merl_io.samples import Samples
-from ...model.derived import derived
 from ..assess.laplace import laplace_covariance
 from ..assess.outcome import Fitted
 from ..objective.problem import make_problem
@@ -44,7 +43,8 @@ class Sampled:
 
 @partial(jax.jit, static_argnums=0)
 def _physical(layout: Layout, draws: Array) -> tuple[Array, dict[str, Array]]:
-    return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: derived(layout.values(z), layout.material), draws)
+    material, wavelengths = layout.material, layout.bands.wavelengths_um
+    return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: material.derived(layout.values(z), wavelengths), draws)
 
 
 def physical(layout: Layout, draws: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:

@@ -162,13 +162,14 @@ def _below_fields() -> dict[str, dict[str, str]]:
 
 
 def _attributes(kind: type) -> dict[str, str]:
-    """Descriptions by attribute from the docstring of a class."""
-    text = re.sub(r":[a-z]+:`([^`]+)`", r"\1", " ".join((kind.__doc__ or "").partition("Attributes:")[2].split()))
-    names = [name for name, hint in get_type_hints(kind).items() if get_origin(hint) is not ClassVar]
-    if not names:
-        return {}
-    parts = re.split(rf"\b({'|'.join(names)}): ", text)
-    return dict(zip(parts[1::2], map(str.strip, parts[2::2]), strict=True))
+    """Descriptions by attribute from the docstrings of a class and of those that it inherits from."""
+    names, found = [name for name, hint in get_type_hints(kind).items() if get_origin(hint) is not ClassVar], {}
+    for each in reversed(kind.__mro__) if names else ():
+        listed = (each.__dict__.get("__doc__") or "").partition("Attributes:")[2].partition("\n\n")[0]
+        text = re.sub(r":[a-z]+:`([^`]+)`", r"\1", " ".join(listed.split()))
+        parts = re.split(rf"\b({'|'.join(names)}): ", text)
+        found |= dict(zip(parts[1::2], map(str.strip, parts[2::2]), strict=True))
+    return found
 
 
 if __name__ == "__main__":  # `make schema`

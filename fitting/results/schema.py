@@ -20,16 +20,15 @@ from pydantic import (
     model_validator,
 )
 
+from ...merl_io.bands import Bands
 from ...model.acquisition import APPARATUS, Apparatus
 from ...model.measured import GrazingLoss, Measured
-from ...model.parameters import CHANNELS, WAVELENGTHS_UM
 from ...model.reflectance import Reflectance, Values
 from ...model.registry import made
-from ...model.two_scale import ANY, BODIES, TwoScale
 from ..settings.choice import Choice
 
-SCHEMA_VERSION = "2.0"
-OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4")  # versions that are read, too: `upgraded` makes them this one
+SCHEMA_VERSION = "2.1"
+OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0")  # versions that are read, too: `upgraded` makes them this one
 
 
 PLAUSIBLE_UM = 0.1, 10.0  # wavelengths: a decade around what is visible
@@ -113,23 +112,18 @@ class Model(_Part):
     @model_validator(mode="after")
     def _of_a_fit(self) -> Self:
         low, high = PLAUSIBLE_UM
-        if isinstance(self.material, TwoScale):
-            if self.material.body == ANY:
-                raise ValueError(f"body should be {', '.join(BODIES)}, not {ANY!r}")
-            if self.material.diffraction == "exact":
-                raise ValueError("diffraction 'exact' is a reference that takes hours; no fit uses it")
+        if self.material.objection is not None:
+            raise ValueError(self.material.objection)
         if self.acquisition.exponents.keys() != {*self.material.lobes}:
             raise ValueError(f"acquisition.exponents should be those of {', '.join(self.material.lobes) or 'no lobe'}")
-        if self.channels != list(CHANNELS):
-            raise ValueError(f"channels should be {', '.join(CHANNELS)}, not {', '.join(self.channels) or 'none'}")
-        _same_length("channels", len(self.channels), wavelengths_um=self.wavelengths_um)
+        Bands(tuple(self.channels), tuple(self.wavelengths_um))  # which refuses what are none
         for x in self.wavelengths_um:
             if not low <= x <= high:
                 raise ValueError(f"wavelengths_um {x:g} is not between {low:g} and {high:g}")
         return self
 
     @classmethod
-    def of(cls, model: Measured, values: Values) -> Self:
+    def of(cls, model: Measured, values: Values, bands: Bands) -> Self:
         """What a fit with these parameter values was of."""
         material, derived = model.material, model.grazing_loss == "derived"
         return cls(
@@ -137,9 +131,9 @@ class Model(_Part):
             settings=asdict(material),  # pyright: ignore[reportArgumentType] - models are dataclasses
             acquisition=Acquisition(
                 grazing_loss=model.grazing_loss, apparatus=model.apparatus if derived else None,
-                exponents={lobe: float(model.exponent(lobe, values)) for lobe in model.lobes},
+                exponents={lobe: float(model.exponent(lobe, values, bands.wavelengths_um)) for lobe in model.lobes},
             ),
-            channels=list(CHANNELS), wavelengths_um=list(WAVELENGTHS_UM),
+            channels=list(bands.names), wavelengths_um=list(bands.wavelengths_um),
         )  # fmt: skip
 
     @cached_property
@@ -152,6 +146,11 @@ class Model(_Part):
     def material(self) -> Reflectance:
         """The material, without the apparatus."""
         return self.measured.material
+
+    @property
+    def bands(self) -> Bands:
+        """Channels and their wavelengths."""
+        return Bands(tuple(self.channels), tuple(self.wavelengths_um))
 
 
 class Quantiles(_Part):
@@ -312,6 +311,8 @@ class Fit(_Part):
     """How far from the minimum the fit stopped, as Bates and Watts measure it."""
     bins: int
     """Bins with a weight."""
+    effective_bins: float | None = None
+    """How many independent residuals those of the fit count as (docs/statistics.md). Null before version 2.1."""
     candidates: list[Candidate]
     """Models and their variants that were compared."""
     weights: float | Literal["log"] | None = None
@@ -474,10 +475,10 @@ def _here() -> str | None:
 class Result(_Part):
     """What merlfit found out about one material."""
 
-    schema_version: Literal["2.0"] = SCHEMA_VERSION
+    schema_version: Literal["2.1"] = SCHEMA_VERSION
     """Version of this format. Older ones are read as this one: 1.0 had no `accuracy`; 1.1 no `identifiability` and no
     `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
-    and before no other model than the two-scale one, its acquisition among its effects."""
+    and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`."""
     run: Run | None = Field(default_factory=this_run)
     """When and how it was computed; null before version 1.4."""
     source: Source

@@ -4,13 +4,15 @@ from typing import Any
 
 
 def upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
-    """Version 1.x as 2.0; what is missing or wrong is left for the reader of 2.0 to complain about.
+    """An older version as 2.1; what is missing or wrong is left for the reader of that to complain about.
 
-    1.x knew the two-scale model alone, and had the acquisition among its effects.
+    1.x knew the two-scale model alone, and had the acquisition among its effects; 2.0 lacked a field that may be null.
     """
     if not isinstance(data, dict):
         return data
-    found = {**data, "schema_version": "2.0"}
+    found = {**data, "schema_version": "2.1"}
+    if data.get("schema_version") == "2.0":
+        return found
     model, fit, config = (data.get(key) for key in ("model", "fit", "config"))
     if isinstance(model, dict) and isinstance(model.get("effects"), dict):
         found["model"] = _model(model)

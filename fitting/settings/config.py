@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypedDict, Unpack
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
+from ...merl_io.bands import MERL, Bands
 from ...model.acquisition import Apparatus
 from ...model.measured import GrazingLoss, Measured
 from ...model.parameters import PRIORS, LogNormal, Priors
@@ -266,10 +267,21 @@ class Config(_Section):
         """A material as the apparatus sees it."""
         return Measured(material, self.acquisition.grazing_loss, Apparatus(**self.apparatus.model_dump()))
 
-    def layout_of(self, model: Reflectance) -> Layout:
+    def layout_of(self, model: Reflectance, bands: Bands = MERL) -> Layout:
         """The parameters of a model to fit, in the coordinates that the priors make."""
         priors = Priors(**{name: LogNormal(**given) for name, given in self.priors.model_dump().items()})
-        return layout_of(model, priors)
+        return layout_of(model, priors, bands)
+
+    def variant(self, name: str, variant: str) -> Measured:
+        """One of the models to compare.
+
+        Raises:
+            KeyError: it is not among them.
+        """
+        for model in self.candidates:
+            if (model.material.name, model.variant) == (name, variant):
+                return model
+        raise KeyError(f"{name} {variant} is none of {', '.join(map(str, self.candidates))}")
 
 
 def _changed(effects: EffectsSection) -> list[str]:

@@ -4,7 +4,7 @@ optimistix wants a residual function and differentiates it. Ours has a million r
 one with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of
 squares as the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps of the
 solver M is summed at the point that it wants to see next, and the solver is given the affine function with that value
-and that Jacobian. Its step is compiled once for all models, grids and files.
+and that Jacobian. Its step is compiled once for all models, grids and files, of several solves side by side.
 
 The cost is that of Eq. 56 times 1 + PRIOR |z|^2, a weak prior that holds directions which the data leave open and
 vanishes with the cost. It is a sum of squares like the cost itself: of the residuals times sqrt(1 + PRIOR |z|^2).
@@ -24,9 +24,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from ..objective.problem import Problem
-from ..objective.residuals import normal_equations
-from ..objective.transforms import Layout
+from ..objective.residuals import Objective
 from .trust_region import TrustRegion
 
 Backend = Literal["optimistix", "scipy", "jaxopt"]
@@ -126,9 +124,28 @@ def compress(z: Array, normal: Array | np.ndarray) -> _Affine:
     return _Affine(z, r[:, -1], r[:, :-1])
 
 
+class _Way(eqx.Module):
+    """Where one solve is; of several, all arrays have a leading axis.
+
+    Attributes:
+        y: accepted point (P,). state: of the solver. kept: normal equations at y.
+        offset: relative offset at y. steps: evaluations. blocked: last step whose trial was not finite.
+        converged: whether it met the tolerance. active: whether it goes on.
+    """
+
+    y: Array
+    state: Any
+    kept: Array
+    offset: Array
+    steps: Array
+    blocked: Array
+    converged: Array
+    active: Array
+
+
 @cache
-def _machine(size: int, rtol: float) -> tuple[Any, Callable[..., Any]]:
-    """Initial state and compiled step of the solver for P parameters."""
+def _machine(size: int, rtol: float) -> tuple[Callable[..., _Way], Callable[..., _Way]]:
+    """Start and step of the solver for P parameters, compiled, of several solves at once."""
     solver = TrustRegion(rtol=rtol, atol=rtol)
     z = jnp.zeros(size)
     shape = jax.ShapeDtypeStruct((size + 1,), z.dtype)
@@ -137,39 +154,67 @@ def _machine(size: int, rtol: float) -> tuple[Any, Callable[..., Any]]:
         return near(z), None
 
     near = _Affine(z, jnp.zeros(size + 1), jnp.zeros((size + 1, size)))
-    state = solver.init(affine, z, near, {}, shape, None, frozenset())
-    dynamic, static = eqx.partition(state, eqx.is_array)
+    dynamic, static = eqx.partition(solver.init(affine, z, near, {}, shape, None, frozenset()), eqx.is_array)
 
-    @jax.jit
-    def step(y: Array, dynamic: eqx.Module, normal: Array) -> tuple[Array, eqx.Module, Array, Array, Array]:
-        state: Any = eqx.combine(dynamic, static)
+    def start(y: Array, kept: Array) -> _Way:
+        state = eqx.tree_at(lambda s: s.y_eval, dynamic, y)
+        never, finite = jnp.asarray(-CLEAR), jnp.all(jnp.isfinite(kept))
+        return _Way(y, state, kept, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
+
+    def advance(way: _Way, normal: Array) -> _Way:
+        state: Any = eqx.combine(way.state, static)
         near = compress(state.y_eval, normal)
-        y, state, _ = solver.step(affine, y, near, {}, state, frozenset())
+        y, state, _ = solver.step(affine, way.y, near, {}, state, frozenset())
         stop = state.terminate | (state.search_state < rtol)  # no radius is left in which to go on
-        accepted = state.num_steps_since_acceptance == 0
-        return y, eqx.filter(state, eqx.is_array), stop, accepted, relative_offset(near.value)
+        steps = way.steps + 1
+        better = (state.num_steps_since_acceptance == 0) | (steps == 1)
+        offset = jnp.where(better, relative_offset(near.value), way.offset)
+        blocked = jnp.where(jnp.all(jnp.isfinite(normal)), way.blocked, steps)
+        converged = (stop & (steps > blocked + CLEAR)) | (offset < OFFSET_TOLERANCE)
+        kept = jnp.where(better, normal, way.kept)
+        moved = _Way(y, eqx.filter(state, eqx.is_array), kept, offset, steps, blocked, converged, ~converged)
+        return jax.tree.map(lambda new, old: jnp.where(way.active, new, old), moved, way)
 
-    return dynamic, step
+    return jax.jit(jax.vmap(start)), jax.jit(_one_after_the_other(advance))
 
 
-def _optimistix(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
-    """Drive the solver, summing normal equations at every point that it asks for."""
-    state, step = _machine(len(z), rtol)
-    y, state = jnp.asarray(z), eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(z))
-    kept = normal = evaluate(y)
-    offset, converged, steps, blocked = float("inf"), False, 0, -CLEAR
-    if not np.isfinite(kept).all():
-        return Solution(np.asarray(y), float("nan"), np.asarray(kept), 1, offset, False)
-    while steps < limit and not converged:
-        normal = evaluate(state.y_eval) if steps else kept
-        y, state, stop, accepted, trial_offset = step(y, state, normal)
-        steps += 1
-        if steps == 1 or bool(accepted):
-            kept, offset = normal, float(trial_offset)
-        if not np.isfinite(normal).all():
-            blocked = steps
-        converged = (bool(stop) and steps > blocked + CLEAR) or offset < OFFSET_TOLERANCE
-    return Solution(np.asarray(y), float(np.asarray(kept)[:, -1, -1].sum()), np.asarray(kept), steps, offset, converged)
+def _one_after_the_other(advance: Callable[[_Way, Array], _Way]) -> Callable[[_Way, Array], _Way]:
+    """Over the leading axis; on a GPU side by side.
+
+    On a CPU XLA spreads a batch of decompositions over its own threads, and waits for them in one of these: calls from
+    as many threads of ours as it has would wait for ever (jaxlib 0.10).
+    """
+    if jax.default_backend() != "cpu":
+        return jax.vmap(advance)
+    return lambda ways, normal: jax.lax.map(lambda pair: advance(*pair), (ways, normal))
+
+
+def solve_many(
+    evaluate: Callable[[np.ndarray], np.ndarray | Array], points: np.ndarray, max_steps: int = 100, rtol: float = 1e-5
+) -> list[Solution]:
+    """Several solves side by side, each of which goes the way that it would go by itself.
+
+    Those that have finished stay where they are until all have, their equations being summed on.
+
+    Args:
+        evaluate: normal equations (M, C, P+1, P+1) of M points (M, P). points: where to start, (M, P).
+        max_steps, rtol: as for `solve`, of each.
+    """
+    start, advance = _machine(points.shape[1], rtol)
+    begun = np.asarray(points, float)
+    ways = start(begun, evaluate(begun))
+    for step in range(max_steps):
+        if not np.asarray(ways.active).any():
+            break
+        ways = advance(ways, evaluate(np.asarray(ways.state.y_eval)) if step else ways.kept)
+    ended: _Way = jax.tree.map(np.asarray, ways)
+    return [_ended(jax.tree.map(lambda x, k=k: x[k], ended)) for k in range(len(begun))]
+
+
+def _ended(way: _Way) -> Solution:
+    kept = np.asarray(way.kept)
+    cost = float(kept[:, -1, -1].sum()) if np.all(np.isfinite(kept)) else float("nan")
+    return Solution(np.asarray(way.y), cost, kept, max(int(way.steps), 1), float(way.offset), bool(way.converged))
 
 
 def _scipy(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
@@ -218,9 +263,8 @@ def _solution(evaluate: Callable, z: np.ndarray, steps: int, converged: bool) ->
 
 
 def solve(
-    layout: Layout,
+    objective: Objective,
     z: np.ndarray,
-    problem: Problem,
     max_steps: int = 100,
     rtol: float = 1e-5,
     backend: Backend = "optimistix",
@@ -235,15 +279,13 @@ def solve(
     A trial step to where the model is not finite is rejected; the returned ``z`` is always finite.
     """
 
-    def evaluate(z: Array) -> np.ndarray:
-        return normal_equations(layout, z, problem)
-
     start = np.asarray(z, dtype=float)
     if backend == "scipy":
-        return _scipy(evaluate, start, max_steps, rtol)
+        return _scipy(objective.normal_equations, start, max_steps, rtol)
     if backend == "jaxopt":
-        return _jaxopt(evaluate, start, max_steps, rtol)
-    return _optimistix(evaluate, start, max_steps, rtol)
+        return _jaxopt(objective.normal_equations, start, max_steps, rtol)
+    (found,) = solve_many(lambda points: objective.normal_equations(points[0])[None], start[None], max_steps, rtol)
+    return found
 
 
 def relative_offset(compressed: Array) -> Array:

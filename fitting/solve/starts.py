@@ -1,16 +1,14 @@
 """Starting points: one read off the data, and others spread over the whole prior, the best of each kind.
 
-What matters is where basins of attraction differ: how wide the lobe of microfacets is, how much light is diffracted,
-and whether that is the highlight, by a long correlation length, or a haze around it. Costs of starting points of
-different kinds say little about where they lead; among points of one kind the lowest is a good guess. Optical constants
-are not scattered but projected out (`projection`).
-
-That is for the two-scale model. Of any other the best of many points of its prior are taken (`scattered`).
+What matters is where basins of attraction differ: how wide the lobe is, and of a two-scale material how much light is
+diffracted, and whether that is the highlight, by a long correlation length, or a haze around it. Costs of starting
+points of different kinds say little about where they lead; among points of one kind the lowest is a good guess. What is
+per channel is not scattered but projected out (`projection`), or, where the model's channels are not separated, chosen
+channel by channel among points of the prior.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,42 +16,24 @@ from scipy.special import ndtr, ndtri
 from scipy.stats.qmc import Sobol
 
 from ...merl_io.samples import Samples
-from ...model.two_scale import TwoScale
+from ...model.reflectance import Clues
 from ..objective.problem import Problem
-from ..objective.residuals import costs_of_many
-from ..objective.transforms import MIDDLE_UM, Layout
+from ..objective.residuals import Objective
+from ..objective.transforms import Layout
 from .projection import project
 
 CANDIDATES_EACH = 7  # candidates for every starting point that is asked for; a power of 2 in all
-CLASSES = {"beta": 3, "p": 2, "sigma_s": 2}  # kinds: so many classes of each, equally likely
-NEAR = 0.3  # standard deviation of b's coordinate where the highlight is taken for diffracted light
+OWN = 16  # points of the parameters per channel, for every candidate whose channels are not separated
+NEAR = 0.3  # standard deviation of the coordinates that another reading of the clues fixes
 SCATTER = 1.5  # standard deviation of candidates in units of the prior's
 DARK_QUANTILE = 0.1  # of the bins away from the lobe: taken for the body
 RIM = 1e-3  # of the places of candidates between 0 and 1
-THIRDS = ndtri([1 / 3, 2 / 3])
-SHARED_EACH, OWN = 8, 16  # of `scattered`: points for every starting point that is asked for, and of each per channel
-TYPICAL = {
-    "p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3,
-}  # fmt: skip
-OPTICS = {"n": 1.0, "k": 3.0, "eta": 1.5, "albedo": 0.3}  # before they are projected
+Found = tuple[np.ndarray, dict[str, np.ndarray]]
 
 
-class ReadOff(NamedTuple):
-    """What the data say about where to start: the measured highlight may be the facets' lobe, or diffracted light.
-
-    Attributes:
-        first: shared parameters with the former's width, the others typical. b: of the latter (um).
-    """
-
-    first: Mapping[str, float]
-    b: float
-
-
-def read_off(samples: Samples) -> ReadOff:
-    """Lobes with the half width of the highlight; a diffraction lobe's is where 2 tan(theta_h) / lambda = 1 / b."""
-    width = half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0)
-    beta = width / np.log(2.0) ** (1 / (2 * TYPICAL["p"]))
-    return ReadOff({"beta": beta, **TYPICAL}, MIDDLE_UM / (2 * width))
+def clues_of(samples: Samples) -> Clues:
+    """What the data say of where to start."""
+    return Clues(half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0))
 
 
 def half_width(theta_h: np.ndarray, theta_d: np.ndarray, value: np.ndarray, used: np.ndarray) -> float:
@@ -75,90 +55,66 @@ def half_width(theta_h: np.ndarray, theta_d: np.ndarray, value: np.ndarray, used
 
 
 def starting_points(
-    layouts: Sequence[Layout], seen: ReadOff, problem: Problem, count: int, over: Callable[..., Iterable] = map
+    layouts: Sequence[Layout],
+    clues: Clues,
+    problem: Problem,
+    count: int,
+    over: Callable[..., Iterable] = map,
+    first: Mapping[str, float] | None = None,
 ) -> list[np.ndarray]:
     """So many starting points of every model and one more, in free coordinates, (count + 1, P) each.
 
     There are no random numbers in them: the same data have the same starting points.
 
     Args:
-        layouts: two-scale kinds differ in interface and body alone. seen: what the data say of these.
         problem: on which candidates are compared. over: maps a function over batches of candidates.
+        first: shared parameters of the first instead of those that the clues give.
     """
-    kinds = [layout for layout in layouts if isinstance(layout.material, TwoScale)]
-    of_kinds = iter(projected(kinds, seen, problem, count, over) if kinds else [])
-    return [
-        next(of_kinds) if isinstance(layout.material, TwoScale) else scattered(layout, problem, count)
-        for layout in layouts
-    ]
+    alike: dict[Hashable, list[int]] = {}  # models with the same lobes have the same candidates
+    for k, layout in enumerate(layouts):
+        parted = layout.model.separated
+        alike.setdefault((parted.lobes, parted.fixed) if parted else k, []).append(k)
+    found: dict[int, np.ndarray] = {}
+    for members in alike.values():
+        points = _of_alike([layouts[k] for k in members], clues, problem, count, over, first)
+        found |= dict(zip(members, points, strict=True))
+    return [found[k] for k in range(len(layouts))]
 
 
-def scattered(layout: Layout, problem: Problem, count: int) -> np.ndarray:
-    """The best points of the prior of any model, in free coordinates, (count + 1, P).
-
-    Points of the parameters that channels share, times points of those per channel: because no channel's cost knows of
-    another's parameters, the best of the latter is taken channel by channel. Both are Sobol sequences. Kinds are the
-    thirds of every parameter with a logarithmic scale, a width for instance: of each the best, then the second best.
-    """
-    own = [q for q in layout.parameters if q.per_channel]
-    shared = len(layout.parameters) - len(own)
-    channels = len(layout.channels)
-    most = 1 << (SHARED_EACH * (count + 1) - 1).bit_length()
-    places = [_spread(shared, most), _spread(len(own), OWN)]
-    first, second = np.indices((len(places[0]), len(places[1]))).reshape(2, -1)
-    points = np.concatenate([places[0][first], np.repeat(places[1][second], channels, 1)], 1)
-    values = layout.values_of_many(points)
-    for q in own:  # alike in all channels, whatever the prior of their differences
-        values[q.name] = np.repeat(values[q.name][:, channels // 2, None], channels, 1)
-    found = np.asarray(costs_of_many(layout.model, {name: jnp.asarray(x) for name, x in values.items()}, problem))
-    costs = np.nan_to_num(found, nan=np.inf).reshape(len(places[0]), len(places[1]), channels)
-    wide = [k for k, q in enumerate(layout.parameters[:shared]) if q.scale == "log"]
-    kinds = [tuple(each) for each in np.digitize(places[0][:, wide], SCATTER * THIRDS).tolist()]
-    chosen = costs.argmin(1)
-    best = _best(costs.min(1).sum(1), kinds, count + 1)
-    return np.array([layout.free(_chosen(values, k * len(places[1]) + chosen[k])) for k in best])
-
-
-def _chosen(values: Mapping[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the row of every channel, (C,); those of the first where channels share them."""
-    return {name: x[rows[0]] if x.ndim == 1 else x[rows, np.arange(len(rows))] for name, x in values.items()}
-
-
-def _spread(size: int, count: int) -> np.ndarray:
-    """Points over the prior in free coordinates, (count, size); one where there is nothing to spread."""
-    if size == 0:
-        return np.zeros((1, 0))
-    return SCATTER * ndtri(np.clip(Sobol(size, scramble=False).random(count), RIM, 1 - RIM))
-
-
-def projected(
-    layouts: Sequence[Layout], seen: ReadOff, problem: Problem, count: int, over: Callable[..., Iterable] = map
+def _of_alike(
+    layouts: Sequence[Layout],
+    clues: Clues,
+    problem: Problem,
+    count: int,
+    over: Callable[..., Iterable],
+    first: Mapping[str, float] | None,
 ) -> list[np.ndarray]:
-    """The same of two-scale models: the first point is read off the data.
+    """The same of models with the same lobes.
 
     Candidates are a Sobol sequence over the prior of the shared parameters, shifted (modulo 1) so that its first point
-    is that of ``seen``: another first point moves all. In every other candidate b is near that of ``seen``. Of every
-    kind the best is taken, then the second best, and so on.
-
-    Args:
-        layouts: kinds that differ in interface and body alone: their candidates have the same lobes.
+    is the first one of all: another first point moves all. Of as many of them as there are readings of the clues, one
+    each is near every other reading. Of every kind the best is taken, then the second best, and so on.
     """
-    first = layouts[0]
-    shared = [q.name for q in first.parameters if not q.per_channel]
-    most = 1 << (CANDIDATES_EACH * count - 1).bit_length()
-    begun = first.free({**OPTICS, **{name: seen.first[name] for name in shared}})
-    size = len(shared)  # shared parameters come first
-    places = (ndtr(begun[:size] / SCATTER) + Sobol(size, scramble=False).random(most)) % 1.0
-    points = np.tile(begun, (most, 1))
+    lead = layouts[0]
+    shared = [q.name for q in lead.parameters if not q.per_channel]  # they come first
+    size = len(shared)
+    readings = lead.model.starts(clues, lead.bands.middle_um) or [{}]
+    moved = [[name for name, x in each.items() if x != readings[0].get(name)] for each in readings]
+    if first is not None:
+        readings[0] = {**first}
+    typical = {q.name: q.default for q in lead.parameters}
+    begun = [lead.free({**typical, **reading}) for reading in readings]
+    most = 1 << (CANDIDATES_EACH * count - 1).bit_length() if size else 1
+    places = (ndtr(begun[0][:size] / SCATTER) + _sobol(size, most)) % 1.0
+    points = np.tile(begun[0], (most, 1))
     points[1:, :size] = SCATTER * ndtri(np.clip(places[1:], RIM, 1 - RIM))
-    sharp = np.zeros(most, bool)
-    if "b" in shared:
-        sharp[1::2], b = True, shared.index("b")
-        points[sharp, b] = first.free({**OPTICS, **seen.first, "b": seen.b})[b] + NEAR / SCATTER * points[sharp, b]
-    named = first.values_of_many(points)
-    found = project([each.model for each in layouts], {name: named[name] for name in shared}, problem, over)
-    classes = np.array([CLASSES.get(name, 1) for name in shared])
-    kinds = [tuple(each) for each in np.column_stack([(places * classes).astype(int), sharp]).tolist()]
+    turn = np.arange(most) % len(readings)
+    for k in range(1, len(readings)):
+        rows, columns = np.flatnonzero(turn == k)[:, None], [shared.index(name) for name in moved[k]]
+        points[rows, columns] = begun[k][columns] + NEAR / SCATTER * points[rows, columns]
+    found = _completed(layouts, points, size, problem, over)
+    classes = np.array([lead.model.basins.get(name, 1) for name in shared])
+    kinds = [tuple(each) for each in np.column_stack([(places * classes).astype(int), turn]).tolist()]
     return [
         np.array(
             [
@@ -168,6 +124,43 @@ def projected(
         )
         for layout, (costs, values) in zip(layouts, found, strict=True)
     ]
+
+
+def _completed(
+    layouts: Sequence[Layout], points: np.ndarray, size: int, problem: Problem, over: Callable[..., Iterable]
+) -> list[Found]:
+    """Costs of candidates (N, P) and their values, those per channel the best: as `projection.project` returns them."""
+    lead = layouts[0]
+    if lead.model.separated is None:
+        return [_by_channel(lead, points, size, problem)]
+    named = lead.values_of_many(points)
+    return project(layouts, {q.name: named[q.name] for q in lead.parameters[:size]}, problem, over)
+
+
+def _by_channel(layout: Layout, points: np.ndarray, size: int, problem: Problem) -> Found:
+    """Every candidate with points of the parameters per channel, of which each channel takes the best.
+
+    No channel's cost knows of another's parameters.
+    """
+    own, channels = layout.parameters[size:], len(layout.bands)
+    spread = SCATTER * ndtri(np.clip(_sobol(len(own), OWN if own else 1), RIM, 1 - RIM))
+    rows, tried = np.indices((len(points), len(spread))).reshape(2, -1)
+    every = np.concatenate([points[rows, :size], np.repeat(spread[tried], channels, 1)], 1)
+    values = layout.values_of_many(every)
+    for q in own:  # alike in all channels, whatever the prior of their differences
+        values[q.name] = np.repeat(values[q.name][:, layout.bands.middle, None], channels, 1)
+    found = Objective(layout, problem).costs_of_many({name: jnp.asarray(x) for name, x in values.items()})
+    costs = np.nan_to_num(np.asarray(found), nan=np.inf).reshape(len(points), len(spread), channels)
+    chosen = costs.argmin(1) + len(spread) * np.arange(len(points))[:, None]  # (N, C), of all rows
+    best = {
+        name: x[chosen, np.arange(channels)] if x.ndim == 2 else x[chosen[:, 0]] for name, x in values.items()
+    }  # fmt: skip
+    return costs.min(1).sum(1), best
+
+
+def _sobol(size: int, count: int) -> np.ndarray:
+    """Points in the unit cube, (count, size)."""
+    return Sobol(size, scramble=False).random(count) if size else np.zeros((count, 0))
 
 
 def _best(costs: np.ndarray, kinds: Sequence[tuple[int, ...]], count: int) -> list[int]:

@@ -24,6 +24,7 @@ from jax.typing import ArrayLike
 
 from .. import chebyshev, piecewise
 from ..numerics import Real, Scalar, floats, safe_divide, safe_sqrt, softplus, total
+from .smith_numeric import excess
 
 # log x runs over q in [-11, 4.7] at spacing 0.2. The integrand's narrowest peak is x^a e^(-x), a = 3/(2 p), at
 # p = 0.12, for which the trapezoid rule errs by 2 |Gamma(a + 2 pi i/0.2)| / Gamma(a) = 2e-11; what lies outside is
@@ -33,16 +34,6 @@ BEND = 3.0  # where the left tail begins to be stretched for p > 1/2
 LARGEST_EXPONENT = 650.0  # e^-650 = 1e-282: masking is 1 to the last digit long before
 TABLE_SIZE = 321  # nodes of the interpolation table
 LEAST_P, LARGEST_P, EXPONENTS = 0.12, 5.0, 40  # tables of so many exponents in between make that of any
-
-
-def _excess(w_minus_1: Real) -> Real:
-    """``z - arctan z`` with ``z = sqrt(w^2 - 1)``, without cancellation for small z."""
-    z = safe_sqrt(w_minus_1) * jnp.sqrt(2 + w_minus_1)  # the product of both may overflow in float32
-    small = z < 0.03
-    z_small, z_large = jnp.where(small, z, 0.0), jnp.where(small, 1.0, z)
-    s = z_small**2
-    series = z_small * s * (1 / 3 - s * (1 / 5 - s * (1 / 7 - s * (1 / 9 - s / 11))))
-    return jnp.where(small, series, z_large - jnp.arctan(z_large))
 
 
 def smith_lambda(tau: ArrayLike, p: ArrayLike) -> Real:
@@ -70,7 +61,7 @@ def smith_lambda(tau: ArrayLike, p: ArrayLike) -> Real:
     # e^(-E0) belongs in the exponent: in float32 it may underflow where (E0 + x)^(1/p - 1)/Gamma(1/p) is large
     log_rest = log_x - jnp.exp(log_x) + (1 / p - 1) * (log_e0[..., None] + log_growth) - gammaln(1 / p)
     log_rest = log_rest - jnp.exp(log_e0)[..., None]
-    value = total(jnp.exp(log_rest) * _excess(w_minus_1) * dlog_x) * float(NODES[1] - NODES[0]) / jnp.pi
+    value = total(jnp.exp(log_rest) * excess(w_minus_1) * dlog_x) * float(NODES[1] - NODES[0]) / jnp.pi
     return jnp.where(masked, value, 0.0)
 
 

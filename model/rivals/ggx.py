@@ -5,18 +5,18 @@ from typing import ClassVar
 
 from jax import Array
 
-from ..body import lambert
-from ..masking.ggx import G1
-from ..ndf.ggx import D
-from ..parameters import ALBEDO, LogNormal, Parameter
-from ..reflectance import OneFormula, Setting, Values
+from ..masking import ggx as masking
+from ..ndf import ggx
+from ..parameters import LogNormal, Parameter
+from ..reflectance import Clues, Values
+from .microfacets import Microfacets
 
 
 @dataclass(frozen=True)
-class GGX(OneFormula):
-    """F D G / (4 cos_i cos_o) + rho_d / pi, F by Schlick's polynomial from F0 (per channel).
+class GGX(Microfacets):
+    """:class:`.microfacets.Microfacets` with D = alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2) (Walter et al. 2007 Eq. 33).
 
-    Accuracy: 1e-11 against an independent oracle (``tests/fitting/test_models.py``).
+    Accuracy: 1e-11 against an independent oracle (``tests/rivals/test_microfacets.py``).
     """
 
     name: ClassVar[str] = "ggx"
@@ -26,20 +26,18 @@ class GGX(OneFormula):
     )
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
-        width = "width of the distribution of microfacet normals"
+    def widths(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Microfacets`, like what follows
         return (
-            Parameter("alpha", r"\alpha", width, "1", 0.1, 1e-3, 1.0, source="Walter et al. 2007, Eq. 33",
-                      prior=LogNormal(0.05, 5.0)),
-            Parameter("F0", "F_0", "reflectance of a facet at normal incidence", "1", 0.05, 0.0, 1.0, "linear",
-                      per_channel=True, source="Schlick 1994", quantity="odds"),
-            ALBEDO,
+            Parameter("alpha", r"\alpha", "width of the distribution of microfacet normals", "1", 0.1, 1e-3, 1.0,
+                      source="Walter et al. 2007, Eq. 33", prior=LogNormal(0.05, 5.0)),
         )  # fmt: skip
 
-    def sharp(self, v: Values, s: Setting) -> Array:  # noqa: D102
-        g, alpha = s.geometry, v["alpha"]
-        F = v["F0"] + (1 - v["F0"]) * (1 - g.cos_d) ** 5
-        return F * D(g.theta_h, alpha) * G1(g.cos_i, alpha) * G1(g.cos_o, alpha) / (4 * g.cos_i * g.cos_o)
+    def D(self, theta_h: Array, v: Values) -> Array:  # noqa: D102
+        return ggx.D(theta_h, v["alpha"])
 
-    def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
-        return lambert(v["albedo"])
+    def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
+        return masking.G1(cos, v["alpha"])
+
+    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
+        """D is at half its peak where tan(theta_h) is alpha sqrt(sqrt(2) - 1), about."""
+        return [{"alpha": clues.half_width / 0.644}]

@@ -20,46 +20,31 @@ is |i x o|^2 and G = (v.v / v_z)^2; and z0^2 = W(y^2), W Lambert's function, y t
 cancels against g, S1 absorbs 1/cos, and nothing is singular at the horizon.
 """
 
-import equinox as eqx
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.scipy.special import erfc, gammaln
+from jax.scipy.special import erfc
 
-from ..fresnel import fresnel
-from ..geometry import Geometry
+from ..body import lambert
+from ..interfaces import fresnel_of_dielectric
 from ..numerics import TINY, safe_sqrt
-from ..parameters import WAVELENGTHS_UM, Parameter
-from .common import projected_half_squared, visible, with_channels
+from ..parameters import LogNormal, Parameter
+from ..reflectance import Clues, Factor, Lobes, Reflectance, Setting, Values
+from .common import DIFFUSE
 
 SOURCE = "He et al. 1991"
 TERMS = 112  # of the series: see _series
+STIRLING = 8  # from this m on factorials are those of Stirling's series, to 6e-12
+HALF_LOG_2_PI = math.log(2 * math.pi) / 2
 BELOW, ABOVE = 7.0, 8.0  # widths of the summand kept on either side of its largest term; exp(-7^2 / 2) = 2e-11
 NORMAL_Q = 30.0  # q at normal incidence, where it is infinite: exp(-30^2) and erfc(30) are 0 in double precision
+Sums = tuple[Array, Array, Array]
 GRAZING_COS = 1e-100  # keeps tan^2 below 1e200
-
-
-class He(eqx.Module):
-    """Parameters; see ``PARAMETERS``."""
-
-    diffuse_albedo: Array  # (3,)
-    albedo: Array  # (3,)
-    roughness: Array  # um
-    autocorrelation: Array  # um
-    eta: Array
-
-
-PARAMETERS = (
-    Parameter("diffuse_albedo", r"\rho_d", "albedo of the diffuse term", "1", 0.1, 0.0, 1.0, "linear",
-              per_channel=True, source=SOURCE),
-    Parameter("albedo", r"\rho_s", "weight of the directional-diffuse term", "1", 0.3, 1e-4, 1e10, per_channel=True,
-              source="Ngan et al. 2005"),
-    Parameter("roughness", r"\sigma_0", "standard deviation of the surface's height", "um", 0.5, 1e-3, 20.0,
-              source=SOURCE),
-    Parameter("autocorrelation", r"\tau", "correlation length of the surface", "um", 20.0, 0.5, 300.0, source=SOURCE),
-    Parameter("eta", r"\eta", "index of refraction", "1", 1.5, 1.0, 20.0, "linear", source=SOURCE),
-)  # fmt: skip
 
 
 def lambert_w(x: Array) -> Array:
@@ -76,6 +61,7 @@ def lambert_w(x: Array) -> Array:
     return w - (w - x * jnp.exp(-w)) / (1 + w)
 
 
+@jax.custom_jvp
 def _series(g: Array, e: Array) -> Array:
     """``Sum_{m>=1} g^(m-1) exp(-g - e/m) / (m! m)``, each term formed as a logarithm; g reaches 60 000.
 
@@ -84,17 +70,41 @@ def _series(g: Array, e: Array) -> Array:
     themselves; where it takes more, the sum is its own integral to exp(-2 pi^2 width^2), and the trapezoid rule with
     ``TERMS`` nodes has the same kind of error. Accuracy 1e-9, which is what log(m!) leaves at g = 60 000.
     """
+    return _sums(g, e)[0]
+
+
+@_series.defjvp
+def _series_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Of the same terms: d/dg multiplies each by (m - 1)/g - 1, d/de by -1/m."""
+    value, by_g, by_e = _sums(*primals)
+    return value, by_g * tangents[0] + by_e * tangents[1]
+
+
+def _sums(g: Array, e: Array) -> Sums:
+    """The series and its derivatives by g and e."""
     tilt = jnp.minimum(2 * e / jnp.maximum(g, TINY ** (1 / 2)) ** 2, 1e250)
     largest = jnp.maximum(g * jnp.exp(lambert_w(tilt) / 2), 1.0)
     width = 1 / jnp.sqrt(1 / largest + 2 * e / largest**3)
-    first = jnp.maximum(jnp.floor(largest - BELOW * width), 1.0)
+    first = jnp.maximum(jnp.floor(largest - BELOW * width), float(STIRLING))
     step = jnp.maximum((largest + ABOVE * width - first) / (TERMS - 1), 1.0)
-    # where the terms lie does not change what they add up to
-    first, step = jax.lax.stop_gradient(first), jax.lax.stop_gradient(step)
-    m = first[..., None] + step[..., None] * np.arange(TERMS)
     log_g = jnp.log(jnp.maximum(g, TINY))
-    log_term = (m - 1) * log_g[..., None] - g[..., None] - gammaln(m + 1) - jnp.log(m) - e[..., None] / m
-    return step * jnp.sum(jnp.exp(log_term), -1)
+
+    def with_term(sums: Sums, m: Array | float, log_factorial: Array | float, log_m: Array | float) -> Sums:
+        term = jnp.exp((m - 1) * log_g - g - log_factorial - log_m - e / m)
+        return sums[0] + term, sums[1] + (m - 1) * term, sums[2] + term / m
+
+    def add(k: Array, sums: Sums) -> Sums:
+        m = first + k * step
+        log_m, inverse = jnp.log(m), 1 / m
+        square = inverse**2
+        series = inverse * (1 / 12 - square * (1 / 360 - square * (1 / 1260 - square / 1680)))
+        return with_term(sums, m, (m + 0.5) * log_m - m + HALF_LOG_2_PI + series, log_m)
+
+    zero = jnp.zeros_like(g * e)
+    value, moment, shrunk = (step * x for x in jax.lax.fori_loop(0, TERMS, add, (zero, zero, zero)))
+    for m in map(float, range(1, STIRLING)):  # whose factorials Stirling's series does not give to ten digits
+        value, moment, shrunk = with_term((value, moment, shrunk), m, math.lgamma(m + 1), math.log(m))
+    return value, moment / jnp.maximum(g, TINY) - value, -shrunk
 
 
 def _cotangent(cos: Array, slope: Array) -> tuple[Array, Array]:
@@ -126,32 +136,65 @@ def effective_roughness(cos_i: Array, cos_o: Array, roughness: Array, slope: Arr
     return roughness / jnp.sqrt(1 + lambert_w(squared))
 
 
-def evaluate(parameters: He, geometry: Geometry) -> Array:
-    """BRDF (1/sr): diffuse and directional-diffuse terms (module docstring); the mirror's own peak is left out.
-
-    F is the Fresnel reflectance of a dielectric of index eta at theta_d. The wavelengths are 0.645, 0.526 and 0.444 um.
-
-    Args:
-        parameters: diffuse_albedo and albedo one value a channel, the others shared; lengths in um.
-        geometry: directions, scattered or as a broadcast grid.
-
-    Returns:
-        shape ``(*broadcast shape of geometry, 3)``; 0 where light or viewer are not above the surface.
+@dataclass(frozen=True)
+class He(Reflectance):
+    """The module's formula; the mirror's own peak is left out. F is that of a dielectric of index eta at theta_d.
 
     Reciprocal. Values and first derivatives are finite everywhere; second derivatives miss a part (:func:`lambert_w`).
     Accuracy: 1e-9 against an independent oracle (``tests/rivals/test_rivals.py``); with the published parameters the
     median errors over 86 materials of MERL are RMSE 0.060, sMAPE 0.252, and 0.055, 0.209 once the table's colours are
     put on MERL's scale (``tests/rivals/test_published.py``).
     """
-    q, (g, above) = parameters, with_channels(geometry)
-    wave = 2 * jnp.pi / jnp.asarray(WAVELENGTHS_UM)
-    slope = 2 * q.roughness / q.autocorrelation
+
+    name: ClassVar[str] = "he"
+    citation: ClassVar[str] = (
+        "He, Torrance, Sillion & Greenberg 1991, A comprehensive physical model for light reflection, "
+        "doi:10.1145/127719.122738"
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
+        return (
+            Parameter("roughness", r"\sigma_0", "standard deviation of the surface's height", "um", 0.5, 1e-3, 20.0,
+                      source=SOURCE, prior=LogNormal(0.3, 4.0)),
+            Parameter("autocorrelation", r"\tau", "correlation length of the surface", "um", 20.0, 0.5, 300.0,
+                      source=SOURCE, prior=LogNormal(10.0, 4.0)),
+            Parameter("eta", r"\eta", "index of refraction", "1", 1.5, 1.0, 20.0, "linear", source=SOURCE),
+            Parameter("albedo", r"\rho_s", "weight of the directional-diffuse term", "1", 0.3, 1e-4, 1e10,
+                      per_channel=True, source="Ngan et al. 2005", prior=LogNormal(1.0, 5.0)),
+            DIFFUSE,
+        )  # fmt: skip
+
+    def factors(self) -> dict[str, Factor]:  # noqa: D102
+        return {
+            "fresnel": lambda v, s: fresnel_of_dielectric(s.geometry.cos_d, v["eta"]),
+            "surface": surface,
+            "albedo": lambda v, s: v["albedo"],
+            "body": lambda v, s: lambert(v["diffuse_albedo"]),
+        }
+
+    def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
+        return Lobes({"specular": at["albedo"] * at["fresnel"]}, at["surface"], at["body"])
+
+    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
+        """A rough surface reflects as facets of root mean square slope sqrt(2) sigma / tau; a smooth one diffracts.
+
+        The latter's lobe, where sigma is a few hundredths of the wavelength, is exp(-(pi tau v_xy / lambda)^2).
+        """
+        rough = {"autocorrelation": 10.0, "roughness": float(np.clip(10.0 * clues.half_width / 1.18, 2e-3, 19.0))}
+        width = middle_um * 0.833 / (2 * np.pi * clues.half_width)
+        return [rough, {"autocorrelation": float(np.clip(width, 0.6, 290.0)), "roughness": 0.05}]
+
+
+def surface(v: Values, s: Setting) -> Array:
+    """G S D / (pi cos_i cos_o), per channel."""
+    g, wave = s.geometry, 2 * jnp.pi / s.wavelength_um
+    roughness, tau = v["roughness"], v["autocorrelation"]
+    slope = 2 * roughness / tau
     shadowing = shadowing_over_cos(g.cos_i, slope) * shadowing_over_cos(g.cos_o, slope)
-    phase = (wave * effective_roughness(g.cos_i, g.cos_o, q.roughness, slope)) ** 2  # g / v_z^2
+    phase = (wave * effective_roughness(g.cos_i, g.cos_o, roughness, slope)) ** 2  # g / v_z^2
     v_z = 2 * jnp.cos(g.theta_h) * g.cos_d
-    spread = (wave * q.autocorrelation) ** 2 * projected_half_squared(g) / 4
-    series = _series(*jnp.broadcast_arrays(phase * v_z**2, spread))
+    projected = (2 * g.cos_d * jnp.sin(g.theta_h)) ** 2  # |i + o|^2 sin^2 theta_h
+    series = _series(*jnp.broadcast_arrays(phase * v_z**2, (wave * tau) ** 2 * projected / 4))
     # pi^2 tau^2 / (4 lambda^2) G g / pi, where G g = (v.v)^2 phase and v.v = 4 cos_d^2
-    height = (wave * q.autocorrelation) ** 2 * phase * g.cos_d**4 / jnp.pi
-    F = fresnel(g.cos_d, q.eta, jnp.zeros(()))
-    return visible(q.diffuse_albedo, q.albedo * F * shadowing * height * series, above)
+    return shadowing * (wave * tau) ** 2 * phase * g.cos_d**4 / jnp.pi * series

@@ -17,7 +17,7 @@ from merlfit.fitting.pipeline.run import (
     race,
 )
 from merlfit.fitting.solve.levenberg_marquardt import prior_factor
-from merlfit.fitting.solve.starts import read_off, starting_points
+from merlfit.fitting.solve.starts import clues_of, starting_points
 from merlfit.merl_io.samples import thin
 from scipy.optimize import least_squares
 
@@ -64,7 +64,7 @@ class Plain:
 def coarse_stage(layout, samples, config):
     """Seconds of the race that `run.fit_coarse` makes, from merlfit's starting points, which cost nothing here."""
     rough, (_, roughly) = cheaper(layout, CANDIDATE_ORDER), make_coarse(samples)
-    points = starting_points([rough], read_off(samples), roughly, RUNNERS_EACH * config.fit.starts)[0]
+    points = starting_points([rough], clues_of(samples), roughly, RUNNERS_EACH * config.fit.starts)[0]
     begun, plain = time.perf_counter(), Plain(layout, thin(samples, COARSE_RUNS))
     begin = Plain(layout, thin(samples, FIRST_RUNS))
 

@@ -37,7 +37,8 @@ def run(folder, out, every):
     """Rows by number of files, then of processes; with ``every`` all 100."""
     record = Record(
         "batch", "Many files in one call", RECONSTRUCTIONS,
-        ["`merlfit fit FILE ... --no-posterior`, body `auto` (five kinds of interface and body on the coarse grid, the best on all bins), "
+        ["`merlfit fit FILE ... --no-posterior`, body `auto` (five kinds of interface and body on the coarse grid, the "
+         "best on all bins), "
          "wall time of the whole process, compiled programs in the cache. Two processes: half of the files "
          "each, together."],
         {"files": Target(f"all {FILES} materials in one call, no posterior", 10, "minutes")},

@@ -14,19 +14,22 @@ CASES = (("nickel", "none"), ("gray-plastic", "plastic"), ("nickel", "auto"))
 
 def measure(path, body):
     """`merlfit fit` in this process: on the system's clock, when normal equations of each size first came out."""
-    import jax
     from merlfit.fitting import cli
-    from merlfit.fitting.solve import levenberg_marquardt
+    from merlfit.fitting.objective.residuals import Objective
 
-    real, first, folder = levenberg_marquardt.normal_equations, {}, tempfile.TemporaryDirectory()
+    first = {}
 
-    def timed(layout, z, problem):
-        found = jax.block_until_ready(real(layout, z, problem))
-        first.setdefault(sum(part.target.size for part in problem.parts), time.monotonic())
-        return found
+    def timed(real):
+        def call(objective, points):
+            found = real(objective, points)
+            first.setdefault(sum(part.target.size for part in objective.problem.parts), time.monotonic())
+            return found
 
-    levenberg_marquardt.normal_equations = timed
-    with folder as out:
+        return call
+
+    for name in ("normal_equations", "normal_equations_of_many"):
+        setattr(Objective, name, timed(getattr(Objective, name)))
+    with tempfile.TemporaryDirectory() as out:
         cli.app(["fit", path, "-o", out, "--body", body, "--no-posterior"], standalone_mode=False)
         json_ = time.monotonic()
     sizes = sorted(first)

@@ -6,6 +6,7 @@ from tempfile import TemporaryDirectory
 
 import jax
 import numpy as np
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output.synthesis import from_published
 from merlfit.fitting.pipeline.batch import fit_batch, prepare, solve_batch
@@ -51,8 +52,8 @@ def one_by_one(layout, some, config):
     """Costs of the same fits without a batch."""
     cheap, costs = [cheaper(layout, COARSE_ORDER)], []
     for material in some:
-        (found,) = fit_coarse(cheap, material.seen, material.coarse, material.roughly, config)
-        costs.append(solve(layout, found.z, material.problem, config.fit.max_steps).cost)
+        (found,) = fit_coarse(cheap, material.clues, material.coarse, material.roughly, config)
+        costs.append(solve(Objective(layout, material.problem), found.z, config.fit.max_steps).cost)
     return costs
 
 

@@ -4,11 +4,12 @@ import time
 
 import numpy as np
 from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import GRIDS
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.starts import read_off
+from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 
@@ -30,12 +31,13 @@ def measure(path, grid, azimuths, precision):
     layout = config.layout_of(*config.candidates)
     samples = thin(weighted_samples(read(path)), GRIDS[grid])
     problem = make_problem(samples, int(azimuths), precision)
-    start = layout.free({**OPTICS, **read_off(samples).first})
+    typical = {q.name: q.default for q in layout.parameters}
+    start = layout.free({**typical, **OPTICS, **layout.model.starts(clues_of(samples), layout.bands.middle_um)[0]})
     before = resident_peak()
     runs = []
     for _ in range(REPEATS + 1):  # the first one compiles
         begun = time.perf_counter()
-        solution = solve(layout, start, problem, STEPS, NEVER)
+        solution = solve(Objective(layout, problem), start, STEPS, NEVER)
         runs.append((time.perf_counter() - begun) / solution.steps)
     if solution.steps != STEPS or solution.converged:
         raise RuntimeError(f"{grid}, {azimuths} nodes, {precision}: ended after {solution.steps} of {STEPS} steps")

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import cost, normal_equations
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.posterior.importance import quantiles
@@ -55,7 +55,7 @@ def lowest(layout, problem, fixed):
 
     def near(x):
         z = jnp.asarray(layout.free(values(x)))
-        return compress(z, normal_equations(layout, z, problem))
+        return compress(z, Objective(layout, problem).normal_equations(z))
 
     def slope(x):
         steps = STEP * np.eye(len(x))
@@ -67,7 +67,7 @@ def lowest(layout, problem, fixed):
         x = np.log([*({**OTHERWISE, "p": p}[name] for name in own), *(1.0,) * 3, *(1.5,) * 3])
         best = values(least_squares(lambda x: np.asarray(near(x).value), x, slope, x_scale="jac", max_nfev=60).x)
         at = layout.values(jnp.asarray(layout.free(best)))
-        found.append((float(jnp.sum(cost(layout.model, at, problem))), best))
+        found.append((float(jnp.sum(Objective(layout, problem).costs(at))), best))
     return min(found, key=lambda each: each[0])
 
 

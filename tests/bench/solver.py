@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import normal_equations
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
 from merlfit.fitting.settings.config import load
@@ -72,7 +72,7 @@ def driven(solver, evaluate, z):
 
 def ours(layout, z, problem):
     """The same of `solve`."""
-    found = solve(layout, z, problem, MOST)
+    found = solve(Objective(layout, problem), z, MOST)
     return found.objective, found.steps, found.converged
 
 
@@ -89,7 +89,7 @@ def measure(path, body):
             found = (
                 ours(layout, z, problem)
                 if name == "ours"
-                else driven(SOLVERS[name], lambda x: normal_equations(layout, x, problem), z)
+                else driven(SOLVERS[name], lambda x: Objective(layout, problem).normal_equations(x), z)
             )
             rows[name].append([*found, time.perf_counter() - begun])
     return rows

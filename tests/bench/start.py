@@ -3,11 +3,12 @@
 import time
 
 from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.starts import read_off
+from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io.binary import read
 
 REPEATS = 3
@@ -20,7 +21,7 @@ def coarse_optimum(path, body):
     config = load(body=body, posterior=False)
     (model,) = config.candidates
     layout, samples = config.layout_of(model), weighted_samples(read(path), config.rungs[0], config.fit.theta_max)
-    (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], read_off(samples), *make_coarse(samples), config)
+    (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], clues_of(samples), *make_coarse(samples), config)
     return config, layout, samples, found.z
 
 
@@ -30,6 +31,6 @@ def fine_stage(config, layout, samples, start):
     for _ in range(REPEATS + 1):
         begun = time.perf_counter()
         problem = make_problem(samples)
-        solution = solve(layout, start, problem, config.fit.max_steps)
+        solution = solve(Objective(layout, problem), start, config.fit.max_steps)
         seconds.append(time.perf_counter() - begun)
     return problem, solution, seconds[1:]

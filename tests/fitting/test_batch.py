@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.pipeline.batch import fit_batch, prepare, solve_batch
 from merlfit.fitting.settings.config import parse
 from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.starts import read_off
+from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
@@ -46,7 +47,7 @@ def three():
 def test_each_ends_where_it_ends_by_itself(three):
     problems, starts = three
     together = solve_batch(LAYOUT, starts, problems, 60)
-    alone = [solve(LAYOUT, z, q, 60) for z, q in zip(starts, problems, strict=True)]
+    alone = [solve(Objective(LAYOUT, q), z, 60) for z, q in zip(starts, problems, strict=True)]
     for one, other in zip(together, alone, strict=True):
         assert one.cost == pytest.approx(other.cost, rel=1e-6)
         np.testing.assert_allclose(one.z, other.z, atol=1e-5)
@@ -92,8 +93,8 @@ def test_whole_fits_are_those_of_single_files():
     files = [weighted_samples(measured(seed)[0]) for seed in (4, 5)]
     together = fit_batch(LAYOUT, [prepare(samples, config) for samples in files], config)
     for samples, found in zip(files, together, strict=True):
-        (best,) = run.fit_coarse([LAYOUT], read_off(samples), *run.make_coarse(samples), config)
-        alone = solve(LAYOUT, best.z, make_problem(thin(samples, run.COARSE), 4), config.fit.max_steps)
+        (best,) = run.fit_coarse([LAYOUT], clues_of(samples), *run.make_coarse(samples), config)
+        alone = solve(Objective(LAYOUT, make_problem(thin(samples, run.COARSE), 4)), best.z, config.fit.max_steps)
         assert (found.steps, found.converged) == (alone.steps, alone.converged)
         assert found.cost == pytest.approx(alone.cost, rel=1e-6)
         np.testing.assert_allclose(found.z, alone.z, atol=1e-4)

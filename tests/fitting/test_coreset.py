@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import cost, normal_equations
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.posterior.coreset import COLUMNS, ROWS, Rows, few_rows, runs
@@ -68,7 +68,7 @@ def test_kept_rows_determine_parameters_as_all_bins_do():
     samples, z = sharp(2.0)
     rows = few_rows(LAYOUT, samples, z, 1e-4)
     _, jacobian = rows.tangent(z)
-    whole = np.asarray(normal_equations(LAYOUT, jnp.asarray(z), make_problem(samples))).sum(0)[:-1, :-1]
+    whole = np.asarray(Objective(LAYOUT, make_problem(samples)).normal_equations(jnp.asarray(z))).sum(0)[:-1, :-1]
     for found in np.linalg.eigvals(np.linalg.solve(whole + 1e-4 * np.eye(len(z)), jacobian.T @ jacobian)).real:
         assert found < 1.5
     name = LAYOUT.coordinates.index("p")
@@ -82,5 +82,5 @@ def test_predictions_and_target_are_those_of_the_thinned_problem():
     rows = Rows.of(LAYOUT, samples, (5, COLUMNS, 1))
     away = z + 0.1
     found = np.sum((rows.predicted(away[None])[0] - rows.target) ** 2)
-    expected = float(np.sum(cost(LAYOUT.model, LAYOUT.values(jnp.asarray(away)), make_problem(samples))))
+    expected = float(np.sum(Objective(LAYOUT, make_problem(samples)).costs(LAYOUT.values(jnp.asarray(away)))))
     assert found == pytest.approx(expected, rel=0.2)

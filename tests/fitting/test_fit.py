@@ -11,14 +11,14 @@ from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.outcome import Fitted
 from merlfit.fitting.objective import problem as problems
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import _normal_equations, cost, normal_equations, spread_out
+from merlfit.fitting.objective.residuals import Objective, _normal_equations, spread_out
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.settings.config import Config, load
 from merlfit.fitting.solve import levenberg_marquardt
 from merlfit.fitting.solve.levenberg_marquardt import Status, solve
-from merlfit.fitting.solve.starts import read_off, starting_points
+from merlfit.fitting.solve.starts import clues_of, starting_points
 from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
@@ -129,9 +129,9 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     others = [Measured(TwoScale("plastic"), "derived"), Measured(TwoScale("lambert", "zonal"), 0.3)]
     for layout in (FREE, *map(layout_of, [*others, TwoScale("lambert", "off", split="conserving")])):
         z = jnp.asarray(np.random.default_rng(1).normal(size=layout.size))
-        expected, found = plain(layout, z, samples), np.asarray(normal_equations(layout, z, problem))
+        expected, found = plain(layout, z, samples), np.asarray(Objective(layout, problem).normal_equations(z))
         assert difference(found, expected) < 1e-9
-        alone = np.asarray(cost(layout.model, layout.values(z), problem))
+        alone = np.asarray(Objective(layout, problem).costs(layout.values(z)))
         np.testing.assert_allclose(alone, found[:, -1, -1], rtol=1e-10)
 
 
@@ -142,7 +142,7 @@ def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
     for layout in (FREE, layout_of(other)):
         z = jnp.asarray(np.random.default_rng(2).normal(size=layout.size))
         expected = plain(layout, z, samples)
-        few, many = (np.asarray(normal_equations(layout, z, make_problem(samples, k))) for k in (2, 8))
+        few, many = (np.asarray(Objective(layout, make_problem(samples, k)).normal_equations(z)) for k in (2, 8))
         assert difference(many, expected) < 1e-3
         assert difference(few, expected) > 10 * difference(many, expected)
 
@@ -156,13 +156,13 @@ def test_the_program_of_all_kinds_has_the_normal_equations_of_each(coarse, kind)
     values, slopes = layout.values_and_slopes(z)
     alone = sum(np.asarray(_normal_equations(layout.model, values, part)) for part in problem.parts)
     expected = spread_out(layout, np.asarray(slopes), alone, np.asarray(problem.rest))
-    assert difference(normal_equations(layout, z, problem), expected) < 1e-12
+    assert difference(Objective(layout, problem).normal_equations(z), expected) < 1e-12
 
 
 def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
     thinned = thin(coarse[0], (5, 5, 1))
     problem = make_problem(thinned)
-    z = jnp.asarray(starting_points([FREE], read_off(coarse[0]), problem, 1)[0][0])
+    z = jnp.asarray(starting_points([FREE], clues_of(coarse[0]), problem, 1)[0][0])
     assert len(problem.parts) == 1
     assert problem.parts[0].target.shape[0] == 1
     monkeypatch.setattr(problems, "BLOCK", 700)
@@ -171,10 +171,8 @@ def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
     blocked = make_problem(thinned)
     assert len(blocked.parts) == 2
     assert blocked.parts[0].target.shape[0] > 1
-    np.testing.assert_allclose(
-        np.asarray(normal_equations(FREE, z, blocked)), np.asarray(normal_equations(FREE, z, problem)), rtol=1e-9,
-        atol=1e-15,
-    )  # fmt: skip
+    ours, whole = (Objective(FREE, q).normal_equations(z) for q in (blocked, problem))
+    np.testing.assert_allclose(ours, whole, rtol=1e-9, atol=1e-15)
 
 
 def test_solvers_of_three_libraries_agree(coarse):
@@ -182,8 +180,9 @@ def test_solvers_of_three_libraries_agree(coarse):
     problem = make_problem(thin(samples, (10, 10, 45)))
     layout = layout_of(Measured(TwoScale("none", "lobe")))
     start = layout.free({**CONDUCTOR, **EXPONENTS}) + 0.1
-    ours, minpack, jaxopt = (solve(layout, start, problem, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
-    assert ours.cost < solve(layout, start, problem, 1).cost / 10
+    objective = Objective(layout, problem)
+    ours, minpack, jaxopt = (solve(objective, start, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
+    assert ours.cost < solve(objective, start, 1).cost / 10
     for other in (minpack, jaxopt):
         assert other.cost == pytest.approx(ours.cost, rel=5e-3)
         np.testing.assert_allclose(other.z, ours.z, atol=0.05)
@@ -237,13 +236,13 @@ def test_data_below_the_horizon_are_left_out():
     problem = make_problem(thin(samples, (1, 3, 10)))
     for grazing_loss in ("free", 0.0):
         layout = layout_of(Measured(TwoScale("lambert", "off"), grazing_loss))
-        assert np.all(np.isfinite(normal_equations(layout, jnp.zeros(layout.size), problem)))
+        assert np.all(np.isfinite(Objective(layout, problem).normal_equations(jnp.zeros(layout.size))))
 
 
 def test_equations_that_are_not_finite_are_a_failure(coarse):
     problem = coarse[1]
     spoiled = eqx.tree_at(lambda q: q.parts[0].directions.log_base, problem, replace_fn=lambda x: x - jnp.inf)
-    solution = solve(FREE, np.zeros(FREE.size), spoiled)
+    solution = solve(Objective(FREE, spoiled), np.zeros(FREE.size))
     assert not solution.converged
     assert np.isnan(solution.cost)
     fitted = Fitted(FREE, solution, np.ones(3), Errors(*(0.0,) * 6), [])
@@ -259,7 +258,9 @@ def test_short_steps_before_a_wall_are_no_convergence(edge, converged):
         both = jnp.concatenate([slope, (target - slope @ z)[:, None]], 1)
         return jnp.stack([jnp.where(jnp.any(z > edge), jnp.nan, both.T @ both) / 3] * 3)
 
-    found = levenberg_marquardt._optimistix(equations, np.zeros(2), 60, 1e-5)
+    (found,) = levenberg_marquardt.solve_many(
+        lambda points: equations(jnp.asarray(points[0]))[None], np.zeros((1, 2)), 60, 1e-5
+    )
     assert found.converged == converged
     assert np.all(np.isfinite(found.z))
     np.testing.assert_allclose(found.z[0], min(edge, 5.0), rtol=2e-2)  # the prior

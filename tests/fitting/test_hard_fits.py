@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.objective.problem import make_problem
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.solve.levenberg_marquardt import solve
@@ -77,7 +78,8 @@ def edges():
 
 @pytest.mark.parametrize(("layout", "start"), edges())
 def test_a_start_at_the_edge_of_every_range_stays_finite(layout, start, small, table):
-    first, found = solve(layout, start, small, 1), solve(layout, start, small, 12 if layout == WHOLE else 5)
+    objective = Objective(layout, small)
+    first, found = solve(objective, start, 1), solve(objective, start, 12 if layout == WHOLE else 5)
     assert np.all(np.isfinite(found.z))
     assert np.all(np.isfinite(found.normal))
     assert np.isfinite(found.cost)
@@ -93,8 +95,8 @@ def test_the_size_of_the_weights_does_not_matter(scale, small, coarse):
     scaled = replace(coarse, weight=coarse.weight * scale, scatter=coarse.scatter * scale)
     tolerance = 1e-9 if scale > 1e-305 else 1e-6  # what is left of the digits of denormal numbers
     z = np.zeros(WHOLE.size)
-    expected, found = solve(WHOLE, z, small, 6), solve(WHOLE, z, make_problem(scaled), 6)
+    expected, found = solve(Objective(WHOLE, small), z, 6), solve(Objective(WHOLE, make_problem(scaled)), z, 6)
     np.testing.assert_allclose(found.cost, expected.cost, rtol=tolerance)
     np.testing.assert_allclose(found.z, expected.z, rtol=1e3 * tolerance, atol=tolerance)
     lopsided = replace(coarse, weight=coarse.weight * np.array([1.0, 2.0, 1.0])[:, None, None, None])
-    assert solve(WHOLE, z, make_problem(lopsided), 6).cost != pytest.approx(expected.cost, rel=1e-6)
+    assert solve(Objective(WHOLE, make_problem(lopsided)), z, 6).cost != pytest.approx(expected.cost, rel=1e-6)

@@ -12,7 +12,6 @@ from merlfit.fitting.posterior import importance
 from merlfit.fitting.posterior.chain import LEAST_SIZE, WALKERS, Chain
 from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
 from merlfit.fitting.solve.levenberg_marquardt import Solution
-from merlfit.model.derived import quantities
 from stand_ins import LAYOUT
 
 SIZE = LAYOUT.size
@@ -89,7 +88,7 @@ def test_too_short_a_chain_is_not_trusted_however_good_the_weights():
 def test_too_short_a_chain_goes_into_json():
     with np.errstate(divide="ignore"):
         found = corrected(gaussian_chain(steps=50), gaussian, gaussian)
-    told = {q.name: np.zeros((len(found.draws) + 1, 3 if q.per_channel else 1)) for q in quantities(LAYOUT.material)}
+    told = {q.name: np.zeros((len(found.draws) + 1, 3 if q.per_channel else 1)) for q in LAYOUT.material.quantities}
     sampled = SimpleNamespace(
         posterior=found, values=found.draws, derived={k: x[:-1] for k, x in told.items()},
         at_fit={k: x[-1] for k, x in told.items()},

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from merlfit.fitting.assess.laplace import laplace_covariance
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import cost
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.posterior.coreset import BATCH, STEP
@@ -34,7 +34,7 @@ def fitted():
     weight = blank.weight * blank.cos_i * blank.cos_o * np.sin(blank.theta_d)[:, None] / np.maximum(clean, 1e-3)
     samples = replace(blank, value=clean * wrong * np.exp(0.03 * rng.normal(size=clean.shape)), weight=weight)
     problem = make_problem(samples)
-    best = solve(LAYOUT, LAYOUT.free(TRUTH), problem)
+    best = solve(Objective(LAYOUT, problem), LAYOUT.free(TRUTH))
     assert best.converged
     return samples, problem, best
 
@@ -49,7 +49,7 @@ def test_the_likelihood_is_that_of_so_many_residuals_of_the_size_at_the_fit(fitt
     _, problem, best = fitted
     assert log_likelihood(LAYOUT, best.z, problem, COUNT, best.cost) == pytest.approx(-COUNT / 2)
     z = best.z + 0.1
-    expected = -COUNT / 2 * float(jnp.sum(cost(LAYOUT.model, LAYOUT.values(jnp.asarray(z)), problem))) / best.cost
+    expected = -COUNT / 2 * float(jnp.sum(Objective(LAYOUT, problem).costs(LAYOUT.values(jnp.asarray(z))))) / best.cost
     assert log_likelihood(LAYOUT, z, problem, COUNT, best.cost) == pytest.approx(expected)
     assert log_likelihood(LAYOUT, np.full(len(z), np.nan), problem, COUNT, best.cost) == -np.inf
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from merlfit.fitting import cli
 from merlfit.fitting.objective.problem import directions, make_problem
-from merlfit.fitting.objective.residuals import cost, normal_equations, predict
+from merlfit.fitting.objective.residuals import Objective, predict
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.output.synthesis import tabulate
 from merlfit.fitting.results.export import read_result
 from merlfit.fitting.solve.levenberg_marquardt import solve
+from merlfit.fitting.solve.starts import clues_of, starting_points
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
-from merlfit.model.ndf.ggx import D
 from merlfit.model.parameters import Parameter
 from merlfit.model.reflectance import evaluate, reads
 from merlfit.model.registry import models
@@ -33,10 +33,30 @@ UP = np.array([0.0, 0.0, 1.0])
 MODELS = [kind() for kind in models().values()]
 MEASURED = [Measured(model, how) for model in MODELS for how in ("free", "derived") if model.lobes]
 RIVALS = [m for m in MODELS if m.name != "two-scale"]
+F0, ALBEDO, A = (np.array(x) for x in ([0.9, 0.6, 0.3], [0.02, 0.1, 0.3], [30.0, 10.0, 2.0]))
 TRUTH = {
-    "ggx": {"alpha": 0.15, "F0": np.array([0.9, 0.6, 0.3]), "albedo": np.array([0.02, 0.1, 0.3])},
+    "ggx": {"alpha": 0.15, "F0": F0, "albedo": ALBEDO},
+    "beckmann": {"roughness": 0.25, "F0": F0, "albedo": ALBEDO},
+    "gtr": {"alpha": 0.15, "gamma": 1.5, "F0": F0, "albedo": ALBEDO},
+    "sgd-microfacet": {"alpha": 0.1, "p": 0.9, "F0": F0, "albedo": ALBEDO},
+    "epd": {"beta": 0.2, "p": 0.7, "F0": F0, "albedo": ALBEDO},
+    "hp15": {
+        "beta": 0.15, "p": 0.8, "a": 0.8, "k_s": np.array([0.8, 0.5, 0.4]), "F0": np.array([0.8, 0.5, 0.3]),
+        "k_w": np.array([8e-3, 5e-3, 3e-3]), "diffuse_albedo": ALBEDO,
+    },
+    "smooth": {"B": 30.0, "C": 1.3, "eta": 1.6, "A": A, "diffuse_albedo": ALBEDO},
+    "abc-microfacet": {"B": 60.0, "C": 1.6, "eta": 1.6, "A": A, "diffuse_albedo": ALBEDO},
+    "cook-torrance": {"roughness": 0.25, "eta": 1.6, "albedo": F0, "diffuse_albedo": ALBEDO},
+    "he": {"roughness": 0.4, "autocorrelation": 3.0, "eta": 1.6, "albedo": F0, "diffuse_albedo": ALBEDO},
+    "sgd": {
+        "alpha": np.array([0.1, 0.12, 0.15]), "p": np.array([0.5, 0.7, 0.9]), "albedo": np.array([0.8, 0.5, 0.3]),
+        "F0": np.array([0.5, 0.3, 0.2]), "F1": np.array([0.1, 0.05, 0.02]), "Lambda": np.array([2.0, 3.0, 1.5]),
+        "c": np.array([0.02, 0.05, 0.03]), "k": np.array([5.0, 7.0, 6.0]), "theta0": np.array([0.3, 0.2, 0.4]),
+        "diffuse_albedo": ALBEDO,
+    },
     "oren-nayar-qualitative": {"roughness": 0.5, "albedo": np.array([0.7, 0.4, 0.1])},
-}
+}  # fmt: skip
+BY_COMMANDS = [GGX(), OrenNayarQualitative()]
 
 
 @pytest.fixture(scope="module")
@@ -57,14 +77,14 @@ def test_normal_equations_are_those_of_the_plain_jacobian(model, few):
     layout, rng = layout_of(model), np.random.default_rng(5)
     samples = dataclasses.replace(few, value=rng.uniform(0.1, 1.0, few.value.shape))
     z = jnp.asarray(rng.normal(size=layout.size))
-    found = normal_equations(layout, z, make_problem(samples))
+    found = Objective(layout, make_problem(samples)).normal_equations(z)
     assert difference(found, plain(layout, z, samples)) < 1e-12
     np.testing.assert_allclose(
-        cost(model, layout.values(z), make_problem(samples)), found[:, -1, -1], rtol=1e-10
+        Objective(layout_of(model), make_problem(samples)).costs(layout.values(z)), found[:, -1, -1], rtol=1e-10
     )  # which does without derivatives
 
 
-@pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)
+@pytest.mark.parametrize("model", BY_COMMANDS, ids=lambda m: m.name)
 def test_the_commands_do_with_a_rival_what_they_do_with_the_two_scale_model(model, tmp_path):
     """Fitted among all models, sampled, inspected, tabulated; every number comes back."""
     truth, exponents = TRUTH[model.name], {"grazing_exponent": 0.3} if model.lobes else {}
@@ -78,12 +98,12 @@ def test_the_commands_do_with_a_rival_what_they_do_with_the_two_scale_model(mode
         assert shown.exit_code == 0, shown.output
         return " ".join(shown.output.split())
 
-    others = [word for name in models() if name != "two-scale" for word in ("--model", name)]
+    others = [word for m in BY_COMMANDS for word in ("--model", m.name)]
     said = call("fit", path, *others, "--posterior", "-o", tmp_path)
     assert f"made {model.name} CONVERGED" in said
     result = read_result(tmp_path / "made.json")
     assert result.model.measured == seen
-    assert {c.model for c in result.fit.candidates} == {m.name for m in RIVALS}
+    assert {c.model for c in result.fit.candidates} == {m.name for m in BY_COMMANDS}
     for name, value in result.values().items():
         np.testing.assert_allclose(value, (truth | exponents)[name], rtol=0.05, err_msg=name)
         quantiles = [q.quantiles for q in result.parameters if q.parameter == name]
@@ -99,13 +119,32 @@ def test_the_commands_do_with_a_rival_what_they_do_with_the_two_scale_model(mode
     np.testing.assert_allclose(again.values[:, valid], values[:, valid], rtol=0.05)
 
 
+@pytest.fixture(scope="module")
+def dense():
+    """Enough bins for a lobe's tail and for grazing angles."""
+    grid = merl_grid()
+    weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
+    return thin(fold(grid, np.ones_like(weight), weight), (3, 5, 30))
+
+
 @pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)
-def test_truth_is_recovered(model, few):
+def test_truth_is_recovered(model, dense):
+    """To a thousandth, by the pipeline's own starting points; of SGD, many of whose values do the same, the BRDF."""
     layout, truth = layout_of(model), TRUTH[model.name]
-    found = solve(layout, np.zeros(layout.size), make_problem(of_model(model, few, truth)))
+    samples = of_model(model, dense, truth)
+    samples = dataclasses.replace(samples, weight=samples.weight / np.maximum(samples.value, 1e-3))
+    objective = Objective(layout, make_problem(samples))
+    starts = starting_points([layout], clues_of(samples), objective.problem, 5)[0]
+    found = min((solve(objective, z, 150) for z in starts), key=lambda s: s.cost)
+    values = layout.values(jnp.asarray(found.z))
+    if model.name == "sgd":
+        again = of_model(model, dense, values).value
+        counted = samples.weight > 0
+        np.testing.assert_allclose(again[counted], samples.value[counted], rtol=2e-2)
+        return
     assert found.converged
-    assert found.cost < 1e-10
-    for name, value in layout.values(jnp.asarray(found.z)).items():
+    assert found.cost < 1e-9
+    for name, value in values.items():
         np.testing.assert_allclose(value, truth[name], rtol=1e-3, err_msg=name)
 
 
@@ -156,18 +195,9 @@ def test_what_a_model_may_not_declare_is_told():
         evaluate(GGX(), {"alpha": 0.1, "F0": np.full(5, 0.1), "albedo": np.full(3, 0.1)}, Geometry.from_vectors(UP, UP))
 
 
-@pytest.mark.parametrize("alpha", [0.01, 0.1, 0.5, 1.0])
-def test_ggx_is_normalised(alpha):
-    t, w = np.polynomial.legendre.leggauss(200)
-    theta = np.arctan(alpha * np.tan((t + 1) * np.pi / 4))  # evenly over the distribution's own scale
-    stretch = np.pi / 4 * alpha / np.cos((t + 1) * np.pi / 4) ** 2 * np.cos(theta) ** 2
-    density = 2 * np.pi * np.asarray(D(jnp.asarray(theta), jnp.asarray(alpha))) * np.cos(theta) * np.sin(theta)
-    np.testing.assert_allclose(np.sum(density * stretch * w), 1.0, rtol=1e-9)
-
-
 def test_models_are_registered_by_name():
     assert next(iter(models())) == "two-scale"
-    assert {"ggx", "oren-nayar-qualitative"} <= set(models())
+    assert set(TRUTH) == {*models()} - {"two-scale"}
     for name, model in zip(models(), MODELS, strict=True):
         assert model.name == name
         assert "doi:" in model.citation

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.assess.outcome import METAL_FLOOR, POOR, Fitted, cautions
+from merlfit.fitting.assess.outcome import POOR, Fitted, cautions
 from merlfit.fitting.assess.selection import ALIKE, MARGIN
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.results.schema import Candidate
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, Status
 from merlfit.model.measured import Measured
+from merlfit.model.plausible import METAL_FLOOR
 from merlfit.model.two_scale import TwoScale
 
 LAYOUT = layout_of(Measured(TwoScale("lambert", index="complex")))

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from merlfit.fitting.objective import problem as problems
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import cost, predict
+from merlfit.fitting.objective.residuals import Objective, predict
+from merlfit.fitting.objective.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.measured import Measured
@@ -40,7 +41,7 @@ def distances(effects, every_bin, nodes):
     found = []
     for values, predicted in predictions(effects, every_bin, DRAWS):
         samples = replace(every_bin, value=predicted)  # what the gathered model errs by is all its cost
-        found.append(np.sqrt(float(cost(effects, values, make_problem(samples, nodes)).sum())))
+        found.append(np.sqrt(float(Objective(layout_of(effects), make_problem(samples, nodes)).costs(values).sum())))
     return np.array(found)
 
 
@@ -57,8 +58,7 @@ def test_float32_evaluates_the_same_cost(every_bin):
     for values, predicted in predictions(effects, every_bin, 4):
         rng = np.random.default_rng(0)
         samples = replace(every_bin, value=predicted * rng.uniform(0.8, 1.2, predicted.shape))
-        double, single = (
-            float(cost(effects, values, make_problem(samples, 8, p)).sum()) for p in ("float64", "float32")
-        )
+        problems_ = [make_problem(samples, 8, p) for p in ("float64", "float32")]
+        double, single = (float(Objective(layout_of(effects), q).costs(values).sum()) for q in problems_)
         assert single != double
         assert single == pytest.approx(double, rel=1e-4)

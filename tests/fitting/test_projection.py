@@ -6,13 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import cost
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.solve import projection
-from merlfit.fitting.solve.projection import ALBEDOS, BATCH, ETAS, METALS, project
+from merlfit.fitting.solve.projection import ALBEDOS, BATCH, project
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
+from merlfit.model.interfaces import DIELECTRICS, METALS
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import KINDS, TwoScale
 
@@ -46,7 +47,7 @@ def one(found, k):
 
 
 def cost_of(effects, values, problem):
-    return float(cost(effects, values, problem).sum())
+    return float(Objective(layout_of(effects), problem).costs(values).sum())
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def made(request, blank):
     layout = layout_of(measured(request.param))
     value = predict_samples(layout, layout.free({**SHARED, **OPTICS[request.param]}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)
-    together = project([measured(kind) for kind in OPTICS], batch([SHARED, *OTHERS]), problem)
+    together = project([layout_of(measured(kind)) for kind in OPTICS], batch([SHARED, *OTHERS]), problem)
     return layout.model, problem, *together[list(OPTICS).index(request.param)]
 
 
@@ -83,8 +84,9 @@ def test_nothing_else_that_is_tried_is_better(made):
     rng = np.random.default_rng(2)
     for k in range(3):
         for _ in range(10):
-            n, metal_k = METALS[rng.choice(len(METALS), 3)].T
-            other = {"eta": np.full(3, rng.choice(ETAS)), "albedo": rng.choice(ALBEDOS, 3), "n": n, "k": metal_k}
+            metal = rng.choice(len(METALS["n"]), 3)
+            other = {name: x[metal] for name, x in METALS.items()}
+            other |= {"eta": np.full(3, rng.choice(DIELECTRICS["eta"])), "albedo": rng.choice(ALBEDOS, 3)}
             changed = {name: jnp.asarray(other.get(name, x)) for name, x in one(found, k).items()}
             assert costs[k] <= cost_of(effects, changed, problem) * (1 + 1e-5)
 
@@ -109,7 +111,7 @@ def test_batches_do_not_mix_their_candidates(made, monkeypatch):
         seen.append(len(list(batches)))
         return [function(each) for each in reversed(batches)][::-1]
 
-    ((again, values),) = project([effects], batch([[SHARED, *OTHERS][k] for k in order]), problem, backwards)
+    ((again, values),) = project([layout_of(effects)], batch([[SHARED, *OTHERS][k] for k in order]), problem, backwards)
     assert (seen, BATCH) == ([3], 64)
     np.testing.assert_allclose(again, costs[order], rtol=1e-12)
     for name in found:
@@ -123,10 +125,10 @@ def test_diffracted_light_coloured_by_q_is_projected_roughly(blank):
     value = predict_samples(layout, layout.free({**alike, **METAL}), blank)
     problem = make_problem(replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3)), 4)
     effects = Measured(replace(layout.material, colour="rayleigh_rice"))
-    values = one(project([effects], batch([alike]), problem)[0][1], 0)
+    values = one(project([layout_of(effects)], batch([alike]), problem)[0][1], 0)
     here, rng = cost_of(effects, values, problem), np.random.default_rng(3)
     assert here < 0.12
-    metals = [jnp.asarray(METALS[rng.choice(len(METALS), 3)].T) for _ in range(60)]
+    metals = [[jnp.asarray(x[k]) for x in METALS.values()] for k in rng.choice(len(METALS["n"]), (60, 3))]
     others = np.array([cost_of(effects, {**values, "n": n, "k": k}, problem) for n, k in metals])
     assert np.sum(others < here) <= 3
     assert np.median(others) > 10 * here

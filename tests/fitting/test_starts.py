@@ -9,32 +9,29 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import costs_of_many
+from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.projection import ALBEDOS, ETAS, project
+from merlfit.fitting.solve.projection import ALBEDOS, project
 from merlfit.fitting.solve.starts import (
-    CLASSES,
     DARK_QUANTILE,
     NEAR,
     RIM,
     SCATTER,
-    THIRDS,
-    TYPICAL,
-    ReadOff,
+    clues_of,
     half_width,
-    read_off,
-    scattered,
     starting_points,
 )
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
+from merlfit.model.interfaces import DIELECTRICS
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import PRIORS, LogNormal
+from merlfit.model.reflectance import Clues
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar import OrenNayarQualitative
-from merlfit.model.two_scale import TwoScale
+from merlfit.model.two_scale import TYPICAL, TwoScale
 from scipy.special import ndtr, ndtri
 
 LAYOUT = layout_of(Measured(TwoScale("lambert", "lobe")))
@@ -49,8 +46,10 @@ TRUTH = {
     "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
     "grazing_exponent_diffracted": 0.2, "eta": np.full(3, 1.5), "albedo": np.array([0.5, 0.3, 0.1]),
 }  # fmt: skip
-FIRST = {"beta": 0.05, **TYPICAL}
-SEEN = ReadOff(FIRST, 60.0)
+CLASSES = LAYOUT.model.basins
+MIDDLE_UM = LAYOUT.bands.middle_um
+SEEN = Clues(MIDDLE_UM / 120)  # a highlight that were diffracted light of b = 60 um
+FIRST = {**TYPICAL, "beta": 0.05, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3}
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +68,7 @@ def problem(samples):
 @pytest.fixture(scope="module")
 def points(problem):
     """As many as there are kinds, half as many again, and the first."""
-    return points_of(LAYOUT, SEEN, problem, 36)
+    return points_of(LAYOUT, problem, 36)
 
 
 def kinds(points):
@@ -78,9 +77,9 @@ def kinds(points):
     return [tuple(each) for each in (ndtr(points[:, : len(SHARED)] / SCATTER) * classes).astype(int).tolist()]
 
 
-def points_of(layout, *rest):
+def points_of(layout, problem, count, over=map, first=FIRST):
     """Of one kind alone."""
-    return starting_points([layout], *rest)[0]
+    return starting_points([layout], SEEN, problem, count, over, first)[0]
 
 
 def values_of(points):
@@ -103,7 +102,7 @@ def test_they_are_of_every_kind_the_best_of_each_first(points, problem):
     assert len(set(best)) == number
     assert max(Counter(second).values()) <= 2
     values = values_of(points)
-    ((costs, _),) = project([LAYOUT.model], {name: values[name] for name in SHARED}, problem)
+    ((costs, _),) = project([LAYOUT], {name: values[name] for name in SHARED}, problem)
     first, then = costs[1 : 2 * number + 1], costs[2 * number + 1 :]
     for some in (first, then):
         assert np.all(np.diff(some) >= -1e-9 * some[1:])
@@ -114,7 +113,7 @@ def test_they_are_of_every_kind_the_best_of_each_first(points, problem):
 def test_in_half_of_them_the_highlight_is_diffracted_light(points):
     """Whatever the width of the facets' lobe: of every kind one has about the correlation length that was seen."""
     b = SHARED.index("b")
-    place = points[1:, b] - LAYOUT.free({**TRUTH, "b": SEEN.b})[b]
+    place = points[1:, b] - LAYOUT.free({**TRUTH, "b": 60.0})[b]
     near = np.abs(place) <= NEAR * ndtri(1 - RIM) * (1 + 1e-9)
     kind = kinds(points[1:])
     assert {kind[k] for k in np.flatnonzero(near)} == set(kind)
@@ -125,13 +124,13 @@ def test_in_half_of_them_the_highlight_is_diffracted_light(points):
 
 def test_those_of_one_kind_are_the_same_beside_others(points, problem):
     others = [LAYOUT.with_material(replace(LAYOUT.material, body=body, index="usual")) for body in ("plastic", "none")]
-    together = starting_points([others[0], LAYOUT, others[1]], SEEN, problem, 36)
+    together = starting_points([others[0], LAYOUT, others[1]], SEEN, problem, 36, first=FIRST)
     np.testing.assert_allclose(together[1], points, rtol=1e-12)
     assert [each.shape[1] for each in together] == [others[0].size, LAYOUT.size, others[1].size]
 
 
 def test_few_are_of_as_many_kinds(problem):
-    assert max(Counter(kinds(points_of(LAYOUT, SEEN, problem, 5)[1:])).values()) <= 2
+    assert max(Counter(kinds(points_of(LAYOUT, problem, 5)[1:])).values()) <= 2
 
 
 def test_they_are_scattered_over_the_prior_with_the_optics_that_suit_them(points):
@@ -139,7 +138,7 @@ def test_they_are_scattered_over_the_prior_with_the_optics_that_suit_them(points
     assert np.all(np.abs(shared) <= SCATTER * ndtri(1 - RIM) * (1 + 1e-9))
     assert np.all(np.ptp(shared, axis=0) > 2)
     values = values_of(points)
-    for name, tried in (("eta", ETAS), ("albedo", ALBEDOS)):
+    for name, tried in (("eta", DIELECTRICS["eta"]), ("albedo", ALBEDOS)):
         away = np.abs(values[name][..., None] / tried - 1).min(-1)
         assert np.all(away < 1e-6)
     np.testing.assert_allclose(values["eta"][:, [0, 2]], values["eta"][:, [1, 1]], rtol=1e-9)
@@ -148,15 +147,15 @@ def test_they_are_scattered_over_the_prior_with_the_optics_that_suit_them(points
 
 def test_they_are_the_same_every_time_and_another_first_moves_all(problem):
     with ThreadPoolExecutor(2) as pool:
-        once, again = (points_of(LAYOUT, SEEN, problem, 4, over) for over in (map, pool.map))
+        once, again = (points_of(LAYOUT, problem, 4, over) for over in (map, pool.map))
     np.testing.assert_array_equal(once, again)
-    moved = points_of(LAYOUT, SEEN._replace(first={**FIRST, "beta": 0.06, "p": 0.9}), problem, 4)
+    moved = points_of(LAYOUT, problem, 4, first={**FIRST, "beta": 0.06, "p": 0.9})
     assert np.all(np.any(np.abs(once[:, None] - moved) > 1e-3, axis=-1))
 
 
 def test_another_prior_scatters_them_otherwise(problem):
     narrow = layout_of(LAYOUT.model, replace(PRIORS, half_width=LogNormal(0.05, 1.2), p=LogNormal(1.0, 1.2)))
-    found = points_of(narrow, SEEN, problem, 24)
+    found = points_of(narrow, problem, 24)
     values = [narrow.values(jnp.asarray(z)) for z in found]
     widths = [float(v["beta"] * np.log(2) ** (1 / (2 * v["p"]))) for v in values]
     assert max(abs(np.log(np.array(widths) / 0.05))) < SCATTER * ndtri(1 - RIM) * np.log(1.2)
@@ -167,7 +166,7 @@ def test_another_prior_scatters_them_otherwise(problem):
 def test_a_first_one_at_a_bound_leaves_all_within_bounds(name, problem):
     q = next(q for q in LAYOUT.parameters if q.name == name)
     for bound in (q.lower, q.upper):
-        found = points_of(LAYOUT, ReadOff({**FIRST, name: bound}, bound if name == "b" else 60.0), problem, 1)
+        found = points_of(LAYOUT, problem, 1, first={**FIRST, name: bound})
         assert np.all(np.isfinite(found))
         for each, x in values_of(found).items():
             q = next(q for q in LAYOUT.parameters if q.name == each)
@@ -176,7 +175,7 @@ def test_a_first_one_at_a_bound_leaves_all_within_bounds(name, problem):
 
 def test_effects_without_diffraction_are_scattered_too(problem):
     layout = LAYOUT.with_material(replace(LAYOUT.material, diffraction="off"))
-    points = points_of(layout, SEEN, problem, 6)
+    points = points_of(layout, problem, 6)
     assert points.shape == (7, layout.size)
     assert np.all(np.isfinite(points))
     width = [q.name for q in layout.parameters].index("beta")
@@ -186,22 +185,21 @@ def test_effects_without_diffraction_are_scattered_too(problem):
 
 def test_the_first_has_the_width_of_a_known_lobe(samples):
     half = TRUTH["beta"] * np.log(2) ** (1 / (2 * TRUTH["p"]))
-    first = read_off(samples).first
+    first, other = LAYOUT.model.starts(clues_of(samples), MIDDLE_UM)
     assert half / 2 < first["beta"] * np.log(2) ** (1 / (2 * first["p"])) < 2 * half
     assert {name: first[name] for name in TYPICAL} == TYPICAL
-    assert set(first) == set(SHARED)
+    assert {name for name in other if other[name] != first[name]} == {"b"}
 
 
 def test_the_correlation_length_is_that_of_a_highlight_of_diffracted_light(samples):
     sharp = {**TRUTH, "beta": 0.002, "b": 20.0, "sigma_s": 0.2}
-    found = read_off(replace(samples, value=predict_samples(LAYOUT, LAYOUT.free(sharp), samples)))
-    assert sharp["b"] / 2 < found.b < 2 * sharp["b"]
+    clues = clues_of(replace(samples, value=predict_samples(LAYOUT, LAYOUT.free(sharp), samples)))
+    assert sharp["b"] / 2 < LAYOUT.model.starts(clues, MIDDLE_UM)[1]["b"] < 2 * sharp["b"]
 
 
 def test_a_black_file_has_a_first_one_nevertheless(samples):
     for black in (replace(samples, value=0 * samples.value), replace(samples, weight=0 * samples.weight)):
-        first, b = read_off(black)
-        for values in (first, {**first, "b": b}):
+        for values in LAYOUT.model.starts(clues_of(black), MIDDLE_UM):
             assert np.all(np.isfinite(LAYOUT.free({**TRUTH, **values})))
 
 
@@ -242,23 +240,30 @@ def test_the_half_width_of_nothing_is_a_number():
         assert 0 < half_width(grid.theta_h, grid.theta_d, value, nothing) <= 2
 
 
-def test_points_of_any_model_are_of_every_width_and_suit_every_channel(samples):
+class Inseparable(GGX):
+    """The same, whose channels are searched."""
+
+    separated = None
+
+
+@pytest.mark.parametrize("model", [GGX(), Inseparable()], ids=["projected", "searched"])
+def test_points_of_any_model_are_of_every_width_and_suit_every_channel(samples, model):
     """Of a narrow lobe over a bright body a wide one is the cheaper guess: with guesses by cost alone it were lost."""
-    layout = layout_of(Measured(GGX()))
+    layout = layout_of(Measured(model))
     value = predict_samples(layout, layout.free(NARROW), samples)
     problem = make_problem(
         thin(replace(samples, value=value, weight=samples.weight / np.maximum(value, 1e-2)), (2, 3, 1))
     )
-    found = scattered(layout, problem, 11)
-    assert found.shape == (12, layout.size)
-    np.testing.assert_array_equal(found, scattered(layout, problem, 11))
-    thirds = np.digitize(found[:, 0], SCATTER * THIRDS)
+    found = points_of(layout, problem, 12, first=None)
+    assert found.shape == (13, layout.size)
+    np.testing.assert_array_equal(found, points_of(layout, problem, 12, first=None))
+    thirds = (ndtr(found[1:, 0] / SCATTER) * 3).astype(int)
     assert sorted(np.bincount(thirds)) == [4, 4, 4]
     values = layout.values_of_many(found)
-    best = int(np.argmin(np.asarray(costs_of_many(layout.model, values, problem)).sum(1)))
+    best = int(np.argmin(np.asarray(Objective(layout, problem).costs_of_many(values)).sum(1)))
     albedo = values["albedo"][best]
     assert albedo[0] > 2 * albedo[1] > 4 * albedo[2], "of each channel by itself"
-    ends = [solve(layout, z, problem, 100) for z in found]
+    ends = [solve(Objective(layout, problem), z, 100) for z in found]
     assert min(s.cost for s in ends) < 1e-8
 
 
@@ -266,4 +271,4 @@ def test_models_of_several_kinds_keep_their_order(problem):
     layouts = [layout_of(Measured(GGX())), LAYOUT, layout_of(OrenNayarQualitative())]
     found = starting_points(layouts, SEEN, problem, 5)
     assert [each.shape for each in found] == [(6, layout.size) for layout in layouts]
-    np.testing.assert_array_equal(found[1], points_of(LAYOUT, SEEN, problem, 5))
+    np.testing.assert_array_equal(found[1], points_of(LAYOUT, problem, 5, first=None))

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from energy import half_vectors
-from merlfit.model.derived import derived, directional_albedo, quantities
+from merlfit.model.derived import derived, directional_albedo
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.two_scale import TwoScale, two_scale
 from oracles import diffraction as o_diffraction
@@ -62,7 +62,7 @@ def test_the_others_are_those_of_the_oracles():
 def test_what_is_listed_is_what_is_computed():
     for effects in EFFECTS:
         values = coloured(np.random.default_rng(1), effects)
-        found = derived(values, effects)
-        assert set(found) == {q.name for q in quantities(effects)}
-        for q in quantities(effects):
+        found = effects.derived(values)
+        assert set(found) == {q.name for q in effects.quantities}
+        for q in effects.quantities:
             assert found[q.name].shape == ((3,) if q.per_channel else ())

@@ -8,7 +8,8 @@ from merlfit.model.geometry import Geometry
 from merlfit.model.masking import smith
 from merlfit.model.numerics import floats
 from merlfit.model.published import published
-from merlfit.model.rivals import cook_torrance
+from merlfit.model.reflectance import evaluate
+from merlfit.model.rivals.cook_torrance import CookTorrance
 from merlfit.model.two_scale import TwoScale, two_scale
 
 EFFECTS = TwoScale(diffraction="lobe", masking="none", colour="fresnel", renormalised=False)
@@ -45,7 +46,7 @@ def test_whole_angles_give_the_same_brdf():
 
 def test_whole_angles_give_the_same_brdf_of_a_rival():
     values = published("nickel", "cook_torrance")
-    found, expected = (cook_torrance.evaluate(values, by_hand(kind)) for kind in (jnp.int32, jnp.float64))
+    found, expected = (evaluate(CookTorrance(), values, by_hand(kind)) for kind in (jnp.int32, jnp.float64))
     assert found.dtype == jnp.float64
     np.testing.assert_array_equal(found, expected)
 

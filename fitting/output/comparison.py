@@ -1,0 +1,395 @@
+"""Several models on several materials as tables (CSV, Markdown, HTML) and as the sorted errors of HP17 Fig. 11."""
+
+import csv
+import io
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+from markdown_it import MarkdownIt
+from matplotlib.figure import Figure
+from rich import box
+from rich.table import Table
+
+from ...merl_io.atomic import write_atomically
+from ...merl_io.binary import read
+from ...merl_io.grid import merl_grid
+from ...model.reflectance import evaluate
+from ..assess.metrics import by_incidence, errors
+from ..assess.selection import ALIKE, SEEN, least, lost
+from ..objective.weights import THETA_MAX
+from ..pipeline.comparison import FIT, Row, angles, row_of
+from ..results.export import ResultError
+from ..results.schema import Result
+from .plots import save
+from .report import number
+from .synthesis import tabulate
+
+FIGURES = {
+    "rmse": "RMSE (1/sr)", "smape": "sMAPE", "cube_root": "cube-root error", "log": "log error",
+    "picture": "dE", "highlight": "peak",
+}  # fmt: skip
+RANKED = ("rmse", "smape", "cube_root", "log", "picture")
+"""Errors by which models are ranked; of the peak the ratio to 1 is."""
+GROUPS = {
+    "metallic paints": ("metallic-paint", "color-changing-paint", "pearl-paint", "two-layer"),
+    "fabrics": ("fabric", "felt", "velvet"),
+    "woods": ("cherry", "oak", "maple", "walnut", "fruitwood", "ipswich", "pine", "natural-209"),
+    "plastics": (
+        "plastic", "phenolic", "acrylic", "delrin", "teflon", "pvc", "nylon", "polyethylene", "polyurethane", "rubber",
+        "neoprene",
+    ),
+    "metals": (
+        "chrome", "nickel", "brass", "alumin", "steel", "ss440", "tungsten", "bronze", "hematite", "oxidized",
+    ),
+    "paints": ("paint",),
+}  # fmt: skip
+"""Words in the names of MERL's materials, by group, the first group that has one counting."""
+WHAT = (
+    "RMSE: root of the mean squared error weighted by cos^2 theta_i over directions of the light and the viewer (HP15 "
+    "Eq. 31, HP17 Table 2, normalised to a mean); sMAPE: mean of |m - p| / (m + p); cube-root and log error: root mean "
+    "squares of differences of cube roots and of log(1 + x) of BRDF times cos theta_i; dE: mean CIELAB distance of "
+    "spheres under a lamp and under an environment (D65); peak: brightest value at theta_h = 0 over the file's. BIC: "
+    "N log J + P log N of the cost J with the effective count N of the best fit"
+)
+
+
+def group_of(material: str) -> str:
+    """What a material of MERL is by its name, as HP17 5.1.4 groups them; ``others`` where the name does not tell."""
+    return next((group for group, words in GROUPS.items() if any(word in material for word in words)), "others")
+
+
+def label(row: Row) -> str:
+    """Name of a column or line: the model, and where its parameters are from."""
+    return row.model if row.origin == FIT else f"{row.origin.replace('_', '-')} (published)"
+
+
+def by_label(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Rows of each model and of each published table."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(label(row), []).append(row)
+    return found
+
+
+def figure_of(row: Row, name: str) -> float:
+    """One of :data:`FIGURES` as the smaller the better: of the peak its distance from 1 as a factor."""
+    x = getattr(row.errors, name)
+    return x if name != "highlight" else float(np.exp(abs(math.log(x)))) if x > 0 else float("inf")
+
+
+def winners(rows: Sequence[Row], name: str) -> dict[str, tuple[str, float]]:
+    """Of every material the model with the lowest error, and how many times the second best one has it."""
+    found = {}
+    for material in dict.fromkeys(row.material for row in rows):
+        own = sorted(
+            (r for r in rows if r.material == material), key=lambda r: np.nan_to_num(figure_of(r, name), nan=np.inf)
+        )
+        second = figure_of(own[1], name) / figure_of(own[0], name) if len(own) > 1 else float("nan")
+        found[material] = label(own[0]), second
+    return found
+
+
+def table_of(rows: Sequence[Row]) -> Table:
+    """What `merlfit compare` prints: medians by model, and on how many materials each is the best."""
+    several = len({row.material for row in rows}) > 1
+    table = Table(
+        title=f"{'medians over the materials' if several else rows[0].material} (dE: mean CIELAB distance of spheres; "
+        "peak: fitted over measured highlight; best: materials with the lowest RMSE, dE)",
+        title_justify="left", box=box.SIMPLE_HEAD,
+    )  # fmt: skip
+    for head in ("model", "numbers", "RMSE", "sMAPE", "dE", "peak", "BIC", "s", *(["best"] if several else [])):
+        table.add_column(head, justify="left" if head == "model" else "right", overflow="fold")
+    best = [winners(rows, name) for name in ("rmse", "picture")]
+    for name, own in by_label(rows).items():
+        middle = partial(_median, own)
+        count = " ".join(str(sum(winner == name for winner, _ in each.values())) for each in best)
+        bic = middle(lambda r: r.bic)
+        table.add_row(
+            name if several or own[0].variant == own[0].model or own[0].origin != FIT else f"{name} ({own[0].variant})",
+            number(middle(lambda r: float(r.numbers))), *(number(middle(lambda r, f=f: getattr(r.errors, f)), 3)
+            for f in ("rmse", "smape", "picture", "highlight")), number(bic),
+            number(middle(lambda r: r.seconds or float("nan")), 2), *([count] if several else []),
+        )  # fmt: skip
+    return table
+
+
+def _median(rows: Sequence[Row], value: Callable[[Row], float]) -> float:
+    found = [x for x in map(value, rows) if np.isfinite(x)]
+    return float(np.median(found)) if found else float("nan")
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """Which model is the least that explains one material, in a paragraph."""
+    fitted = [row for row in rows if row.origin == FIT and np.isfinite(row.cost)]
+    if not fitted:
+        return "no model could be fitted"
+    figures = zip(*((r.bic, r.errors.picture, r.errors.highlight, r.numbers) for r in fitted), strict=True)
+    chosen = fitted[least(*figures)]
+    nearest = min(fitted, key=lambda r: r.errors.picture)
+    lowest = min(fitted, key=lambda r: r.bic)
+    said = (
+        f"{chosen.material}: the least model that explains it is {_named(chosen)}, with {chosen.numbers} numbers: its "
+        f"spheres differ from the file's by {number(chosen.errors.picture, 2)} (CIELAB), its RMSE is "
+        f"{number(chosen.errors.rmse, 3)}/sr."
+    )
+    if chosen is not nearest:
+        alike = chosen.errors.picture <= nearest.errors.picture + SEEN
+        why = f": less than {SEEN:g} nearer, which is just noticeable" if alike else ", but it loses the highlight"
+        said += f" The nearest picture is that of {_named(nearest)}, {number(nearest.errors.picture, 2)} with "
+        said += f"{nearest.numbers} numbers{why}."
+    if chosen is not lowest:
+        less = chosen.bic - lowest.bic
+        if less <= ALIKE:
+            why = f"less than {ALIKE:g} is no strong evidence"
+        elif lost(lowest.errors.highlight):
+            why = "but it loses the highlight"
+        else:
+            why = f"but its picture is off by {number(lowest.errors.picture, 2)}"
+        said += f" The lowest BIC is that of {_named(lowest)}, {number(less, 2)} lower: {why}."
+    if lost(peak := chosen.errors.highlight):
+        said += f" Its highlight is {number(peak, 2)} times the file's: try --weights adaptive."
+    return said
+
+
+def _named(row: Row) -> str:
+    variant = row.variant.removeprefix(row.model).strip()
+    return f"{row.model} ({variant})" if variant else row.model
+
+
+def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data: str) -> list[Path]:
+    """``NAME.csv``, ``NAME.md``, ``NAME.html`` and ``NAME.png``.
+
+    Args:
+        data: what the data are, in a sentence.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: one cannot be written.
+    """
+    written = [folder / f"{name}.{ending}" for ending in ("csv", "md", "html", "png")]
+    text = markdown(rows, title, data, written[3].name)
+    page = MarkdownIt("commonmark").enable("table").render(text)
+    _write(written[0], _csv(rows))
+    _write(written[1], text)
+    _write(written[2], PAGE.format(title=title, page=page))
+    save(sorted_errors(rows, title), written[3])
+    return written
+
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="viewport" content="width=device-width, initial-scale=1"><style>
+body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem;
+  color: #222; background: #fff }}
+table {{ border-collapse: collapse; display: block; overflow-x: auto; margin: 1rem 0 }}
+th, td {{ padding: .25rem .6rem; border-bottom: 1px solid #ddd; text-align: right; white-space: nowrap }}
+th:first-child, td:first-child {{ text-align: left }} img {{ max-width: 100% }}
+@media (prefers-color-scheme: dark) {{ body {{ color: #ddd; background: #181818 }} th, td {{ border-color: #444 }}
+  img {{ background: #fff }} }}
+</style></head><body>
+{page}
+</body></html>
+"""
+
+
+def _write(path: Path, text: str) -> None:
+    def write(file: IO[bytes]) -> None:
+        file.write(text.encode())
+
+    write_atomically(path, write)
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    out = io.StringIO()
+    lines = [{"group": group_of(row.material), **row.flat()} for row in rows]
+    writer = csv.DictWriter(out, list(lines[0]), lineterminator="\n")
+    writer.writeheader()
+    for line in lines:
+        writer.writerow({
+            key: json.dumps({n: float(f"{v:.6g}") for n, v in x.items()}) if isinstance(x, dict)
+            else f"{x:.6g}" if isinstance(x, float) else x for key, x in line.items()
+        })  # fmt: skip
+    return out.getvalue()
+
+
+def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
+    """The whole comparison: medians, who wins where by how much, groups, every material."""
+    labels = by_label(rows)
+    materials = list(dict.fromkeys(row.material for row in rows))
+    lines = [
+        f"# {title}",
+        "",
+        f"Data: {data}. Errors over {angles()}, both directions at theta < fit.theta_max. {WHAT}.",
+    ]
+
+    def section(title: str, said: str, heads: Sequence[str], table: Iterable[Sequence[object]]) -> None:
+        lines.extend(["", f"## {title}", *(["", said] if said else []), "", *_rows_of(heads, table)])
+
+    def middle(own: Sequence[Row], value: Callable[[Row], float], digits: int = 4) -> str:
+        return number(_median(own, value), digits)
+
+    section("Medians", "", ["model", "materials", "numbers", *FIGURES.values(), "BIC", "s"], (
+        [name, len(own), middle(own, lambda r: float(r.numbers)),
+         *(middle(own, lambda r, f=f: getattr(r.errors, f), 3) for f in FIGURES),
+         middle(own, lambda r: r.bic), middle(own, lambda r: r.seconds or float("nan"), 2)]
+        for name, own in labels.items()
+    ))  # fmt: skip
+    wins = {name: winners(rows, name) for name in RANKED}
+    section(
+        "Who wins where",
+        "Materials on which a model has the lowest error of all; in brackets by what factor the second best has more, "
+        "in the median over these.",
+        ["model", *(FIGURES[name] for name in RANKED)],
+        ([name, *(_won(wins[f], name) for f in RANKED)] for name in labels),
+    )
+
+    def grouped(title: str, said: str, of: Mapping[str, str]) -> None:
+        groups = sorted(set(of.values()))
+        if len(groups) < 2:
+            return
+        counts = Counter(of.values())
+        table = [
+            [name, *(_median([r for r in own if of.get(r.material) == g], lambda r: r.errors.rmse) for g in groups)]
+            for name, own in labels.items()
+        ]
+        section(title, said, ["model", *(f"{g} ({counts[g]})" for g in groups)], _bold(table))
+
+    lowest = "Median RMSE (1/sr), the lowest in bold."
+    grouped(
+        "By kind of material",
+        f"By the material's name, as in HP17 5.1.4. {lowest}",
+        {m: group_of(m) for m in materials},
+    )
+    kinds = {row.material: row.variant for row in rows if row.model == "two-scale"}
+    grouped("By the interface and body that the two-scale model found", lowest, kinds)
+    lines += ["", f"![sorted errors]({picture})"]
+    found = {(name, row.material): row.errors.rmse for name, own in labels.items() for row in own}
+    section(
+        "Every material: RMSE (1/sr)", "", ["material", *labels],
+        ([m, *(number(found.get((name, m)), 3) for name in labels)] for m in materials),
+    )  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _rows_of(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    return [
+        f"| {' | '.join(heads)} |",
+        "|---" * len(heads) + "|",
+        *(f"| {' | '.join(map(str, row))} |" for row in rows),
+    ]
+
+
+def _bold(rows: list[list]) -> list[list[str]]:
+    """Numbers as text, the lowest of every column in bold."""
+    lowest = [min((row[k] for row in rows if np.isfinite(row[k])), default=None) for k in range(1, len(rows[0]))]
+    return [
+        [row[0], *(f"**{number(x, 3)}**" if x == low else number(x, 3) for x, low in zip(row[1:], lowest, strict=True))]
+        for row in rows
+    ]
+
+
+def _won(winners_: dict[str, tuple[str, float]], name: str) -> str:
+    by = [factor for winner, factor in winners_.values() if winner == name]
+    return f"{len(by)} ({number(float(np.median(by)), 3)})" if by else "0"
+
+
+def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
+    """HP17 Fig. 11: errors of every model, each sorted by itself; bars where there is one material."""
+    labels = by_label(rows)
+    several = max(map(len, labels.values())) > 1
+    figure = Figure(figsize=(13, 5.6), layout="constrained")
+    for axis, name in zip(figure.subplots(1, 2), ("rmse", "smape"), strict=True):
+        for k, (each, own) in enumerate(labels.items()):
+            found = np.sort([getattr(row.errors, name) for row in own])
+            fitted = own[0].origin == FIT
+            if several:
+                style = ("-" if k < 10 else "-.") if fitted else ":"
+                axis.plot(np.linspace(0, 100, len(found)), found, style, color=f"C{k % 10}", label=each,
+                          linewidth=2.4 if each == "two-scale" else 1.2)  # fmt: skip
+            else:
+                axis.barh(each, found, color="C0" if fitted else "C7")
+        if several:
+            axis.set(yscale="log", xlabel="materials, each model sorted by itself (%)", ylabel=FIGURES[name])
+        else:
+            axis.invert_yaxis()
+            axis.set(xlabel=FIGURES[name])
+        axis.grid(alpha=0.3)
+    if several:
+        figure.axes[0].legend(fontsize=7.5, ncols=2)
+    figure.suptitle(title, fontsize=11)
+    return figure
+
+
+class Judged(NamedTuple):
+    """Errors of one result against a file.
+
+    Attributes:
+        path: of the result. row: its errors there. incidence: middles of intervals of theta_i (rad); rmse: over them.
+    """
+
+    path: Path
+    row: Row
+    incidence: np.ndarray
+    rmse: np.ndarray
+
+
+def judged_result(path: Path, result: Result, against: Path) -> Judged:
+    """A result's prediction, as the apparatus would have measured it, beside a file.
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: the file cannot be used. ResultError: the fit failed.
+    """
+    if (model := result.model) is None:
+        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
+    measurement, theta_max = read(against), float(result.config.get("fit", {}).get("theta_max", THETA_MAX))
+    values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um))
+    grid, valid = merl_grid(), measurement.valid
+    found = errors(measurement.values, values, valid, grid, theta_max)
+    curve = by_incidence(measurement.values, values, valid, grid, theta_max)
+    return Judged(path, replace(row_of(result), errors=found), *curve)
+
+
+def metrics_table(found: Sequence[Judged], against: Path) -> Table:
+    """What `merlfit metrics` prints."""
+    table = Table(
+        title=f"errors against {against} over {angles()}, both directions at theta < fit.theta_max",
+        title_justify="left", box=box.SIMPLE_HEAD, caption=WHAT, caption_justify="left",
+    )  # fmt: skip
+    for head in ("result", "model", *FIGURES.values()):
+        table.add_column(head, justify="left" if head in ("result", "model") else "right", overflow="fold")
+    for each in found:
+        figures = (number(getattr(each.row.errors, name), 3) for name in FIGURES)
+        table.add_row(str(each.path), _named(each.row), *figures)
+    return table
+
+
+def write_metrics(found: Sequence[Judged], folder: Path) -> list[Path]:
+    """``metrics.csv``, ``by_incidence.csv`` and ``by_incidence.png``."""
+    lines = [{"result": str(f.path), "model": f.row.model, "variant": f.row.variant,
+              **{name: getattr(f.row.errors, name) for name in FIGURES}} for f in found]  # fmt: skip
+    curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
+              for k, x in enumerate(found[0].incidence)]  # fmt: skip
+    written = [folder / name for name in ("metrics.csv", "by_incidence.csv", "by_incidence.png")]
+    for path, table in zip(written, (lines, curves), strict=False):
+        out = io.StringIO()
+        writer = csv.DictWriter(out, list(table[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in line.items()} for line in table)
+        _write(path, out.getvalue())
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axis = figure.subplots()
+    for each in found:
+        axis.plot(
+            np.degrees(each.incidence), each.rmse, "o-", markersize=3, label=f"{each.row.material}: {_named(each.row)}"
+        )
+    axis.set(yscale="log", xlabel=r"$\theta_i$ (deg)", ylabel="RMSE (1/sr)")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
+    save(figure, written[2])
+    return written

@@ -1,0 +1,144 @@
+"""Several models on one file: each fitted by the same pipeline, and published parameter sets beside them."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...merl_io.binary import Measurement, read
+from ...merl_io.grid import merl_grid
+from ...model import published
+from ..assess import metrics
+from ..assess.published import judged, sources_of
+from ..assess.selection import bic
+from ..objective.weights import weighted_samples
+from ..results.export import ResultError, finite, read_result, versions
+from ..results.schema import Result
+from ..settings.config import Config, ModelSection
+from ..support.clock import Clock, Report, Stage, silent
+from .run import fit_file
+
+KEYS = ("material", "model", "variant", "origin", "weights", "status", "numbers")
+FIT = "fit"
+"""Origin of parameters that were not published."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One model on one material.
+
+    Attributes:
+        material: name of the file. genuine: whether it is MERL's own, by SHA-1.
+        model: name of the model. variant: which of its variants was chosen. origin: ``fit``, or a published table.
+        weights: exponent of the compressive weight that it was fitted with, or ``log``; None for published parameters.
+        status: how the fit ended. numbers: of its parameters, over all channels.
+        errors: over all bins within theta_max. cost: of Eq. 56. bic: Bayesian information criterion, with one count of
+            effective bins for all rows of a material. seconds: of the whole fit from the file.
+        values: by name of the number.
+    """
+
+    material: str
+    genuine: bool
+    model: str
+    variant: str
+    origin: str
+    weights: float | str | None
+    status: str
+    numbers: int
+    errors: metrics.Errors
+    cost: float
+    bic: float
+    seconds: float | None
+    values: dict[str, float]
+
+    def flat(self) -> dict[str, Any]:
+        """As a line of a table."""
+        own = {
+            key: getattr(self, key)
+            for key in ("material", "model", "variant", "origin", "weights", "status", "numbers")
+        }
+        figures = {name: finite(x) for name, x in asdict(self.errors).items()}
+        return {**own, **figures, "cost": self.cost, "bic": self.bic, "seconds": self.seconds, "values": self.values}
+
+
+def config_of(config: Config, name: str) -> Config:
+    """Settings of the fit of one model."""
+    return config.model_copy(update={"model": ModelSection(name=name)})
+
+
+def compare_file(
+    path: Path | Measurement, names: Sequence[str], config: Config, out: Path, report: Report = silent,
+    with_published: bool = True,
+) -> tuple[list[Row], dict[str, Result]]:  # fmt: skip
+    """Rows of one file, models first, in the order of their names; results are written to ``out/MODEL/NAME.json``.
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: the file cannot be used.
+    """
+    report("reading")
+    measurement = path if isinstance(path, Measurement) else read(path)
+    results: dict[str, Result] = {}
+    for k, name in enumerate(names):
+        report(Stage(f"{name} ({k + 1} of {len(names)} models)", k / len(names)))
+        own = config_of(config, name)
+        results[name] = _kept(out / name / f"{measurement.name}.json", measurement, own) or fit_file(
+            measurement, out / name, own
+        )
+    rows = [row_of(result) for result in results.values() if result.model is not None]
+    if with_published and (sources := sources_of(measurement.name)):
+        report("published parameters")
+        samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+        for source in sources:
+            clock = Clock()
+            errors, cost = judged(source, measurement, samples, config.fit.theta_max)
+            values = published.published(measurement.name, source, rescaled=True)
+            model = published.SOURCES[source].model
+            flat = {
+                f"{name}_{channel}" if np.ndim(x) else name: float(y)
+                for name, x in values.items()
+                for channel, y in zip(measurement.bands.names if np.ndim(x) else [""], np.ravel(x), strict=True)
+            }
+            rows.append(Row(
+                measurement.name, measurement.genuine is not None, model.name, model.variant, source, None, "published",
+                len(flat), errors, cost, float("nan"), clock.times()["total"], flat,
+            ))  # fmt: skip
+    return with_bic(rows, results), results
+
+
+def _kept(path: Path, measurement: Measurement, config: Config) -> Result | None:
+    """A result that is there already, if it is of the same data, settings and versions."""
+    try:
+        found = read_result(path)
+    except ResultError:
+        return None
+    same = found.source.sha1, found.config, found.versions
+    return found if same == (measurement.sha1, config.model_dump(mode="json"), versions()) else None
+
+
+def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:
+    """With the effective count of the fit of the lowest cost, which the others are compared by, too."""
+    known = [(r.fit.cost or 0.0, r.fit.effective_bins) for r in results.values() if r.fit.effective_bins is not None]
+    count = min(known)[1] if known else 1.0
+    return [row if row.origin != FIT else replace(row, bic=bic(row.cost, row.numbers, count)) for row in rows]
+
+
+def row_of(result: Result) -> Row:
+    """Of a fit."""
+    assert result.model is not None
+    source, fit, material = result.source, result.fit, result.model.material
+    known = result.metrics.model_dump().items()
+    errors = metrics.Errors(**{name: float("nan") if x is None else x for name, x in known})
+    return Row(
+        source.material, source.genuine_merl is not None, material.name, material.variant, FIT, fit.weights, fit.status,
+        len(result.parameters), errors, float("nan") if fit.cost is None else fit.cost, float("nan"),
+        result.seconds["total"], {q.name: q.value for q in result.parameters},
+    )  # fmt: skip
+
+
+def angles() -> str:
+    """The directions over which errors are taken, in words."""
+    grid = merl_grid()
+    shape = " x ".join(str(len(x)) for x in (grid.theta_h, grid.theta_d, grid.phi_d))
+    return f"MERL's own {shape} bins of (theta_h, theta_d, phi_d)"

@@ -1,0 +1,42 @@
+"""The spectral bands of a measurement: their names, and a wavelength that stands for each."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Bands in the order of the measurement's planes; hashable, static under jit.
+
+    Attributes:
+        names: of the bands, each once. wavelengths_um: one for each (micrometres).
+    """
+
+    names: tuple[str, ...]
+    wavelengths_um: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse bands without a name or a wavelength of their own."""
+        if not self.names or len(set(self.names)) < len(self.names) or "" in self.names:
+            raise ValueError(f"bands need different names, one each, not {self.names}")
+        if len(self.wavelengths_um) != len(self.names):
+            raise ValueError(f"{len(self.names)} bands need as many wavelengths, not {len(self.wavelengths_um)}")
+        if not all(math.isfinite(x) and x > 0 for x in self.wavelengths_um):
+            raise ValueError(f"wavelengths must be positive (micrometres), not {self.wavelengths_um}")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def middle(self) -> int:
+        """Which band stands for all where one has to."""
+        return len(self.names) // 2
+
+    @property
+    def middle_um(self) -> float:
+        """Its wavelength."""
+        return self.wavelengths_um[self.middle]
+
+
+MERL = Bands(("R", "G", "B"), (0.645, 0.526, 0.444))
+"""Those of MERL's files; the wavelengths are HP17's (Section 5)."""

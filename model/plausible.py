@@ -1,0 +1,33 @@
+"""Whether fitted values of the two-scale model may be those of matter, in sentences for whoever uses them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
+METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
+
+
+def cautions(v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]) -> list[str]:
+    """What to know of them; nothing where there is nothing to doubt.
+
+    Args:
+        v: by parameter, (1,), or (C,) for those per channel. channels: their names. wavelengths_um: theirs.
+    """
+    found = []
+    if float(np.max(v.get("sigma_s", np.zeros(1)))) > min(wavelengths_um) / 2:
+        found.append(
+            "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
+        )
+    return found + (_of_no_metal(v, channels) if "k" in v else [])
+
+
+def _of_no_metal(v: Mapping[str, np.ndarray], channels: Sequence[str]) -> list[str]:
+    """Why the optical constants, or the floor under them, are not those of a metal; nothing if they may be."""
+    effective = "n and k are effective values, not those of a material"
+    if float(np.max(v.get("albedo", np.zeros(1)))) > METAL_FLOOR:
+        return [f"a body this bright lies under no metal: {effective}"]
+    for channel, n, k in zip(channels, v["n"], v["k"], strict=True):
+        if not (METALS_N[0] <= n <= METALS_N[1] and METALS_K[0] <= k <= METALS_K[1]):
+            return [f"no metal has n {n:.2g} with k {k:.2g} ({channel}): {effective}"]
+    return []

@@ -1,0 +1,192 @@
+"""Several models on one file: rows, tables, the paragraph that says which one is enough, errors against a file."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_results import made
+from merlfit.fitting import cli, files
+from merlfit.fitting.assess.metrics import Errors, by_incidence, errors
+from merlfit.fitting.assess.published import judged
+from merlfit.fitting.assess.selection import ALIKE, SEEN, bic, least
+from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.output import comparison
+from merlfit.fitting.output.synthesis import from_published
+from merlfit.fitting.pipeline import comparison as pipeline
+from merlfit.fitting.pipeline.comparison import FIT, Row, compare_file
+from merlfit.fitting.results.export import write_result
+from merlfit.fitting.settings.config import load
+from merlfit.merl_io.binary import read, write
+from merlfit.merl_io.grid import merl_grid
+from typer.testing import CliRunner
+
+GOOD = Errors(0.01, 0.02, 0.01, 0.01, 1.0, 0.5)
+
+
+def row(model="ggx", material="nickel", origin=FIT, numbers=8, bic=-10.0, **errors):
+    """One model on one material."""
+    found, values = replace(GOOD, **errors), {"alpha": 0.1}
+    return Row(material, False, model, model, origin, 1.4, "CONVERGED", numbers, found, 0.01, bic, 2.0, values)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """A MERL file of published parameters: the published row explains it, but for the floating point of the file."""
+    path = tmp_path_factory.mktemp("made") / "nickel.binary"
+    write(path, from_published("nickel", "smooth")[0])
+    return path
+
+
+def test_published_parameters_of_the_material_itself_have_no_error(file):
+    measurement = read(file)
+    samples = weighted_samples(measurement)
+    own, cost = judged("smooth", measurement, samples)
+    assert own.rmse < 1e-12
+    assert cost < 1e-20
+    other, _ = judged("sgd", measurement, samples)
+    assert other.rmse > 1e-3
+
+
+@pytest.mark.slow
+def test_a_file_is_compared_and_gone_on_with(file, tmp_path, monkeypatch):
+    """GGX and Smooth fit a file of Smooth: the latter exactly; a second run fits nothing again."""
+    call = lambda *words: CliRunner().invoke(cli.app, [str(w) for w in words], env={"COLUMNS": "140"})  # noqa: E731
+    shown = call("compare", file, "--models", "ggx,smooth", "-o", tmp_path)
+    assert shown.exit_code == 0, shown.output
+    assert "the least model that explains it is smooth" in " ".join(shown.output.split())
+    assert {"comparison.csv", "comparison.md", "comparison.html", "comparison.png"} <= {
+        p.name for p in tmp_path.iterdir()
+    }
+    lines = {line["model"] + line["origin"]: line for line in csv.DictReader((tmp_path / "comparison.csv").open())}
+    assert float(lines["smoothfit"]["rmse"]) < 1e-4 < float(lines["ggxfit"]["rmse"])
+    assert float(lines["smoothfit"]["bic"]) < float(lines["ggxfit"]["bic"])
+    assert json.loads(lines["smoothsmooth"]["values"])["B"] > 0
+    assert lines["smoothsmooth"]["bic"] == "nan"
+
+    def fails(*_):
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr(pipeline, "fit_file", fails)
+    again = call("compare", file, "--models", "ggx,smooth", "-o", tmp_path)
+    assert again.exit_code == 0, again.output
+    assert (
+        "smooth" in call("metrics", tmp_path / "smooth" / "nickel.json", "--against", file, "-o", tmp_path / "m").output
+    )
+    curve = list(csv.reader((tmp_path / "m" / "by_incidence.csv").open()))
+    assert len(curve) == 15
+    assert (tmp_path / "m" / "by_incidence.png").stat().st_size > 5000
+
+
+def test_rows_of_a_file_have_one_count_and_the_published_sets_beside_them(file, tmp_path, monkeypatch):
+    results = {"ggx": made(), "smooth": made()}
+    for name, cost, count in (("ggx", 0.02, 50.0), ("smooth", 0.01, 20.0)):
+        fit = results[name].fit.model_copy(update={"cost": cost, "effective_bins": count})
+        results[name] = results[name].model_copy(update={"fit": fit})
+    monkeypatch.setattr(pipeline, "fit_file", lambda measurement, out, config: results[config.model.name])
+    rows, found = compare_file(file, ["ggx", "smooth"], load(posterior=False), tmp_path)
+    assert found == results
+    assert [r.origin for r in rows] == [
+        FIT,
+        FIT,
+        "sgd",
+        "smooth",
+        "abc_microfacet",
+        "cook_torrance",
+        "cook_torrance_ngan",
+        "he",
+    ]
+    size = len(results["ggx"].parameters)
+    np.testing.assert_allclose([r.bic for r in rows[:2]], [bic(0.02, size, 20.0), bic(0.01, size, 20.0)])
+
+
+def test_bic_is_the_textbooks():
+    assert bic(0.02, 8, 100.0) == pytest.approx(100 * np.log(0.02) + 8 * np.log(100))
+
+
+@pytest.mark.parametrize(("rows", "chosen"), [
+    ([row(numbers=16), row("a", numbers=8)], 1),  # as good, with fewer numbers
+    ([row(numbers=16), row("a", numbers=8, picture=0.5 + 1.1 * SEEN)], 0),  # seen to be worse
+    ([row(numbers=16, bic=-20.0), row("a", numbers=8, bic=-20.0 + 1.1 * ALIKE)], 0),  # strong evidence against it
+    ([row(numbers=16), row("a", numbers=8, highlight=0.4)], 0),  # a lost highlight
+    ([row(numbers=16, highlight=0.4), row("a", numbers=8, highlight=0.3)], 1),  # which none keeps
+    ([row(numbers=16, picture=2.0), row("a", numbers=8, highlight=0.3)], 0),
+])  # fmt: skip
+def test_the_least_model_that_explains_a_material(rows, chosen):
+    figures = zip(*((r.bic, r.errors.picture, r.errors.highlight, r.numbers) for r in rows), strict=True)
+    assert least(*figures) == chosen
+    said = comparison.verdict(rows)
+    assert f"the least model that explains it is {rows[chosen].model}" in said
+
+
+def test_what_speaks_for_another_model_is_said():
+    low = row("b", numbers=20, bic=-20.0, picture=4.0)
+    assert "but its picture is off by 4" in comparison.verdict([row(numbers=16), low])
+    assert "it loses the highlight" in comparison.verdict([row(numbers=16), row("b", bic=-30.0, highlight=0.2)])
+    assert "no strong evidence" in comparison.verdict([row(), row("b", numbers=9, bic=-12.0)])
+    assert "try --weights adaptive" in comparison.verdict([row(highlight=0.3)])
+
+
+def test_tables_say_who_wins_where_and_by_how_much(tmp_path):
+    rows = [
+        row("ggx", "nickel"), row("sgd", "nickel", rmse=0.03), row("ggx", "red-fabric", rmse=0.02, smape=0.01),
+        row("sgd", "red-fabric", smape=0.02), row("sgd", "nickel", origin="sgd", rmse=0.5, smape=0.5, picture=9.0),
+    ]  # fmt: skip
+    assert comparison.winners(rows, "rmse") == {
+        "nickel": ("ggx", pytest.approx(3.0)),
+        "red-fabric": ("sgd", pytest.approx(2.0)),
+    }
+    written = comparison.write_tables(rows, tmp_path, "all", "Two materials", "made up")
+    text, page = written[1].read_text(), written[2].read_text()
+    assert "Data: made up." in text
+    assert "| ggx | 1 (3) |" in text
+    assert "| model | fabrics (1) | metals (1) |" in text
+    assert "| sgd (published) | 1 |" in text
+    assert page.count("<table>") == text.count("\n|---")
+    assert "<h2>Who wins where</h2>" in page
+    lines = list(csv.DictReader(written[0].open()))
+    assert [line["group"] for line in lines] == ["metals", "metals", "fabrics", "fabrics", "metals"]
+
+
+@pytest.mark.parametrize(("material", "group"), [
+    ("gold-metallic-paint2", "metallic paints"), ("aluminium", "metals"), ("white-paint", "paints"),
+    ("pickled-oak-260", "woods"), ("specular-violet-phenolic", "plastics"), ("mystery", "others"),
+])  # fmt: skip
+def test_materials_are_grouped_by_name(material, group):
+    assert comparison.group_of(material) == group
+
+
+def test_the_curve_over_incidence_adds_up_to_the_rmse():
+    grid, rng = merl_grid(), np.random.default_rng(0)
+    measured = rng.uniform(0, 1, (3, *grid.above.shape))
+    predicted = measured + 0.1 * rng.standard_normal(measured.shape)
+    whole = errors(measured, predicted, grid.above, grid).rmse
+    middles, curve = by_incidence(measured, predicted, grid.above, grid)
+    assert len(middles) == 14
+    assert middles[0] == pytest.approx(0.05)
+    np.testing.assert_allclose(curve, whole, rtol=0.05)  # the error is the same everywhere
+    only = np.where(np.arccos(np.clip(grid.cos_i, -1, 1)) < 0.1, predicted, measured)
+    assert np.all(by_incidence(measured, only, grid.above, grid)[1][1:] == 0)
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["compare", "FILE", "--models", "ggz"], "there is no 'ggz'; the nearest is 'ggx'"),
+    (["compare", "FILE", "--models", "ggx,ggx"], "should be different names, with commas between"),
+    (["which", "nowhere.binary", "--models", "ggx"], "nowhere.binary"),
+    (["metrics", "nowhere.json", "--against", "FILE"], "nowhere.json: cannot be read"),
+])  # fmt: skip
+def test_bad_input_is_told(words, said, file, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "use_persistent_cache", lambda: None)
+    more = ["-o", tmp_path] if words[0] != "metrics" else []
+    shown = CliRunner().invoke(cli.app, [str(file) if w == "FILE" else str(w) for w in (*words, *more)])
+    assert shown.exit_code == 2
+    assert said in " ".join(shown.output.split())
+
+
+def test_a_failed_fit_has_no_errors(file, tmp_path):
+    path = tmp_path / "failed.json"
+    write_result(path, made().model_copy(update={"model": None, "parameters": []}))
+    shown = CliRunner().invoke(cli.app, ["metrics", str(path), "--against", str(file)])
+    assert shown.exit_code == 2
+    assert "it has no material" in " ".join(shown.output.split())

@@ -1,0 +1,143 @@
+"""The microfacet family: distributions and maskings against their definitions, and the limits between them."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.model.geometry import Geometry
+from merlfit.model.masking import beckmann as beckmann_masking
+from merlfit.model.ndf import sgd
+from merlfit.model.reflectance import evaluate
+from merlfit.model.rivals.beckmann import Beckmann
+from merlfit.model.rivals.epd import EPD
+from merlfit.model.rivals.ggx import GGX
+from merlfit.model.rivals.gtr import GTR
+from merlfit.model.rivals.sgd_microfacet import SGDMicrofacet
+from merlfit.model.two_scale import TwoScale
+from oracles import microfacets as oracle
+from oracles.facets import direction
+
+COLOURS = {"F0": np.array([0.9, 0.3, 0.04]), "albedo": np.array([0.02, 0.1, 0.3])}
+CASES = {  # widths, the oracle's D, a typical slope, accuracy of our masking
+    "beckmann": (Beckmann(), {"roughness": 0.3}, oracle.beckmann, 0.3, 1e-8),
+    "beckmann, wide": (Beckmann(), {"roughness": 1.2}, oracle.beckmann, 1.2, 1e-8),
+    "ggx": (GGX(), {"alpha": 0.2}, oracle.ggx, 0.2, 1e-8),
+    "gtr": (GTR(), {"alpha": 0.2, "gamma": 1.5}, oracle.gtr, 0.2, 2e-7),
+    "gtr, heavy tail": (GTR(), {"alpha": 0.05, "gamma": 0.6}, oracle.gtr, 0.3, 2e-7),
+    "gtr, light tail": (GTR(), {"alpha": 0.6, "gamma": 6.0}, oracle.gtr, 0.3, 2e-7),
+    "sgd": (SGDMicrofacet(), {"alpha": 0.1, "p": 0.7}, oracle.sgd, 0.1, 2e-7),
+    "sgd, narrow": (SGDMicrofacet(), {"alpha": 0.005, "p": 1.6}, oracle.sgd, 0.005, 2e-7),
+    "epd": (EPD(), {"beta": 0.2, "p": 0.6}, oracle.epd, 0.2, 1e-8),
+}
+ANGLES = np.radians([5, 40, 70, 85, 89])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_distribution_is_the_printed_one_and_normalised(case):
+    model, widths, D, narrow, _ = CASES[case]
+    theta = np.array([1e-3, 0.05, 0.3, 0.9, 1.4])
+    ours = np.asarray(model.D(jnp.asarray(theta), {k: jnp.asarray(x) for k, x in widths.items()}))
+    np.testing.assert_allclose(ours, [D(x, *widths.values()) for x in theta], rtol=1e-9)
+    u = np.arange(np.log(narrow) - 25, 20, 0.01)  # of log tan(theta)
+    theta = np.arctan(np.exp(u))
+    density = model.D(jnp.asarray(theta), {k: jnp.asarray(x) for k, x in widths.items()})
+    total = np.sum(2 * np.pi * density * np.cos(theta) ** 2 * np.sin(theta) ** 2) * 0.01
+    assert total == pytest.approx(1, rel=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_masking_is_that_of_its_definition(case):
+    model, widths, D, narrow, accuracy = CASES[case]
+    ours = model.G1(jnp.cos(jnp.asarray(ANGLES)), {k: jnp.asarray(x) for k, x in widths.items()})
+    expected = [oracle.smith_G1(math.cos(x), lambda t: D(t, *widths.values()), narrow) for x in ANGLES]
+    np.testing.assert_allclose(ours, expected, rtol=accuracy)
+    assert not np.allclose(ours, np.array(expected) * (1 + 1e-5), rtol=accuracy)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("masking", ["smith", "v-groove", "none"])
+def test_the_brdf_is_that_of_the_formula(case, masking):
+    model, widths, D, narrow, accuracy = CASES[case]
+    model = type(model)(masking=masking)
+    of = {"none": lambda i, o, h: 1.0, "v-groove": oracle.v_groove}
+    rng = np.random.default_rng(2)
+    D_of = lambda t: D(t, *widths.values())  # noqa: E731
+    of["smith"] = lambda i, o, h: math.prod(oracle.smith_G1(v[2], D_of, narrow) for v in (i, o))
+    for _ in range(3):
+        i, o = (direction(np.arccos(rng.uniform(0.1, 1)), rng.uniform(0, 2 * np.pi)) for _ in range(2))
+        expected = [oracle.brdf(i, o, D_of, of[masking], *x) for x in zip(*COLOURS.values(), strict=True)]
+        for pair in ((i, o), (o, i)):
+            found = evaluate(model, widths | COLOURS, Geometry.from_vectors(*pair))
+            np.testing.assert_allclose(found, expected, rtol=4 * accuracy)
+
+
+@pytest.mark.parametrize("fresnel", ["dielectric", "conductor"])
+def test_exact_reflectances_are_those_of_the_oracle(fresnel):
+    """What is taken off the lobe of a perfect mirror."""
+    constants = {"dielectric": {"eta": np.array([1.3, 1.5, 2.2])},
+                 "conductor": {"n": np.array([0.2, 1.0, 3.0]), "k": np.array([3.0, 2.0, 4.0])}}[fresnel]  # fmt: skip
+    i, o = direction(1.1, 0.2), direction(0.4, 3.0)
+    lobe = evaluate(GGX(), {"alpha": 0.3, "F0": np.ones(3), "albedo": np.zeros(3)}, Geometry.from_vectors(i, o))
+    values = {"alpha": 0.3, "albedo": np.zeros(3), **constants}
+    found = evaluate(GGX(fresnel=fresnel), values, Geometry.from_vectors(i, o))
+    given = zip(*constants.values(), strict=True)
+    expected = [oracle.reflectance(i, o, *(x if len(x) == 2 else (*x, 0.0))) for x in given]
+    np.testing.assert_allclose(found / lobe, expected, rtol=1e-10)
+
+
+def random_pairs(count=40):
+    rng = np.random.default_rng(7)
+    pairs = [
+        [direction(np.arccos(rng.uniform(0.05, 1)), rng.uniform(0, 2 * np.pi)) for _ in range(2)] for _ in range(count)
+    ]
+    return Geometry.from_vectors(*np.swapaxes(pairs, 0, 1))
+
+
+@pytest.mark.parametrize("alpha", [0.01, 0.1, 0.6])
+def test_gtr_of_gamma_2_is_ggx(alpha):
+    expected = evaluate(GGX(), {"alpha": alpha, **COLOURS}, random_pairs())
+    for model, more in ((GTR(gamma="2"), {}), (GTR(), {"gamma": 2.0})):
+        found = evaluate(model, {"alpha": alpha, **more, **COLOURS}, random_pairs())
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_gtr_of_gamma_1_is_the_limit():
+    limit = evaluate(GTR(gamma="1"), {"alpha": 0.1, **COLOURS}, random_pairs())
+    near = evaluate(GTR(), {"alpha": 0.1, "gamma": 1 + 1e-9, **COLOURS}, random_pairs())
+    np.testing.assert_allclose(near, limit, rtol=1e-6)
+
+
+def test_epd_of_p_1_is_beckmann():
+    expected = evaluate(Beckmann(), {"roughness": 0.25, **COLOURS}, random_pairs())
+    found = evaluate(EPD(), {"beta": 0.25, "p": 1.0, **COLOURS}, random_pairs())
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("body", ["none", "lambert"])
+def test_the_two_scale_model_without_height_is_epd(body):
+    index = "complex" if body == "none" else "real"
+    surface = {"beta": 0.2, "p": 0.7, "b": 3.0, "c": 2.0}
+    constants = (
+        {"n": np.array([0.2, 1.0, 3.0]), "k": np.array([3.0, 2.0, 4.0])}
+        if body == "none"
+        else {"eta": np.array([1.3, 1.5, 2.2])}
+    )
+    albedo = np.array([0.2, 0.1, 0.5])
+    flat = {"sigma_s": 1e-9, **surface, **constants, **({} if body == "none" else {"albedo": albedo})}
+    found = evaluate(TwoScale(body, index=index), flat, random_pairs())
+    values = {"beta": 0.2, "p": 0.7, **constants, "albedo": 0 * albedo if body == "none" else albedo}
+    expected = evaluate(EPD(fresnel="conductor" if body == "none" else "dielectric"), values, random_pairs())
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-15)  # of a height of 1e-9 um a little is left
+
+
+@pytest.mark.parametrize(("alpha", "p"), [(1e-4, 0.3), (1e-3, 2.5), (0.05, 0.8), (0.5, 0.0), (2.0, 5.0)])
+def test_the_constant_of_the_shifted_gamma_distribution(alpha, p):
+    import mpmath as mp
+
+    expected = -mp.log(mp.mpf(alpha) * mp.gammainc(1 - mp.mpf(p), mp.mpf(alpha)))
+    assert float(sgd.log_constant(jnp.asarray(alpha), jnp.asarray(p))) == pytest.approx(float(expected), abs=1e-9)
+
+
+def test_nothing_is_masked_along_the_normal():
+    assert float(beckmann_masking.G1(jnp.asarray(1.0), jnp.asarray(0.3))) == 1.0
