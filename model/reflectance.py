@@ -96,6 +96,7 @@ class Separated(NamedTuple):
         alike: whether all channels take the same ones.
         body: from the cosines, a constant and an albedo that broadcast against them; or None.
         under: name of the constant that the body depends on, if it depends on one.
+        albedo: name of the body's albedo.
     """
 
     lobes: "Reflectance"
@@ -105,6 +106,7 @@ class Separated(NamedTuple):
     alike: bool
     body: Callable[[Array, Array, Array, Array], Array] | None = None
     under: str | None = None
+    albedo: str = "albedo"
 
 
 class Reflectance(ABC):

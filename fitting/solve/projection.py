@@ -129,7 +129,7 @@ def _project(parted: Separated, problem: Problem, sums: Sums) -> tuple[np.ndarra
     chosen = np.take_along_axis(costs, best[..., None, None], 2)[:, :, 0]  # (N, C, albedo)
     found = {name: x[best] for name, x in parted.constants.items()}
     if under is not None:
-        found["albedo"] = ALBEDOS[np.argmin(chosen, -1)]
+        found[parted.albedo] = ALBEDOS[np.argmin(chosen, -1)]
     return chosen.min(-1).sum(-1) + rest, found
 
 

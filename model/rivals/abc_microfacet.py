@@ -10,8 +10,8 @@ from ..body import lambert
 from ..interfaces import fresnel_of_dielectric
 from ..masking.v_groove import v_groove
 from ..parameters import LogNormal, Parameter
-from ..reflectance import Clues, OneFormula, Setting, Values
-from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER
+from ..reflectance import Clues, OneFormula, Separated, Setting, Values
+from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
 from .smooth import C_, lobe
 
 
@@ -47,6 +47,10 @@ class ABCMicrofacet(OneFormula):
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         return lambert(v["diffuse_albedo"])
+
+    @property
+    def separated(self) -> Separated:  # noqa: D102
+        return weighted(self, "A", 0.03, 3000)
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """At C = 1 half the height is where B (1 - cos theta_h) = 1."""

@@ -25,8 +25,8 @@ from ..interfaces import fresnel_of_dielectric
 from ..masking.v_groove import v_groove
 from ..ndf import beckmann
 from ..parameters import LogNormal, Parameter
-from ..reflectance import Clues, OneFormula, Setting, Values
-from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER
+from ..reflectance import Clues, OneFormula, Separated, Setting, Values
+from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,10 @@ class CookTorrance(OneFormula):
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         return lambert(v["diffuse_albedo"])
+
+    @property
+    def separated(self) -> Separated:  # noqa: D102
+        return weighted(self, "albedo", 0.003, 1.95)
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """D is at half its peak where tan(theta_h) is m sqrt(ln 2), about."""

@@ -34,8 +34,8 @@ from ..body import lambert
 from ..interfaces import fresnel_of_dielectric
 from ..numerics import TINY, safe_sqrt
 from ..parameters import LogNormal, Parameter
-from ..reflectance import Clues, Factor, Lobes, Reflectance, Setting, Values
-from .common import DIFFUSE
+from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values
+from .common import DIFFUSE, weighted
 
 SOURCE = "He et al. 1991"
 TERMS = 112  # of the series: see _series
@@ -101,7 +101,11 @@ def _sums(g: Array, e: Array) -> Sums:
         return with_term(sums, m, (m + 0.5) * log_m - m + HALF_LOG_2_PI + series, log_m)
 
     zero = jnp.zeros_like(g * e)
-    value, moment, shrunk = (step * x for x in jax.lax.fori_loop(0, TERMS, add, (zero, zero, zero)))
+    count = (
+        jnp.ceil(jnp.max((largest + ABOVE * width - first) / step)).astype(int) + 1
+    )  # the most that one of them takes
+    sums = jax.lax.fori_loop(0, jnp.clip(count, 0, TERMS), add, (zero, zero, zero))
+    value, moment, shrunk = (step * x for x in sums)
     for m in map(float, range(1, STIRLING)):  # whose factorials Stirling's series does not give to ten digits
         value, moment, shrunk = with_term((value, moment, shrunk), m, math.lgamma(m + 1), math.log(m))
     return value, moment / jnp.maximum(g, TINY) - value, -shrunk
@@ -175,6 +179,10 @@ class He(Reflectance):
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
         return Lobes({"specular": at["albedo"] * at["fresnel"]}, at["surface"], at["body"])
+
+    @property
+    def separated(self) -> Separated:  # noqa: D102
+        return weighted(self, "albedo", 0.003, 300)
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """A rough surface reflects as facets of root mean square slope sqrt(2) sigma / tau; a smooth one diffracts.
