@@ -8,7 +8,6 @@ begins where its compressive fit ended. Tables: results/merl100/rivals_WEIGHTS.{
 import json
 import os
 import time
-from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
