@@ -1,0 +1,89 @@
+"""Oren & Nayar's three forms against their equations, against each other, and with a surface."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from merlfit.model.geometry import Geometry
+from merlfit.model.masking.v_groove import v_groove
+from merlfit.model.reflectance import evaluate
+from merlfit.model.rivals.oren_nayar import OrenNayar, OrenNayarQualitative
+from oracles import rivals as oracle
+from oracles.facets import direction
+
+ALBEDO = np.array([0.9, 0.5, 0.1])
+MATTE, INTEGRAL = OrenNayar(surface="none"), OrenNayar("numerical", "none")
+
+
+def pairs(count, seed=3, most=80.0):
+    rng = np.random.default_rng(seed)
+    theta = np.arccos(rng.uniform(np.cos(np.radians(most)), 1, (count, 2)))
+    return [[direction(t, rng.uniform(0, 2 * np.pi)) for t in each] for each in theta]
+
+
+def brdf(model, sigma, i, o):
+    return np.asarray(evaluate(model, {"roughness": sigma, "albedo": ALBEDO}, Geometry.from_vectors(i, o)))
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.5, 1.2])
+@pytest.mark.parametrize(("model", "of"), [
+    (OrenNayarQualitative(), oracle.oren_nayar_qualitative), (MATTE, oracle.oren_nayar_functional),
+], ids=["qualitative", "functional"])  # fmt: skip
+def test_the_approximations_are_the_papers(model, of, sigma):
+    for i, o in pairs(30, most=89.0):
+        expected = [of(i, o, sigma, x) for x in ALBEDO]
+        np.testing.assert_allclose(brdf(model, sigma, i, o), expected, rtol=1e-10)
+        np.testing.assert_allclose(brdf(model, sigma, o, i), expected, rtol=1e-10)
+        assert not np.allclose(brdf(model, 1.001 * sigma, i, o), expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("sigma", [0.2, 0.6])
+def test_the_integral_is_that_over_facets(sigma):
+    i, o = np.swapaxes(pairs(4, most=70.0), 0, 1)
+    ours = brdf(INTEGRAL, sigma, i, o)[0]
+    expected, direct = (
+        [oracle.cavities(a, b, sigma, ALBEDO[0], 120, 180, bounces) for a, b in zip(i, o, strict=True)]
+        for bounces in (True, False)
+    )
+    np.testing.assert_allclose(ours, expected, rtol=4e-3)
+    assert not np.allclose(direct, expected, rtol=4e-3), "interreflection counts"
+
+
+@pytest.mark.parametrize(("sigma", "typical", "worst"), [(0.2, 0.025, 0.25), (0.5, 0.025, 0.25)])
+def test_the_functional_form_stands_for_the_integral(sigma, typical, worst):
+    """Within 75 degrees, relative; the paper shows agreement in pictures and states no number."""
+    i, o = np.swapaxes(pairs(200, most=75.0), 0, 1)
+    ours, integral = (brdf(model, sigma, i, o)[1] for model in (MATTE, INTEGRAL))
+    away = np.abs(ours / integral - 1)
+    assert np.median(away) < typical
+    assert away.max() < worst
+
+
+def test_without_roughness_it_is_lamberts():
+    i, o = np.swapaxes(pairs(20), 0, 1)
+    for model in (MATTE, OrenNayarQualitative()):
+        np.testing.assert_allclose(brdf(model, 1e-4, i, o), np.tile(ALBEDO[:, None] / np.pi, 20), rtol=1e-6)
+    np.testing.assert_allclose(brdf(INTEGRAL, 1e-3, i, o), np.tile(ALBEDO[:, None] / np.pi, 20), rtol=1e-3)
+
+
+def test_the_surface_is_torrance_and_sparrows():
+    i, o = np.swapaxes(pairs(20), 0, 1)
+    g, values = Geometry.from_vectors(i, o), {"roughness": 0.3, "albedo": ALBEDO, "k_s": np.array([0.1, 0.2, 0.3])}
+    lobe = evaluate(OrenNayar(), values, g) - brdf(MATTE, 0.3, i, o)
+    expected = values["k_s"][:, None] * np.exp(-((g.theta_h / 0.3) ** 2) / 2) * v_groove(g) / (g.cos_i * g.cos_o)
+    np.testing.assert_allclose(lobe, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_gradients_are_finite_along_the_normal_and_in_the_plane():
+    up, tilted = direction(0.0, 0.0), direction(0.7, 0.0)
+    g = Geometry.from_vectors(np.array([up, up, tilted, tilted]), np.array([up, tilted, tilted, tilted * [-1, 1, 1]]))
+    for model in (MATTE, INTEGRAL):
+        slopes = jax.jacfwd(lambda r, model=model: evaluate(model, {"roughness": r, "albedo": ALBEDO}, g))(
+            jnp.asarray(0.4)
+        )
+        assert np.all(np.isfinite(slopes))
+
+
+def test_no_fit_is_of_the_reference():
+    assert "reference" in INTEGRAL.objection
+    assert MATTE.objection is None
