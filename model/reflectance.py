@@ -112,12 +112,13 @@ class Separated(NamedTuple):
 class Reflectance(ABC):
     """A reflectance model. Subclasses are frozen dataclasses, static under jit; their fields are their settings.
 
-    ``name`` is that in configurations and results, ``citation`` where the model is from, ``lobes`` the names of its
-    sharp lobes: keys of :data:`merlfit.model.parameters.LOSSES`.
+    ``name`` is that in configurations and results, ``citation`` where the model is from, ``bodies`` what may lie under
+    its surface, ``lobes`` the names of its sharp lobes: keys of :data:`merlfit.model.parameters.LOSSES`.
     """
 
     name: ClassVar[str]
     citation: ClassVar[str]
+    bodies: ClassVar[tuple[str, ...]] = ("lambert",)
 
     @property
     def lobes(self) -> tuple[str, ...]:

@@ -106,6 +106,7 @@ class TwoScale(Reflectance):
         "Holzschuch & Pacanowski 2017, A two-scale microfacet reflectance model combining reflection and diffraction, "
         "doi:10.1145/3072959.3073621"
     )
+    bodies: ClassVar[tuple[str, ...]] = BODIES
     body: Body = "none"
     diffraction: Diffraction = "quadrature"
     order: int = 32

@@ -39,6 +39,7 @@ class OrenNayarQualitative(OneFormula):
 
     name: ClassVar[str] = "oren-nayar-qualitative"
     citation: ClassVar[str] = PAPER
+    bodies: ClassVar[tuple[str, ...]] = ("rough lambert",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
@@ -69,6 +70,7 @@ class OrenNayar(Reflectance):
 
     name: ClassVar[str] = "oren-nayar"
     citation: ClassVar[str] = PAPER
+    bodies: ClassVar[tuple[str, ...]] = ("rough lambert",)
     form: Literal["functional", "numerical"] = "functional"
     surface: Literal["none", "torrance-sparrow"] = "torrance-sparrow"
 

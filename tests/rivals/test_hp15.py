@@ -1,10 +1,16 @@
 """HP15's model against its equations, its normalisation, and the models that it is between."""
 
 import math
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from merlfit.fitting.objective.problem import directions, make_problem
+from merlfit.fitting.objective.residuals import Objective, predict
+from merlfit.fitting.solve import hp15
+from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.reflectance import evaluate
@@ -61,3 +67,68 @@ def test_without_diffraction_it_is_epd():
     values = {"beta": 0.2, "p": 0.7, "F0": VALUES["F0"], "albedo": VALUES["diffuse_albedo"]}
     g = Geometry.from_vectors(i, o)
     np.testing.assert_allclose(evaluate(HP15(), dark, g), evaluate(EPD(), values, g), rtol=1e-9)
+
+
+# --- its fitting procedures
+
+
+@pytest.fixture(scope="module")
+def samples():
+    """Of the model itself, on a thin grid, unweighted."""
+    grid = merl_grid()
+    weight = np.where(grid.above, grid.weight, 0.0) * np.ones((3, 1, 1, 1))
+    blank = thin(fold(grid, np.ones_like(weight), weight), (3, 3, 30))
+    where = directions(blank.theta_h, blank.theta_d, blank.cos_i, blank.cos_o)
+    return replace(blank, value=predict(HP15(), {k: jnp.asarray(x) for k, x in VALUES.items()}, where))
+
+
+def test_the_determinant_is_zero_where_a_brdf_depends_on_f_alone(samples):
+    theta_h, theta_d = samples.theta_h[:, None], samples.theta_d
+    f = 2 * np.sin(theta_h) * np.cos(theta_d) / np.array(WAVELENGTHS_UM)[:, None, None]
+    of_f, of_half = 0.3 / (1 + f**2), 0.3 / (1 + 5 * np.sin(theta_h) ** 2) + 0 * f
+    every = np.ones_like(samples.weight)
+    along, across = (
+        np.abs(hp15.determinant(replace(samples, value=np.repeat(x[..., None], every.shape[-1], -1), weight=every)))
+        for x in (of_f, of_half)
+    )
+    assert np.median(along) < 0.02 * np.median(across)
+    chosen = hp15.selected(replace(samples, value=np.repeat(of_f[..., None], every.shape[-1], -1), weight=every), 0.05)
+    assert chosen.weight.mean() > 0.9
+
+
+def test_one_step_finds_what_the_data_were_made_of(samples):
+    own = hp15.layout(samples)
+    found = hp15.one_step(samples, own.free(VALUES) + 0.1, 150)
+    assert found.cost < 1e-10
+    values = own.values(jnp.asarray(found.z))
+    for name, expected in VALUES.items():
+        np.testing.assert_allclose(values[name], expected, rtol=1e-3, err_msg=name)
+
+
+def test_two_steps_hold_what_the_first_one_found(samples):
+    own = hp15.layout(samples)
+    z = own.free(VALUES) + 0.3
+    found = hp15.two_steps(samples, z)
+    assert found.z.shape == z.shape
+    assert found.cost < 0.2
+    again = hp15.two_steps(samples, own.free(VALUES) + 0.2)
+    assert again.cost == pytest.approx(found.cost, rel=1e-2), "whatever it began with"
+
+
+def test_some_parameters_are_solved_and_the_others_stay(samples):
+    own = hp15.layout(samples)
+    objective, z = Objective(own, make_problem(samples)), own.free(VALUES) + 0.05
+    found = hp15.solve_some(objective, z, ("beta", "k_s"))
+    still = [k for name, s in own.slices.items() if name not in ("beta", "k_s") for k in range(s.start, s.stop)]
+    np.testing.assert_array_equal(found.z[still], z[still])
+    assert found.cost < float(objective.costs(own.values(jnp.asarray(z))).sum())
+    assert found.cost == pytest.approx(float(objective.costs(own.values(jnp.asarray(found.z))).sum()), rel=1e-9)
+
+
+def test_random_starts_are_alike_in_all_channels(samples):
+    own = hp15.layout(samples)
+    values = own.values(jnp.asarray(hp15.random_start(own, np.random.default_rng(1))))
+    for q in own.parameters:
+        x = np.asarray(values[q.name])
+        assert np.all((q.lower <= x) & (x <= q.upper))
+        assert np.ptp(x) < 1e-9
