@@ -26,6 +26,15 @@ DRAWN = {"nickel": "a metal", "green-plastic": "a plastic", "red-fabric": "a fab
 STARTS, SAME = 20, 1.01  # of each; costs within this factor of the lowest have arrived
 
 
+SAID = (
+    f"Data: {RECONSTRUCTIONS}. {STARTS} random starts each, as HP15 5.8 draws them, the same for both procedures, on the "
+    "coarse grid with unweighted bins (Eq. 29 weighs by cos^2 theta_i; here by HP17's measure with weight one). Arrived: "
+    f"cost within {SAME - 1:.0%} of the lowest of that procedure. HP15 says 90 % for two steps, 30 % for one. Selected: "
+    "weight of the bins that the test of derivatives takes for diffraction. Made by `python -m tests.hp15_claims`."
+)
+HEAD = "| material | selected | two steps: arrived | lowest cost | median | one step: arrived | lowest cost | median |"
+
+
 def measure(samples):
     """Costs of both procedures from the same random starts, (STARTS,) each."""
     coarse, rng = thin(samples, COARSE), np.random.default_rng(0)
@@ -51,16 +60,7 @@ def main(materials=MATERIALS):
     """Measure, draw, write."""
     use_persistent_cache()
     FOLDER.mkdir(parents=True, exist_ok=True)
-    lines = [
-        "# HP15: two fitting procedures, and the test of derivatives", "",
-        f"Data: {RECONSTRUCTIONS}. {STARTS} random starts each, as HP15 5.8 draws them, the same for both procedures, on "
-        "the coarse grid with unweighted bins (Eq. 29 weighs by cos^2 theta_i; here by HP17's measure with weight one). "
-        f"Arrived: cost within {SAME - 1:.0%} of the lowest of that procedure. HP15 says 90 % for two steps, 30 % for "
-        "one. Selected: weight of the bins that the test of derivatives takes for diffraction. Made by `python -m "
-        "tests.hp15_claims`.", "",
-        "| material | selected | two steps: arrived | lowest cost | median | one step: arrived | lowest cost | median |",
-        "|---" * 8 + "|",
-    ]  # fmt: skip
+    lines = ["# HP15: two fitting procedures, and the test of derivatives", "", SAID, "", HEAD, "|---" * 8 + "|"]
     drawn, arrived = {}, []
     with TemporaryDirectory() as made:
         for material in materials:
