@@ -7,16 +7,17 @@ from typing import Unpack
 import typer
 
 from ..merl_io.atomic import WriteError
-from ..merl_io.binary import MerlError
+from ..merl_io.binary import Measurement, MerlError
 from ..model.registry import made, models
 from .cost.accuracy import Aim, aim
 from .cost.request import request
 from .output.comparison import by_label, judged_result, metrics_table, table_of, verdict, write_metrics, write_tables
 from .output.keeping import Complete, Place, claimed, completeness, place_of, taken
 from .output.report import Outcome, accuracy_line, summary_table
-from .pipeline.comparison import compare_file
+from .pipeline.comparison import FIT, compare_file
 from .pipeline.run import fit_file
 from .results.export import ResultError, read_result
+from .results.schema import Result
 from .settings.config import Config, ConfigError, Replaced, load
 from .support.compilation import use_persistent_cache
 from .support.terminal import (
@@ -52,15 +53,20 @@ def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim 
     return chosen
 
 
-def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = None) -> list[Outcome]:
-    """Fit one file after the other; whatever one runs into, the others are fitted."""
-    use_persistent_cache()
-    writable_folder(out)
+def refuse_same_names(files: list[Path]) -> None:
+    """End with an error where two results would have one name."""
     twice = [name for name, count in Counter(path.stem for path in files).items() if count > 1]
     if twice:
         raise fail(
             f"several files are named {twice[0]}, and a result is named after its file: fit them into different folders"
         )
+
+
+def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = None) -> list[Outcome]:
+    """Fit one file after the other; whatever one runs into, the others are fitted."""
+    use_persistent_cache()
+    writable_folder(out)
+    refuse_same_names(files)
     chosen, finish = (aim.settings, aim.finish) if aim else (settings, None)
     outcomes = []
     with claimed(out) as alone, progress_display() as progress:
@@ -143,54 +149,84 @@ def chosen_models(names: str | None) -> list[str]:
     return found
 
 
+def placed(measurement: Measurement, folder: Path, settings: Config) -> Result:
+    """Fit, and write the result where it replaces none that is more complete."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with place_of(folder, measurement.name) as place:
+        result = fit_file(measurement, place.folder, settings)
+    if place.said:
+        note(place.said)
+    return result
+
+
 def compare_files(
     files: list[Path], names: str | None, out: Path, settings: Config, with_published: bool = True
 ) -> None:
-    """Fit all models to each file, print medians and write tables; whatever one file runs into, the others go on."""
+    """Fit all models to each file, print medians and write tables; whatever one file runs into, the others go on.
+
+    Exits with 2 after bad input, with 1 if no model could be fitted to a file.
+    """
     use_persistent_cache()
     writable_folder(out)
-    wanted, rows, bad = chosen_models(names), [], False
+    refuse_same_names(files)
+    wanted, rows, code = chosen_models(names), [], 0
     with claimed(out) as alone, progress_display() as progress:
         if not alone:
             note(taken(out))
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name, total=None)
             label = f"[{k}/{len(files)}] {path.stem}"
+            say = reporter(progress, task, label)
             try:
-                found, _ = compare_file(path, wanted, settings, out, reporter(progress, task, label), with_published)
+                found, _ = compare_file(path, wanted, settings, out, say, with_published, placed)
                 rows += found
+                code = max(code, 0 if any(row.origin == FIT for row in found) else FAILED_FIT)
                 console.print(f"{label}: {verdict(found)}", soft_wrap=True)
-            except (MerlError, WriteError) as error:
-                bad = True
+            except ConfigError as error:
+                raise fail(str(error)) from None
+            except MerlError as error:
+                code = BAD_INPUT
+                fail(str(error))
+            except WriteError as error:
+                code = max(code, FAILED_FIT)
                 fail(str(error))
             except Stopped as stop:
                 note(f"stopped by {stop}; the same command goes on from there")
                 raise typer.Exit(stop.code) from None
+            except Exception as error:  # of any kind: said with its name, and the next file has its turn
+                code = max(code, FAILED_FIT)
+                fail(f"{path}: failed unexpectedly: {type(error).__name__}: {error}")
             progress.remove_task(task)
     if rows:
-        genuine = sum(row.genuine for row in rows) == len(rows)
-        data = (
-            "genuine MERL measurements" if genuine else "files that are not (all) genuine MERL measurements, by SHA-1"
-        )
+        data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE
+        title = f"{len({row.material for row in rows})} materials, {len(by_label(rows))} models"
         console.print(table_of(rows))
-        written = write_tables(
-            rows, out, "comparison", f"{len({r.material for r in rows})} materials, {len(by_label(rows))} models", data
-        )
+        written = write_tables(rows, out, "comparison", title, data)
         console.print(f"wrote {written[0]}, and .md, .html and .png beside it", soft_wrap=True)
-    if bad:
-        raise typer.Exit(BAD_INPUT)
+    if code:
+        raise typer.Exit(code)
+
+
+NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
 
 
 def which_model(path: Path, names: str | None, out: Path, settings: Config) -> None:
-    """Print which model is the least that explains a file."""
+    """Print which model is the least that explains a file; exits with 2 after bad input, with 1 if none was fitted."""
     use_persistent_cache()
+    writable_folder(out)
     wanted = chosen_models(names)
     try:
         with progress_display() as progress:
             task = progress.add_task(path.name, total=None)
-            rows, _ = compare_file(path, wanted, settings, out, reporter(progress, task, path.stem), False)
-    except (MerlError, WriteError) as error:
+            rows, _ = compare_file(path, wanted, settings, out, reporter(progress, task, path.stem), False, placed)
+    except (MerlError, WriteError, ConfigError) as error:
         raise fail(str(error)) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}")
+        raise typer.Exit(stop.code) from None
+    if not rows:
+        fail(f"{path}: no model could be fitted; see `merlfit check`")
+        raise typer.Exit(FAILED_FIT)
     console.print(table_of(rows))
     console.print(verdict(rows), soft_wrap=True)
 

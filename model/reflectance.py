@@ -220,7 +220,7 @@ class Reflectance(ABC):
         return {}
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """Shared parameters from which a fit may start, by name; what is left out has its default.
+        """Parameters from which a fit may start, by name, channels alike; what is left out has its default.
 
         The first is a guess of everything; what others have differently is another reading of the same clues.
         """
@@ -228,7 +228,7 @@ class Reflectance(ABC):
 
     @property
     def basins(self) -> Mapping[str, int]:
-        """Shared parameters by which minima differ, and into how many classes, equally likely, they are divided."""
+        """Parameters by which minima differ, and into how many classes, equally likely, each is divided."""
         return {q.name: 3 for q in self.parameters if q.scale == "log" and not q.per_channel}
 
     @property

@@ -23,14 +23,15 @@ from .bench.record import RECONSTRUCTIONS, cell
 FOLDER = Path(__file__).parents[1] / "results" / "hp15"
 MATERIALS = ("nickel", "brass", "red-plastic", "green-plastic", "red-fabric", "colonial-maple-223")
 DRAWN = {"nickel": "a metal", "green-plastic": "a plastic", "red-fabric": "a fabric"}
-STARTS, SAME = 20, 1.01  # of each; costs within this factor of the lowest have arrived
+STARTS, SAME, NEAR = 20, 1.01, 1.05  # of each; costs within these factors of the lowest have arrived
 
 
 SAID = (
-    f"Data: {RECONSTRUCTIONS}. {STARTS} random starts each, as HP15 5.8 draws them, the same for both procedures, on the "
-    "coarse grid with unweighted bins (Eq. 29 weighs by cos^2 theta_i; here by HP17's measure with weight one). Arrived: "
-    f"cost within {SAME - 1:.0%} of the lowest of that procedure. HP15 says 90 % for two steps, 30 % for one. Selected: "
-    "weight of the bins that the test of derivatives takes for diffraction. Made by `python -m tests.hp15_claims`."
+    f"Data: {RECONSTRUCTIONS}. {STARTS} random starts each, as HP15 5.8 draws them, the same for both procedures, on "
+    "the coarse grid with unweighted bins (Eq. 29 weighs by cos^2 theta_i; here by HP17's measure with weight one). "
+    f"Arrived: cost within {SAME - 1:.0%} (in brackets {NEAR - 1:.0%}) of the lowest of that procedure. HP15 says 90 % "
+    "for two steps, 30 % for one. Selected: weight of the bins that the test of derivatives takes for diffraction. "
+    "Made by `python -m tests.hp15_claims`."
 )
 HEAD = "| material | selected | two steps: arrived | lowest cost | median | one step: arrived | lowest cost | median |"
 
@@ -72,7 +73,8 @@ def main(materials=MATERIALS):
             for costs in measure(samples):
                 costs = np.nan_to_num(costs, nan=np.inf)
                 arrived.append(np.mean(costs <= SAME * costs.min()))
-                row += [f"{arrived[-1]:.0%}", cell(float(costs.min())), cell(float(np.median(costs)))]
+                near = np.mean(costs <= NEAR * costs.min())
+                row += [f"{arrived[-1]:.0%} ({near:.0%})", cell(float(costs.min())), cell(float(np.median(costs)))]
             lines.append(f"| {' | '.join(row)} |")
             print(lines[-1], flush=True)
     lines += ["", f"Over all: two steps {np.mean(arrived[::2]):.0%}, one step {np.mean(arrived[1::2]):.0%}.", "",

@@ -2,7 +2,8 @@
 
 Goes on where it was stopped, and several may run side by side, each with a share of the materials: `--share 1/2`. The
 two-scale model's rows are those of `tests.merl100`. Every material is read once for all models; with ``none`` each
-begins where its compressive fit ended. Tables: results/merl100/rivals_WEIGHTS.{csv,md,html,png}.
+begins where its compressive fit ended; the two kinds of weights must not run at the same time. Tables:
+results/merl100/rivals_WEIGHTS.{csv,md,html,png}.
 """
 
 import json
@@ -82,6 +83,7 @@ def measure(material, weights, names):
         if weights != "compressive" and name not in rows.get("compressive", {}):
             continue
         done[name] = fitted_of(measurement, samples, name, weights, rows.get("compressive", {}).get(name))
+        keep(target, rows)
         r = done[name]
         print(
             f"{weights} {material} {name}: RMSE {r['rmse']:.3g} dE {r['picture']:.3g} {r['seconds']:.1f} s", flush=True
@@ -91,23 +93,28 @@ def measure(material, weights, names):
             source: {**{k: getattr(found, k) for k in FIGURES}, "cost": cost}
             for source in sources_of(material) for found, cost in [judged(source, measurement, samples)]
         }  # fmt: skip
+    keep(target, rows)
+
+
+def keep(target, rows):
+    """What is known of a material."""
     text = json.dumps(rows, indent=1) + "\n"
     PARTS.mkdir(parents=True, exist_ok=True)
     write_atomically(target, lambda opened: opened.write(text.encode()))
 
 
-def rows_of(weights):
-    """Rows of all materials that are there, the two-scale model first."""
+def rows_of(weights, names):
+    """Rows of the materials that all of these models were fitted to, the two-scale model first."""
     ours = {row["material"]: row[weights] for row in json.loads(FITS.read_text()) if weights in row}
     found = []
     for path in sorted(PARTS.glob("*.json")):
         done, material = json.loads(path.read_text()).get(weights, {}), path.stem
-        if material not in ours or not done:
+        if material not in ours or not set(names) <= set(done):
             continue
         one = ours[material]
         every_fit = {
             "two-scale": {**one, "variant": f"{one['index']} {one['body']}", "values": one["parameters"]},
-            **{name: done[name] for name in NAMES if name in done},
+            **{name: done[name] for name in names},
         }
         count = min((r["cost"], r["effective_bins"]) for r in every_fit.values())[1]
         for name, r in every_fit.items():
@@ -138,7 +145,7 @@ def main(
     part, of = map(int, share.split("/"))
     for material in every()[part - 1 :: of]:
         measure(material, weights, names.split(","))
-    if rows := rows_of(weights):
+    if rows := rows_of(weights, names.split(",")):
         count = len({row.material for row in rows})
         title = f"The two-scale model and its rivals on {count} materials, {weights} weights"
         write_tables(rows, FOLDER, f"rivals_{weights}", title, f"{RECONSTRUCTIONS}; nothing here is of a genuine file")

@@ -80,9 +80,10 @@ def errors(
 def by_incidence(
     measured: np.ndarray, predicted: np.ndarray, valid: np.ndarray, grid: MerlGrid, theta_max: float = THETA_MAX
 ) -> tuple[np.ndarray, np.ndarray]:
-    """RMSE (1/sr) by the light's angle: middles of intervals of theta_i (rad) and the root mean squares over them.
+    """RMSE (1/sr) by the light's angle: middles of intervals of theta_i (rad), and the curve over them.
 
-    The weights are those of :attr:`Errors.rmse`, whose square is their mean over theta_i. NaN where no bin is.
+    (Int d^2 cos^2(theta_i) domega_o)^(1/2) of HP17 Table 2 in the unit of :attr:`Errors.rmse`: the mean of its squares
+    over the intervals is the square of that.
     """
     inside = valid & within(grid, theta_max)
     measure = (np.sin(grid.theta_h) * np.gradient(grid.theta_h))[:, None, None] * np.sin(2 * grid.theta_d)[:, None]
@@ -91,9 +92,8 @@ def by_incidence(
     edges = np.arange(0.0, theta_max + INCIDENCE / 2, INCIDENCE)
     place = np.clip(np.digitize(np.arccos(cos_i), edges) - 1, 0, len(edges) - 2)
     squares = np.mean((measured[:, inside] - predicted[:, inside]) ** 2, 0)
-    sums = [np.bincount(place, x, len(edges) - 1) for x in (weight * squares, weight)]
-    with np.errstate(invalid="ignore"):
-        return (edges[1:] + edges[:-1]) / 2, np.sqrt(sums[0] / sums[1])
+    summed = np.bincount(place, weight * squares, len(edges) - 1)
+    return (edges[1:] + edges[:-1]) / 2, np.sqrt(summed * len(summed) / weight.sum())
 
 
 def cube_root_error(samples: Samples, predicted: np.ndarray) -> float:

@@ -71,6 +71,7 @@ def least(bics: Sequence[float], pictures: Sequence[float], highlights: Sequence
     Of those that keep the highlight (of all, if none does) and whose picture is as good as the nearest one's, to
     `SEEN`: the one with the fewest numbers among those whose BIC is within `ALIKE` of the lowest, if there are any.
     """
+    pictures = np.nan_to_num(pictures, nan=np.inf).tolist()
     kept = [k for k in range(len(bics)) if not lost(highlights[k])] or list(range(len(bics)))
     nearest_picture = min(pictures[k] for k in kept)
     seen = [k for k in kept if pictures[k] <= nearest_picture + SEEN]

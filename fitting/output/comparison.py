@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -35,8 +36,8 @@ FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "cube_root": "cube-root error", "log": "log error",
     "picture": "dE", "highlight": "peak",
 }  # fmt: skip
-RANKED = ("rmse", "smape", "cube_root", "log", "picture")
-"""Errors by which models are ranked; of the peak the ratio to 1 is."""
+RANKED = ("rmse", "smape", "cube_root", "log", "picture", "highlight")
+"""Errors by which models are ranked; of the peak, how far it is from 1 as a factor."""
 GROUPS = {
     "metallic paints": ("metallic-paint", "color-changing-paint", "pearl-paint", "two-layer"),
     "fabrics": ("fabric", "felt", "velvet"),
@@ -91,8 +92,8 @@ def winners(rows: Sequence[Row], name: str) -> dict[str, tuple[str, float]]:
         own = sorted(
             (r for r in rows if r.material == material), key=lambda r: np.nan_to_num(figure_of(r, name), nan=np.inf)
         )
-        second = figure_of(own[1], name) / figure_of(own[0], name) if len(own) > 1 else float("nan")
-        found[material] = label(own[0]), second
+        best, second = [*(figure_of(row, name) for row in own), float("nan")][:2]
+        found[material] = label(own[0]), second / best if best > 0 else float("inf")
     return found
 
 
@@ -174,10 +175,10 @@ def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data:
     """
     written = [folder / f"{name}.{ending}" for ending in ("csv", "md", "html", "png")]
     text = markdown(rows, title, data, written[3].name)
-    page = MarkdownIt("commonmark").enable("table").render(text)
+    page = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
     _write(written[0], _csv(rows))
     _write(written[1], text)
-    _write(written[2], PAGE.format(title=title, page=page))
+    _write(written[2], PAGE.format(title=escape(title), page=page))
     save(sorted_errors(rows, title), written[3])
     return written
 
@@ -339,7 +340,7 @@ class Judged(NamedTuple):
     rmse: np.ndarray
 
 
-def judged_result(path: Path, result: Result, against: Path) -> Judged:
+def judged_result(path: Path, result: Result, against: Path, theta_max: float = THETA_MAX) -> Judged:
     """A result's prediction, as the apparatus would have measured it, beside a file.
 
     Raises:
@@ -347,7 +348,7 @@ def judged_result(path: Path, result: Result, against: Path) -> Judged:
     """
     if (model := result.model) is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
-    measurement, theta_max = read(against), float(result.config.get("fit", {}).get("theta_max", THETA_MAX))
+    measurement = read(against)
     values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um))
     grid, valid = merl_grid(), measurement.valid
     found = errors(measurement.values, values, valid, grid, theta_max)
@@ -358,7 +359,7 @@ def judged_result(path: Path, result: Result, against: Path) -> Judged:
 def metrics_table(found: Sequence[Judged], against: Path) -> Table:
     """What `merlfit metrics` prints."""
     table = Table(
-        title=f"errors against {against} over {angles()}, both directions at theta < fit.theta_max",
+        title=f"errors against {against} over {angles()}, both directions at theta < {THETA_MAX:g} rad",
         title_justify="left", box=box.SIMPLE_HEAD, caption=WHAT, caption_justify="left",
     )  # fmt: skip
     for head in ("result", "model", *FIGURES.values()):

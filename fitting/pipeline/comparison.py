@@ -1,6 +1,6 @@
 """Several models on one file: each fitted by the same pipeline, and published parameter sets beside them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,16 @@ import numpy as np
 from ...merl_io.binary import Measurement, read
 from ...merl_io.grid import merl_grid
 from ...model import published
+from ...model.registry import made
+from ...model.two_scale import TwoScale
 from ..assess import metrics
 from ..assess.published import judged, sources_of
 from ..assess.selection import bic
 from ..objective.weights import weighted_samples
 from ..results.export import ResultError, finite, read_result, versions
 from ..results.schema import Result
-from ..settings.config import Config, ModelSection
-from ..support.clock import Clock, Report, Stage, silent
+from ..settings.config import Config, ConfigError, parse
+from ..support.clock import Report, Stage, silent
 from .run import fit_file
 
 KEYS = ("material", "model", "variant", "origin", "weights", "status", "numbers")
@@ -35,7 +37,8 @@ class Row:
         weights: exponent of the compressive weight that it was fitted with, or ``log``; None for published parameters.
         status: how the fit ended. numbers: of its parameters, over all channels.
         errors: over all bins within theta_max. cost: of Eq. 56. bic: Bayesian information criterion, with one count of
-            effective bins for all rows of a material. seconds: of the whole fit from the file.
+            effective bins for all rows of a material. seconds: of the fit without reading the file, compilation
+            included; None for published parameters.
         values: by name of the number.
     """
 
@@ -64,34 +67,53 @@ class Row:
 
 
 def config_of(config: Config, name: str) -> Config:
-    """Settings of the fit of one model."""
-    return config.model_copy(update={"model": ModelSection(name=name)})
+    """Settings of the fit of one model: those that have no effect on it are as by default.
+
+    Raises:
+        merlfit.fitting.settings.config.ConfigError: settings of a model of their own, or weights that every model would
+            choose for itself.
+    """
+    if config.model.model_extra:
+        key = next(iter(config.model.model_extra))
+        raise ConfigError(f"model.{key} is a setting of one model: leave it out where several are compared")
+    if config.fit.weights == "adaptive":
+        raise ConfigError("fit.weights 'adaptive' gives every model another objective: compare with one of the others")
+    data = {**config.model_dump(mode="json"), "model": {"name": name}}
+    if name != TwoScale.name:
+        data["effects"] = {}
+    if not made(name, {}).lobes:
+        data["acquisition"], data["apparatus"] = {}, {}
+    return parse(data, "settings")
 
 
 def compare_file(
     path: Path | Measurement, names: Sequence[str], config: Config, out: Path, report: Report = silent,
-    with_published: bool = True,
+    with_published: bool = True, fit: Callable[[Measurement, Path, Config], Result] = fit_file,
 ) -> tuple[list[Row], dict[str, Result]]:  # fmt: skip
     """Rows of one file, models first, in the order of their names; results are written to ``out/MODEL/NAME.json``.
 
+    Args:
+        with_published: whether published parameters of a material of the file's name stand beside the fits.
+        fit: fits a measurement and writes its result to a folder.
+
     Raises:
-        merlfit.merl_io.binary.MerlError: the file cannot be used.
+        merlfit.merl_io.binary.MerlError: the file cannot be used. merlfit.fitting.settings.config.ConfigError: settings
+            that several models cannot be compared with (`config_of`).
     """
+    settings = [config_of(config, name) for name in names]
     report("reading")
     measurement = path if isinstance(path, Measurement) else read(path)
     results: dict[str, Result] = {}
     for k, name in enumerate(names):
         report(Stage(f"{name} ({k + 1} of {len(names)} models)", k / len(names)))
-        own = config_of(config, name)
-        results[name] = _kept(out / name / f"{measurement.name}.json", measurement, own) or fit_file(
-            measurement, out / name, own
-        )
+        own = settings[k]
+        kept = _kept(out / name / f"{measurement.name}.json", measurement, own)
+        results[name] = fit(measurement, out / name, own) if kept is None else kept
     rows = [row_of(result) for result in results.values() if result.model is not None]
     if with_published and (sources := sources_of(measurement.name)):
         report("published parameters")
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
         for source in sources:
-            clock = Clock()
             errors, cost = judged(source, measurement, samples, config.fit.theta_max)
             values = published.published(measurement.name, source, rescaled=True)
             model = published.SOURCES[source].model
@@ -102,7 +124,7 @@ def compare_file(
             }
             rows.append(Row(
                 measurement.name, measurement.genuine is not None, model.name, model.variant, source, None, "published",
-                len(flat), errors, cost, float("nan"), clock.times()["total"], flat,
+                len(flat), errors, cost, float("nan"), None, flat,
             ))  # fmt: skip
     return with_bic(rows, results), results
 
@@ -119,7 +141,7 @@ def _kept(path: Path, measurement: Measurement, config: Config) -> Result | None
 
 def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:
     """With the effective count of the fit of the lowest cost, which the others are compared by, too."""
-    known = [(r.fit.cost or 0.0, r.fit.effective_bins) for r in results.values() if r.fit.effective_bins is not None]
+    known = [(r.fit.cost, r.fit.effective_bins) for r in results.values() if r.fit.cost and r.fit.effective_bins]
     count = min(known)[1] if known else 1.0
     return [row if row.origin != FIT else replace(row, bic=bic(row.cost, row.numbers, count)) for row in rows]
 

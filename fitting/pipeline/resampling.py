@@ -40,7 +40,9 @@ def resample(
     samples = weighted_samples(
         measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
     )
-    layout = config.layout_of(result.model.measured)  # which may have been carried on with other settings
+    layout = config.layout_of(
+        result.model.measured, result.model.bands
+    )  # which may have been carried on with other settings
     chain = chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
     normal = Objective(layout, whole).normal_equations(z)

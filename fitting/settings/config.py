@@ -230,6 +230,9 @@ class Config(_Section):
                 f"effects.{idle[0]} is a setting of the two-scale model, which is not among the models to fit "
                 f"({', '.join(self.model.names)}): leave it out, or add the two-scale model to them"
             )
+        for model in self.candidates:
+            if model.material.objection is not None:
+                raise ValueError(f"{model.material.name}: {model.material.objection}")
         losing = [model for model in self.candidates if model.lobes]
         if not losing and self.acquisition != AcquisitionSection():
             raise ValueError("acquisition.grazing_loss has an effect only on sharp lobes, of which the model has none")

@@ -8,7 +8,8 @@ channel by channel among points of the prior.
 """
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from itertools import product
 
 import jax.numpy as jnp
 import numpy as np
@@ -97,70 +98,84 @@ def _of_alike(
     """
     lead = layouts[0]
     shared = [q.name for q in lead.parameters if not q.per_channel]  # they come first
-    size = len(shared)
+    size, basins = len(shared), lead.model.basins
     readings = lead.model.starts(clues, lead.bands.middle_um) or [{}]
+    if unknown := {*basins, *(name for each in readings for name in each)} - {q.name for q in lead.parameters}:
+        raise ValueError(f"{lead.model}: starts or basins name what is no parameter: {', '.join(sorted(unknown))}")
     moved = [[name for name, x in each.items() if x != readings[0].get(name)] for each in readings]
     if first is not None:
         readings[0] = {**first}
     typical = {q.name: q.default for q in lead.parameters}
     begun = [lead.free({**typical, **reading}) for reading in readings]
-    most = 1 << (CANDIDATES_EACH * count - 1).bit_length() if size else 1
+    most = 1 << (CANDIDATES_EACH * count - 1).bit_length()
     places = (ndtr(begun[0][:size] / SCATTER) + _sobol(size, most)) % 1.0
     points = np.tile(begun[0], (most, 1))
     points[1:, :size] = SCATTER * ndtri(np.clip(places[1:], RIM, 1 - RIM))
     turn = np.arange(most) % len(readings)
     for k in range(1, len(readings)):
-        rows, columns = np.flatnonzero(turn == k)[:, None], [shared.index(name) for name in moved[k]]
+        rows, columns = np.flatnonzero(turn == k)[:, None], [shared.index(name) for name in moved[k] if name in shared]
         points[rows, columns] = begun[k][columns] + NEAR / SCATTER * points[rows, columns]
-    found = _completed(layouts, points, size, problem, over)
-    classes = np.array([lead.model.basins.get(name, 1) for name in shared])
-    kinds = [tuple(each) for each in np.column_stack([(places * classes).astype(int), turn]).tolist()]
+    kinds = np.column_stack([(places * [basins.get(name, 1) for name in shared]).astype(int), turn])
+    if lead.model.separated is None:
+        own = _classes(lead, size, most)
+        kinds, found = np.column_stack([kinds, own]), [_by_channel(lead, points, size, readings[0], own, problem)]
+    else:
+        named = lead.values_of_many(points)
+        found = project(layouts, {name: named[name] for name in shared}, problem, over)
+    rows_of_kinds = [tuple(each) for each in kinds.tolist()]
     return [
         np.array(
             [
                 layout.free({name: x[i] for name, x in values.items()})
-                for i in (0, *(1 + k for k in _best(costs[1:], kinds[1:], count)))
+                for i in (0, *(1 + k for k in _best(costs[1:], rows_of_kinds[1:], count)))
             ]
         )
         for layout, (costs, values) in zip(layouts, found, strict=True)
     ]
 
 
-def _completed(
-    layouts: Sequence[Layout], points: np.ndarray, size: int, problem: Problem, over: Callable[..., Iterable]
-) -> list[Found]:
-    """Costs of candidates (N, P) and their values, those per channel the best: as `projection.project` returns them."""
-    lead = layouts[0]
-    if lead.model.separated is None:
-        return [_by_channel(lead, points, size, problem)]
-    named = lead.values_of_many(points)
-    return project(layouts, {q.name: named[q.name] for q in lead.parameters[:size]}, problem, over)
+def _classes(layout: Layout, size: int, count: int) -> np.ndarray:
+    """Classes of the parameters per channel, (count, Q): all combinations take turns."""
+    numbers = [layout.model.basins.get(q.name, 1) for q in layout.parameters[size:]]
+    every = np.array(list(product(*map(range, numbers)))).reshape(-1, len(numbers))
+    return every[np.arange(count) % len(every)]
 
 
-def _by_channel(layout: Layout, points: np.ndarray, size: int, problem: Problem) -> Found:
+def _by_channel(
+    layout: Layout, points: np.ndarray, size: int, told: Collection[str], classes: np.ndarray, problem: Problem
+) -> Found:
     """Every candidate with points of the parameters per channel, of which each channel takes the best.
 
-    No channel's cost knows of another's parameters.
+    No channel's cost knows of another's parameters. Every candidate has points of its own, within its classes; those
+    of the first have what was ``told`` by the data.
     """
     own, channels = layout.parameters[size:], len(layout.bands)
-    spread = SCATTER * ndtri(np.clip(_sobol(len(own), OWN if own else 1), RIM, 1 - RIM))
-    rows, tried = np.indices((len(points), len(spread))).reshape(2, -1)
-    every = np.concatenate([points[rows, :size], np.repeat(spread[tried], channels, 1)], 1)
+    each = OWN if own else 1
+    numbers = np.array([layout.model.basins.get(q.name, 1) for q in own])
+    spread = _sobol(len(own), len(points) * each, skipped=1).reshape(len(points), each, len(own))
+    spread = SCATTER * ndtri(np.clip((classes[:, None] + spread) / numbers, RIM, 1 - RIM))
+    for k, q in enumerate(own):
+        if q.name in told:
+            spread[0, :, k] = points[0, layout.slices[q.name].start + layout.bands.middle]
+    every = np.concatenate(
+        [np.repeat(points[:, :size], each, 0), np.repeat(spread.reshape(-1, len(own)), channels, 1)], 1
+    )
     values = layout.values_of_many(every)
     for q in own:  # alike in all channels, whatever the prior of their differences
         values[q.name] = np.repeat(values[q.name][:, layout.bands.middle, None], channels, 1)
     found = Objective(layout, problem).costs_of_many({name: jnp.asarray(x) for name, x in values.items()})
-    costs = np.nan_to_num(np.asarray(found), nan=np.inf).reshape(len(points), len(spread), channels)
-    chosen = costs.argmin(1) + len(spread) * np.arange(len(points))[:, None]  # (N, C), of all rows
-    best = {
-        name: x[chosen, np.arange(channels)] if x.ndim == 2 else x[chosen[:, 0]] for name, x in values.items()
-    }  # fmt: skip
+    costs = np.nan_to_num(np.asarray(found), nan=np.inf).reshape(len(points), each, channels)
+    chosen = costs.argmin(1) + each * np.arange(len(points))[:, None]  # (N, C), of all rows
+    best = {name: x[chosen, np.arange(channels)] if x.ndim == 2 else x[chosen[:, 0]] for name, x in values.items()}
     return costs.min(1).sum(1), best
 
 
-def _sobol(size: int, count: int) -> np.ndarray:
-    """Points in the unit cube, (count, size)."""
-    return Sobol(size, scramble=False).random(count) if size else np.zeros((count, 0))
+def _sobol(size: int, count: int, skipped: int = 0) -> np.ndarray:
+    """Points in the unit cube, (count, size), after so many, of which the first is the cube's corner."""
+    if not size:
+        return np.zeros((count, 0))
+    sequence = Sobol(size, scramble=False)
+    return (sequence.fast_forward(skipped) if skipped else sequence).random(count)
 
 
 def _best(costs: np.ndarray, kinds: Sequence[tuple[int, ...]], count: int) -> list[int]:

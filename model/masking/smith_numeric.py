@@ -38,7 +38,7 @@ def smith_lambda(cotangent: Real, slopes: Slopes) -> Real:
     Args:
         slopes: P22 at squares of slopes; its integral over the plane of slopes is one.
 
-    Accuracy, relative: 1e-7 (``tests/model/test_masking.py``).
+    Accuracy, relative: 2e-7 (``tests/rivals/test_microfacets.py``).
     """
     grown = jnp.exp(jnp.asarray(NODES, jnp.result_type(cotangent)))
     mu = cotangent[..., None]

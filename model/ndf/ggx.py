@@ -11,7 +11,7 @@ def D(theta_h: Real, alpha: Scalar) -> Real:
     Args:
         theta_h: angle between microfacet and surface normal (rad). alpha: width (tangent of an angle), > 0.
 
-    Its integral of D cos over the hemisphere is 1 to 1e-9 (``tests/fitting/test_models.py``).
+    Its integral of D cos over the hemisphere is 1 to 1e-6 (``tests/rivals/test_microfacets.py``).
     """
     sin, cos = jnp.sin(theta_h), jnp.cos(theta_h)
     return alpha**2 / (jnp.pi * (alpha**2 * cos**2 + sin**2) ** 2)

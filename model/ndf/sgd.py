@@ -11,7 +11,7 @@ NODES = np.arange(-36.0, 4.7, 0.1)  # of log(t - alpha): t up to 110 more than a
 def log_constant(alpha: Real, p: Real) -> Real:
     """log of K = 1 / (alpha Gamma(1 - p, alpha)), the incomplete gamma function by the trapezoid rule.
 
-    1e-9 for alpha in [1e-4, 2], p in [0, 5] (``tests/model/test_masking.py``). The published K are this number, to
+    1e-9 for alpha in [1e-4, 2], p in [0, 5] (``tests/rivals/test_microfacets.py``). The published K are this number, to
     their rounding of 4e-6 (``tests/rivals/test_published.py``).
     """
     grown = jnp.exp(jnp.asarray(NODES, jnp.result_type(alpha)))

@@ -38,7 +38,7 @@ from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting,
 from .common import DIFFUSE, weighted
 
 SOURCE = "He et al. 1991"
-TERMS = 112  # of the series: see _series
+LEAST_TERMS, TERMS = 20, 112  # of the series: see _series
 STIRLING = 8  # from this m on factorials are those of Stirling's series, to 6e-12
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
 BELOW, ABOVE = 7.0, 8.0  # widths of the summand kept on either side of its largest term; exp(-7^2 / 2) = 2e-11
@@ -104,7 +104,7 @@ def _sums(g: Array, e: Array) -> Sums:
     count = (
         jnp.ceil(jnp.max((largest + ABOVE * width - first) / step)).astype(int) + 1
     )  # the most that one of them takes
-    sums = jax.lax.fori_loop(0, jnp.clip(count, 0, TERMS), add, (zero, zero, zero))
+    sums = jax.lax.fori_loop(0, jnp.clip(count, LEAST_TERMS, TERMS), add, (zero, zero, zero))
     value, moment, shrunk = (step * x for x in sums)
     for m in map(float, range(1, STIRLING)):  # whose factorials Stirling's series does not give to ten digits
         value, moment, shrunk = with_term((value, moment, shrunk), m, math.lgamma(m + 1), math.log(m))
@@ -178,7 +178,7 @@ class He(Reflectance):
         }
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
-        return Lobes({"specular": at["albedo"] * at["fresnel"]}, at["surface"], at["body"])
+        return Lobes({"specular": at["albedo"] * at["fresnel"] * at["surface"]}, body=at["body"])
 
     @property
     def separated(self) -> Separated:  # noqa: D102

@@ -49,7 +49,7 @@ class HP15(Reflectance):
     """k_d / pi + G (k_s D F / (4 cos_i cos_o) + k_w / lambda^4 S_z(f) / E), f = 2 sin_h cos_d / lambda (HP15 24-27).
 
     D is the exponential power distribution with sigma for beta, G Smith's, F Schlick's; F is not applied to diffracted
-    light. Reciprocal. Accuracy: 1e-9 against an independent oracle (``tests/rivals/test_hp15.py``).
+    light. Reciprocal. Accuracy: 1e-8 against an independent oracle (``tests/rivals/test_hp15.py``).
     """
 
     name: ClassVar[str] = "hp15"

@@ -11,6 +11,7 @@ from .. import parameters as declared
 from ..body import lambert, lambert_under
 from ..fresnel import fresnel, schlick_of_F0
 from ..interfaces import DIELECTRICS, FACETS, METALS, fresnel_of_dielectric
+from ..masking import smith_numeric
 from ..masking.v_groove import v_groove
 from ..parameters import Parameter
 from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values
@@ -99,3 +100,25 @@ class Microfacets(Reflectance):
     @abstractmethod
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """The width that the highlight has."""
+
+
+@dataclass(frozen=True)
+class NumericMasking(Microfacets):
+    """Of a distribution whose Smith masking has no closed form: by quadrature, tabulated once a parameter set."""
+
+    @abstractmethod
+    def slopes(self, squared: Array, v: Values) -> Array:
+        """Density P22 of slopes at their squares."""
+
+    @abstractmethod
+    def slope(self, v: Values) -> Array:
+        """A typical slope."""
+
+    def tables(self) -> dict[str, Factor]:  # noqa: D102
+        return {"masking_curve": lambda v, s: self._curve(v)} if self.masking == "smith" else {}
+
+    def _curve(self, v: Values) -> Array:
+        return smith_numeric.G1_table(self.slope(v), lambda squared: self.slopes(squared, v))
+
+    def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
+        return smith_numeric.G1(cos, self.slope(v), v["masking_curve"] if "masking_curve" in v else self._curve(v))

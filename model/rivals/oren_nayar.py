@@ -33,7 +33,7 @@ class OrenNayarQualitative(OneFormula):
     """albedo/pi (A + B max(0, cos(phi_i - phi_o)) sin(alpha) tan(beta)), without interreflection.
 
     A = 1 - s^2 / (2 (s^2 + 0.33)), B = 0.45 s^2 / (s^2 + 0.09), s the roughness, alpha and beta the larger and the
-    smaller of theta_i and theta_o; sin(alpha) tan(beta) is sin_i sin_o over the larger cosine. Accuracy: 1e-11 against
+    smaller of theta_i and theta_o; sin(alpha) tan(beta) is sin_i sin_o over the larger cosine. Accuracy: 1e-10 against
     an independent oracle (``tests/rivals/test_oren_nayar.py``).
     """
 
@@ -58,7 +58,7 @@ class OrenNayar(Reflectance):
 
     Attributes:
         form: ``functional``, the approximation of Eq. 14-16; or ``numerical``, the integral over facets that it stands
-            for (Eq. 4-13), to 2e-3: a reference.
+            for (Eq. 4-13), to 4e-3: a reference.
         surface: ``none``; or ``torrance-sparrow``, k_s exp(-theta_h^2 / (2 sigma^2)) G / (cos_i cos_o) with V-grooves
             of the same roughness, which Section 4 adds with a weight for each channel.
 

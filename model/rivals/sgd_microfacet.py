@@ -5,15 +5,14 @@ from typing import ClassVar
 
 from jax import Array
 
-from ..masking import smith_numeric
 from ..ndf import sgd
 from ..parameters import LogNormal, Parameter
-from ..reflectance import Clues, Factor, Values
-from .microfacets import Microfacets
+from ..reflectance import Clues, Values
+from .microfacets import NumericMasking
 
 
 @dataclass(frozen=True)
-class SGDMicrofacet(Microfacets):
+class SGDMicrofacet(NumericMasking):
     """:class:`.microfacets.Microfacets` with HP15 Table 1's D; G1 by quadrature. What Bagher published is `sgd`.
 
     Accuracy: 1e-6 against an independent oracle (``tests/rivals/test_microfacets.py``).
@@ -37,15 +36,11 @@ class SGDMicrofacet(Microfacets):
     def D(self, theta_h: Array, v: Values) -> Array:  # noqa: D102
         return sgd.D(theta_h, v["alpha"], v["p"])
 
-    def tables(self) -> dict[str, Factor]:  # noqa: D102
-        return {"masking_curve": lambda v, s: self._curve(v)} if self.masking == "smith" else {}
+    def slopes(self, squared: Array, v: Values) -> Array:  # noqa: D102
+        return sgd.slopes(squared, v["alpha"], v["p"])
 
-    def _curve(self, v: Values) -> Array:
-        alpha, p = v["alpha"], v["p"]
-        return smith_numeric.G1_table(alpha, lambda squared: sgd.slopes(squared, alpha, p))
-
-    def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
-        return smith_numeric.G1(cos, v["alpha"], v["masking_curve"] if "masking_curve" in v else self._curve(v))
+    def slope(self, v: Values) -> Array:  # noqa: D102
+        return v["alpha"]
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """Narrow lobes fall as (1 + tan^2 / alpha^2)^-p at first."""

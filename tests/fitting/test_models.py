@@ -178,8 +178,20 @@ def test_models_are_registered_by_name():
     assert set(TRUTH) == {*models()} - {"two-scale"}
     for name, model in zip(models(), MODELS, strict=True):
         assert model.name == name
-        assert "doi:" in model.citation
+        assert "doi:" in model.citation or "https://" in model.citation
         assert hash(model) == hash(type(model)())
         assert len({q.name for q in model.parameters}) == len(model.parameters)
         read = set().union(*reads(model).parameters.values())
         assert read == {q.name for q in model.parameters}, "a parameter that nothing reads cannot be fitted"
+
+
+@pytest.mark.parametrize("model", [m for m in MODELS if m.lobes], ids=lambda m: m.name)
+def test_sharp_lobes_fall_with_theta_h(model):
+    """What an exponent of the apparatus is derived from."""
+    layout = layout_of(Measured(model, "derived"))
+    values = layout.values(jnp.zeros(layout.size))
+    for lobe in model.lobes:
+        profile = np.asarray(model.profile(lobe, values))
+        assert profile[0] > 0
+        assert profile[-1] < 0.5 * profile[0]
+        assert np.all(np.diff(profile) <= 1e-9 * profile[0])

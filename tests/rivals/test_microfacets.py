@@ -25,6 +25,8 @@ CASES = {  # widths, the oracle's D, a typical slope, accuracy of our masking
     "ggx": (GGX(), {"alpha": 0.2}, oracle.ggx, 0.2, 1e-8),
     "gtr": (GTR(), {"alpha": 0.2, "gamma": 1.5}, oracle.gtr, 0.2, 2e-7),
     "gtr, heavy tail": (GTR(), {"alpha": 0.05, "gamma": 0.6}, oracle.gtr, 0.3, 2e-7),
+    "gtr, narrow with a heavy tail": (GTR(), {"alpha": 1e-3, "gamma": 0.3}, oracle.gtr, 0.5, 1e-6),
+    "gtr, narrow": (GTR(), {"alpha": 1e-3, "gamma": 1.0}, oracle.gtr, 0.03, 1e-6),
     "gtr, light tail": (GTR(), {"alpha": 0.6, "gamma": 6.0}, oracle.gtr, 0.3, 2e-7),
     "sgd": (SGDMicrofacet(), {"alpha": 0.1, "p": 0.7}, oracle.sgd, 0.1, 2e-7),
     "sgd, narrow": (SGDMicrofacet(), {"alpha": 0.005, "p": 1.6}, oracle.sgd, 0.005, 2e-7),
