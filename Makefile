@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost hard-cases tables lint types install schema clean
+.PHONY: demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost hard-cases tables lint types install schema clean
 
 install: $(READY)
 
@@ -21,6 +21,13 @@ schema: install
 
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+# A minute and a half: lint, types, and the tests that compile little.
+quick: lint types
+	$(BIN)/python -m pytest -q -n 2 -m "not slow" tests/test_architecture.py tests/test_readme.py tests/merl_io \
+		$(addprefix tests/fitting/test_,selection.py weights.py picture.py metrics.py tables.py threads.py outcome.py frontier.py \
+		residuals.py result_fields.py damaged_results.py) \
+		$(addprefix tests/model/test_,chebyshev.py parameter_names.py whole_numbers.py)
 
 # What takes minutes; .ci/run does both.
 test-slow: install

@@ -129,4 +129,5 @@ def evaluate(material: str, source: str, geometry: Geometry, *, rescaled: bool =
 
     Arguments and errors are those of :func:`published`; compiled once for each source and shape.
     """
-    return _compiled(SOURCES[source].model, published(material, source, rescaled=rescaled), geometry)
+    values = published(material, source, rescaled=rescaled)  # which refuses unknown names
+    return _compiled(SOURCES[source].model, values, geometry)

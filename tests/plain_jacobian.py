@@ -8,7 +8,7 @@ from merlfit.fitting.objective.residuals import _predict
 
 def plain(layout, z, samples):
     """Normal equations of all bins of the samples, from the whole Jacobian."""
-    where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    where = problems.directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o, samples.bands)
     root = np.sqrt(samples.weight / problems.energy(samples))
 
     def predicted(z):
@@ -19,7 +19,7 @@ def plain(layout, z, samples):
 
     jacobian = root[..., None] * rows(jax.jit(jax.jacfwd(predicted))(z))
     both = np.concatenate([jacobian, (root * (samples.value - rows(predicted(z))))[..., None]], -1)
-    both = both.reshape(3, -1, len(z) + 1)
+    both = both.reshape(len(samples.bands), -1, len(z) + 1)
     return np.einsum("cnk,cnl->ckl", both, both)
 
 

@@ -371,7 +371,10 @@ def test_models_are_candidates_the_fewest_parameters_first():
         ({"model": {"name": []}}, "should be one model, or several different ones"),
         ({"model": {"name": ["ggx", "ggx"]}}, "should be one model, or several different ones"),
         ({"model": {"name": 3}}, "model.name: should be a model's name, or a list of them, not 3"),
-        ({"model": {"name": "ggx", "order": 3}}, "model: ggx has no setting 'order': it has no settings"),
+        (
+            {"model": {"name": "ggx", "order": 3}},
+            "model: ggx has no setting 'order': its settings are fresnel, masking",
+        ),
         (
             {"model": {"order": 3}},
             r"'order' is none of its keys: .* belong in \[effects\]",

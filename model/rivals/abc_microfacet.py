@@ -50,7 +50,7 @@ class ABCMicrofacet(OneFormula):
 
     @property
     def separated(self) -> Separated:  # noqa: D102
-        return weighted(self, "A", 0.03, 3000)
+        return weighted(self, "A", 0.03, 3000.0)
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """At C = 1 half the height is where B (1 - cos theta_h) = 1."""

@@ -182,7 +182,7 @@ class He(Reflectance):
 
     @property
     def separated(self) -> Separated:  # noqa: D102
-        return weighted(self, "albedo", 0.003, 300)
+        return weighted(self, "albedo", 0.003, 300.0)
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """A rough surface reflects as facets of root mean square slope sqrt(2) sigma / tau; a smooth one diffracts.

@@ -64,7 +64,7 @@ class Smooth(OneFormula):
 
     @property
     def separated(self) -> Separated:  # noqa: D102
-        return weighted(self, "A", 0.03, 3000)
+        return weighted(self, "A", 0.03, 3000.0)
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """At C = 1 half the height is where B D_p^2 = 1, D_p about twice tan(theta_h)."""

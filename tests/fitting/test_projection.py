@@ -15,6 +15,12 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.interfaces import DIELECTRICS, METALS
 from merlfit.model.measured import Measured
+from merlfit.model.rivals.abc_microfacet import ABCMicrofacet
+from merlfit.model.rivals.cook_torrance import CookTorrance
+from merlfit.model.rivals.epd import EPD
+from merlfit.model.rivals.ggx import GGX
+from merlfit.model.rivals.he import He
+from merlfit.model.rivals.smooth import Smooth
 from merlfit.model.two_scale import KINDS, TwoScale
 
 SHARED = {"beta": 0.15, "p": 0.7, "b": 1.5, "c": 1.8, "sigma_s": 0.03, "grazing_exponent": 0.3,
@@ -132,3 +138,30 @@ def test_diffracted_light_coloured_by_q_is_projected_roughly(blank):
     others = np.array([cost_of(effects, {**values, "n": n, "k": k}, problem) for n, k in metals])
     assert np.sum(others < here) <= 3
     assert np.median(others) > 10 * here
+
+
+SEPARATED = [
+    GGX(), GGX("dielectric"), GGX("conductor", "v-groove"), EPD(), Smooth(), ABCMicrofacet(), CookTorrance(),
+    CookTorrance("ngan"), He(),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("model", SEPARATED, ids=str)
+def test_channels_of_rivals_are_separated_exactly(model, blank):
+    """Projected costs are the model's own, and no other constants that are tried are better."""
+    layout, rng = layout_of(Measured(model)), np.random.default_rng(1)
+    z = 0.5 * rng.standard_normal(layout.size)
+    value = predict_samples(layout, z, blank)
+    samples = replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3))
+    objective = Objective(layout, make_problem(samples, 4))
+    named = layout.values_of_many(np.array([z, 0.3 * z]))
+    shared = {q.name: named[q.name] for q in layout.parameters if not q.per_channel}
+    ((costs, found),) = project([layout], shared, objective.problem)
+    ours = np.asarray(objective.costs_of_many({name: jnp.asarray(x) for name, x in found.items()})).sum(1)
+    np.testing.assert_allclose(costs, ours, rtol=1e-6)
+    parted = layout.model.separated
+    for _ in range(10):
+        chosen = rng.integers(0, len(next(iter(parted.constants.values()))), (2, 1 if parted.alike else 3))
+        other = {**found, **{name: np.broadcast_to(x[chosen], (2, 3)) for name, x in parted.constants.items()}}
+        others = np.asarray(objective.costs_of_many({name: jnp.asarray(x) for name, x in other.items()})).sum(1)
+        assert np.all(costs <= others * (1 + 1e-6))
