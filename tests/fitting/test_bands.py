@@ -60,7 +60,7 @@ def test_a_fit_of_any_number_of_bands_finds_what_the_data_were_made_of(bands):
 def test_wavelengths_of_the_data_are_those_of_the_model():
     """Diffraction: the same numbers at other wavelengths are another BRDF."""
     model = Measured(TwoScale("none"))
-    layout, samples, z = samples_of(model, FIVE)
+    _, samples, z = samples_of(model, FIVE)
     shifted = replace(FIVE, wavelengths_um=tuple(1.2 * x for x in FIVE.wavelengths_um))
     there = predict_samples(layout_of(model, bands=shifted), z, replace(samples, bands=shifted))
     assert not np.allclose(there, samples.value, rtol=0.05)
