@@ -81,5 +81,5 @@ def test_merls_bands_are_those_that_the_models_assume():
     ("names", "wavelengths"), [((), ()), (("R", "R"), (0.6, 0.5)), (("R",), (0.6, 0.5)), (("R",), (-1.0,))]
 )
 def test_what_are_no_bands_is_refused(names, wavelengths):
-    with pytest.raises(ValueError, match="bands need|as many wavelengths|must be positive"):
+    with pytest.raises(ValueError, match=r"bands need|as many wavelengths|must be positive"):
         Bands(names, wavelengths)
