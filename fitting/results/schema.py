@@ -116,7 +116,9 @@ class Model(_Part):
             raise ValueError(self.material.objection)
         if self.acquisition.exponents.keys() != {*self.material.lobes}:
             raise ValueError(f"acquisition.exponents should be those of {', '.join(self.material.lobes) or 'no lobe'}")
-        Bands(tuple(self.channels), tuple(self.wavelengths_um))  # which refuses what are none
+        if not self.channels or len(set(self.channels)) < len(self.channels):
+            raise ValueError(f"channels should be different names, not {', '.join(self.channels) or 'none'}")
+        _same_length("channels", len(self.channels), wavelengths_um=self.wavelengths_um)
         for x in self.wavelengths_um:
             if not low <= x <= high:
                 raise ValueError(f"wavelengths_um {x:g} is not between {low:g} and {high:g}")

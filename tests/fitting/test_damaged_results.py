@@ -63,7 +63,7 @@ EDITS = {
     "four wavelengths": (lambda d: d["model"].update(wavelengths_um=[0.6] * 4), "wavelengths_um has 4 entries"),
     "negative wavelengths": (lambda d: d["model"].update(wavelengths_um=[-0.6] * 3), "-0.6 is not between 0.1 and 10"),
     "exact": (lambda d: d["model"]["settings"].update(diffraction="exact"), "no fit uses it"),
-    "no channels": (lambda d: d["model"].update(channels=[]), "channels should be R, G, B, not none"),
+    "no channels": (lambda d: d["model"].update(channels=[]), "channels should be different names, not none"),
     "empty sizes": (lambda d: d["posterior"].update(effective_size=[]), "effective_size has 0 entries, coordinates 13"),
     "no version": (lambda d: d.pop("schema_version") and None, "schema_version: is missing"),
     "newer": (lambda d: d.update(schema_version="9.0"), r"by a newer merlfit \(schema 9.0.*: update merlfit"),
