@@ -32,6 +32,8 @@ from .support.terminal import (
     writable_folder,
 )
 
+NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
+
 
 def settings_of(config: Path | None = None, **replaced: Unpack[Replaced]) -> Config:
     """Those of a file of settings with what the command line replaces in it."""
@@ -205,9 +207,6 @@ def compare_files(
         console.print(f"wrote {written[0]}, and .md, .html and .png beside it", soft_wrap=True)
     if code:
         raise typer.Exit(code)
-
-
-NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
 
 
 def which_model(path: Path, names: str | None, out: Path, settings: Config) -> None:

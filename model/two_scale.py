@@ -35,6 +35,7 @@ from .geometry import Geometry
 from .interfaces import DIELECTRICS, METALS, fresnel_of_dielectric, schlick_of_dielectric
 from .masking.smith import masking_table
 from .measured import Measured
+from .ndf.epd import HALF
 from .parameters import WAVELENGTHS_UM, Parameter
 from .reflectance import (
     LEAST_ORDER,
@@ -51,7 +52,6 @@ from .reflectance import (
 )
 from .terms import ANY, BODIES, WHICH
 
-HALF = float(np.log(np.log(2.0))) / 2  # tan(theta_h) is beta exp(HALF / p) where D has fallen to half
 Fresnel = Literal["exact", "schlick"]
 Masking = Literal["smith", "height_correlated", "none"]
 Diffraction = Literal["off", "lobe", "scaled", "zonal", "quadrature", "exact"]

@@ -118,7 +118,7 @@ def fit(
         found = fit_coarse(sought, clues_of(samples), problem, roughly, config, first)
         candidates, chosen = compare(sought, found, thin(samples, COARSE))
         z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
-        if last != sought[chosen]:
+        if last != sought[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
             z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
     report(f"{config.fit.grid} grid: {models[chosen].variant}")
     tried = descend(layouts[chosen], z, measurement, samples, config, clock)

@@ -8,6 +8,7 @@ from jax.scipy.special import gammaln
 from ..numerics import Real, Scalar
 
 HORIZON_COS = 1e-15  # below this cosine the distribution is taken as 0; it decays faster than any power there
+HALF = math.log(math.log(2.0)) / 2  # tan(theta) is beta exp(HALF / p) where P22 has fallen to half
 LARGEST_LOG_EXPONENT = 8.0  # exp(-e^8) is 0, and its derivative too, where the power itself would overflow in float32
 
 

@@ -9,12 +9,10 @@ from jax import Array
 
 from .. import parameters as declared
 from ..masking import smith
-from ..ndf.epd import epd
+from ..ndf.epd import HALF, epd
 from ..parameters import Parameter
 from ..reflectance import Clues, Factor, Values
 from .microfacets import Microfacets
-
-HALF = float(np.log(np.log(2.0))) / 2  # tan(theta_h) is beta exp(HALF / p) where D has fallen to half
 
 
 @dataclass(frozen=True)

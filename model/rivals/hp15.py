@@ -13,12 +13,11 @@ from ..acquisition import epd_of_rings
 from ..body import lambert
 from ..fresnel import schlick_of_F0
 from ..masking import smith
-from ..ndf.epd import epd
+from ..ndf.epd import HALF, epd
 from ..numerics import Real
 from ..parameters import LogNormal, Parameter
 from ..reflectance import Clues, Factor, Lobes, Reflectance, Setting, Values, Wavelengths
 from .common import DIFFUSE
-from .epd import HALF
 
 SOURCE = "HP15 Eq. 24-27"
 PARAMETERS = (
