@@ -24,6 +24,14 @@ def compilation_cache(tmp_path_factory):
     os.environ["MERLFIT_CACHE_DIR"] = folder
 
 
+@pytest.fixture(scope="module")
+def compiled_quickly():
+    """Programs that are run a few times on a few directions: half the time to compile, twice the time to run."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 @pytest.fixture(scope="session")
 def make_merl():
     """The module that makes MERL files of the neural reconstructions, and their networks."""

@@ -22,7 +22,7 @@ FAILING = {entry["case"] for entry in KNOWN["entries"]}
 
 
 @pytest.fixture(scope="module")
-def found(compilation_cache, table):
+def found(compilation_cache, compiled_quickly, table):
     return hard.found()
 
 

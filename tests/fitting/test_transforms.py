@@ -23,6 +23,7 @@ LAYOUTS = {
     "not renormalised": layout_of(Measured(TwoScale("none", renormalised=False))),
 }
 DRAWS = 4000
+pytestmark = pytest.mark.usefixtures("compiled_quickly")
 every = pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 
 

@@ -280,10 +280,9 @@ def test_gradients_are_finite_at_the_edges_and_match_differences(effects):
 
     zero = {name: jnp.zeros_like(v) for name, v in values.items()}
     mixture = jnp.asarray(np.random.default_rng(SEED).uniform(0.5, 1.5, (channels, len(i))))
-    compiled = jax.jit if effects in DEAR else lambda f: f
     # reverse mode of a mixture of all values: that of each would keep the conserving split's tables many times
-    forward, reverse = compiled(jax.jacfwd(at))(zero), compiled(jax.grad(lambda x: jnp.sum(mixture * at(x))))(zero)
-    at = compiled(at)
+    forward, reverse = jax.jit(jax.jacfwd(at))(zero), jax.jit(jax.grad(lambda x: jnp.sum(mixture * at(x))))(zero)
+    at = jax.jit(at)
     scale = np.abs(np.asarray(at(zero))) + 1e-9
     for name, slope in forward.items():
         assert np.all(np.isfinite(slope))

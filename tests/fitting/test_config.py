@@ -1,0 +1,225 @@
+"""Settings: files, what the command line replaces, presets, models that may be fitted; one-line errors."""
+
+import dataclasses
+import importlib.util
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from merlfit.fitting import cli
+from merlfit.fitting.settings.config import Config, ConfigError, known_keys, load, parse
+from merlfit.model.acquisition import Apparatus
+from merlfit.model.measured import Measured
+from merlfit.model.rivals.ggx import GGX
+from merlfit.model.two_scale import KINDS, PRESETS, TwoScale
+from typer.testing import CliRunner
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[effects]\nbodi = "auto"\n', "unknown key 'effects.bodi'; the nearest known one is 'effects.body'"),
+        ("sede = 1\n", "'seed'"),
+        ("[effects]\norder = 1000\n", "effects.order"),
+        ('[effects]\nbody = "wood"\n', "effects.body"),
+        ("[fit\n", "is not TOML"),
+        ('[fit]\nmax_steps = "40"\n', "fit.max_steps"),
+        ("[effects]\norder = true\n", "effects.order"),
+        ("[acquisition]\ngrazing_loss = 2\n", "grazing_loss: should be 'off', 'free', 'derived' or a number in"),
+        ("seed = -1\n", "seed"),
+        ('[effects]\nindex = "usual"\n', "effects.index"),
+        ('[fit]\nweights = "squared"\n', "fit.weights"),
+        ("[fit]\ntheta_max = 0.1\n", "fit.theta_max"),
+        ("[fit]\nhighlight = 0.2\n", "unknown key 'fit.highlight'"),
+        ("fit = 3\n", "fit: should be a section with keys of its own, not 3"),
+        ("[priors]\nb = 3\n", "priors.b: should be a section with keys of its own, not 3"),
+        ("[priors]\nb = { median = 1.0 }\n", "priors.b.factor: is missing"),
+        ("[fit]\nstarts = 2.5\n", "fit.starts: should be an integer, not 2.5"),
+        ("seed = {}\n", "seed: should be an integer, not a section"),
+    ],
+)
+def test_bad_settings_are_one_line_errors(tmp_path, text, words):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        load(path)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value).replace(text, "")
+    assert "Section" not in str(error.value)
+    shown = CliRunner().invoke(cli.app, ["fit", "x.binary", "--config", str(path)])
+    assert shown.exit_code == 2
+
+
+def test_settings_may_begin_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "windows.toml"
+    path.write_bytes(b"\xef\xbb\xbfseed = 7\r\n")
+    assert load(path).seed == 7
+
+
+def test_a_backend_that_is_not_installed_is_a_bad_setting(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"merlfit\[crosscheck\]"):
+        parse({"fit": {"backend": "jaxopt"}}, "here")
+
+
+def test_default_toml_is_the_defaults():
+    text = (ROOT / "configs" / "default.toml").read_text()
+    assert parse(tomllib.loads(text), "default.toml") == Config()
+    data = tomllib.loads(re.sub(r"^# (?=\w+ = )", "", text, flags=re.M))  # with the keys that presets set
+    assert parse(data, "default.toml") == Config()
+    sections = ("model", "effects", "acquisition", "apparatus", "priors", "fit", "posterior")
+    assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", *sections} == set(known_keys())
+
+
+def test_settings_of_effects_are_those_of_the_model():
+    section = type(Config().effects).model_fields
+    for field in dataclasses.fields(TwoScale):
+        if field.name not in ("index", "body"):
+            assert section[field.name].default == field.default
+    assert set(section) == {field.name for field in dataclasses.fields(TwoScale)} | {"preset"}
+    chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False}
+    found = parse({"effects": chosen, "acquisition": {"grazing_loss": 0.5}}, "here")
+    assert found.two_scale(("complex", "none")) == Measured(TwoScale(**chosen), 0.5)
+
+
+def test_settings_of_the_acquisition_are_those_of_the_model():
+    assert Config().acquisition.grazing_loss == Measured.grazing_loss
+    assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
+    derived = {"acquisition": {"grazing_loss": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
+    lamp = parse(derived, "here").two_scale(("complex", "none"))
+    assert lamp == Measured(TwoScale(), "derived", Apparatus(lamp_sigma_rad=0.01))
+    with pytest.raises(ConfigError, match=r"'effects.acquisition' is called 'acquisition.grazing_loss' now"):
+        parse({"effects": {"acquisition": "off"}}, "here")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_those_of_the_model(name):
+    if name == "reference":  # hours on MERL's grid
+        with pytest.raises(ConfigError, match="fit with quadrature"):
+            parse({"effects": {"preset": name}}, "here")
+        return
+    expected = dataclasses.replace(PRESETS[name], index="real", body="plastic")
+    assert parse({"effects": {"preset": name}}, "here").two_scale(("real", "plastic")) == Measured(expected)
+    assert load(preset=name, body="plastic").candidates == [Measured(expected)]
+    beside = parse({"effects": {"preset": name, "masking": "none"}}, "here")
+    assert beside.two_scale(("real", "plastic")).material == dataclasses.replace(expected, masking="none")
+
+
+def test_the_command_line_replaces_the_preset_and_leaves_the_keys_beside_it(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text('seed = 3\n[effects]\npreset = "conserving"\nmasking = "none"\n[acquisition]\ngrazing_loss = 0.5\n')
+    found = load(path, preset="preview", body="plastic", posterior=False)
+    kind = {"index": "real", "body": "plastic"}
+    assert found.candidates == [Measured(dataclasses.replace(PRESETS["preview"], **kind, masking="none"), 0.5)]
+    assert found.seed == 3
+    assert not found.posterior.enabled
+    assert load(path, seed=5).seed == 5
+    assert load(path).effects.split == "conserving"
+
+
+def test_the_command_line_replaces_index_and_weights(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text('[effects]\nindex = "real"\n[fit]\nweights = "log"\ntheta_max = 1.3\n')
+    found = load(path, index="complex", weights="none")
+    assert found.effects.index == "complex"
+    assert (found.fit.weights, found.fit.theta_max, found.rungs[-1]) == ("none", 1.3, 0.0)
+    assert load(path).rungs[-1] == "log"
+    assert Config().rungs == (1.4,)
+
+
+@pytest.mark.parametrize(
+    ("given", "kinds"),
+    [
+        ({}, KINDS),
+        ({"index": "complex"}, [("complex", "none"), ("complex", "lambert")]),
+        ({"index": "real"}, [("real", "lambert"), ("real", "plastic"), ("real", "subsurface")]),
+        ({"body": "none"}, [("complex", "none")]),
+        ({"body": "lambert"}, [("real", "lambert"), ("complex", "lambert")]),
+        ({"body": "plastic"}, [("real", "plastic")]),
+        ({"index": "complex", "body": "lambert"}, [("complex", "lambert")]),
+        ({"index": "real", "body": "none"}, [("real", "none")]),
+    ],
+    ids=str,
+)
+def test_kinds_are_those_that_agree_with_what_is_given(given, kinds):
+    config = load(**given)
+    assert [model.material.kind for model in config.candidates] == list(kinds)
+    for model in config.candidates:
+        assert config.layout_of(model).model == model == config.two_scale(model.material.kind)
+
+
+def test_models_are_candidates_the_fewest_parameters_first():
+    assert load(model="ggx").candidates == [Measured(GGX())]
+    assert load(model=["ggx"]).model.name == "ggx"
+    found = load(model=["two-scale", "oren-nayar-qualitative", "ggx"]).candidates
+    assert [model.variant for model in found] == ["oren-nayar-qualitative", "ggx", *map(" ".join, KINDS)]
+    assert found[0].grazing_loss == "off"  # it has nothing sharp
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"model": {"name": "gx"}}, "model: there is no 'gx'; the nearest is 'ggx'"),
+        ({"model": {"name": "GGX"}}, "the nearest is 'ggx'"),
+        ({"model": {"name": "phong"}}, r"there is no 'phong' \(`merlfit models` lists"),
+        ({"model": {"name": []}}, "should be one model, or several different ones"),
+        ({"model": {"name": ["ggx", "ggx"]}}, "should be one model, or several different ones"),
+        ({"model": {"name": 3}}, "model.name: should be a model's name, or a list of them, not 3"),
+        (
+            {"model": {"name": "ggx", "order": 3}},
+            "model: ggx has no setting 'order': its settings are fresnel, masking",
+        ),
+        (
+            {"model": {"order": 3}},
+            r"'order' is none of its keys: .* belong in \[effects\]",
+        ),
+        ({"model": {"name": ["ggx", "two-scale"], "order": 3}}, "order is a setting of one model"),
+        (
+            {"model": {"name": "ggx"}, "effects": {"body": "lambert"}},
+            "effects.body is a setting of the two-scale",
+        ),
+        (
+            {"model": {"name": "oren-nayar-qualitative"}, "acquisition": {"grazing_loss": 0.5}},
+            "of which the model has no",
+        ),
+        ({"acquisition": {"grazing_loss": 2}}, "acquisition.grazing_loss: should be 'off', 'free', 'derived' or a"),
+    ],
+    ids=str,
+)
+def test_models_that_cannot_be_fitted_are_refused(data, words):
+    with pytest.raises(ConfigError, match=words):
+        parse(data, "here")
+
+
+@pytest.mark.parametrize("body", ["plastic", "subsurface"])
+def test_a_clear_interface_with_a_complex_index_is_refused(body):
+    with pytest.raises(ConfigError, match=f"effects.body '{body}' has a real index"):
+        load(index="complex", body=body)
+
+
+def test_presets_that_only_switch_things_off_are_not_refused():
+    assert parse({"effects": {"preset": "preview", "diffraction": "off"}}, "here").effects.colour == "fresnel"
+
+
+def test_the_reference_is_refused_in_fits():
+    with pytest.raises(ConfigError, match="fit with quadrature"):
+        parse({"effects": {"diffraction": "exact"}}, "here")
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"effects": {"order": 48, "diffraction": "lobe"}}, "order has an effect only where .* quadrature or scaled"),
+        ({"effects": {"zonal_order": 50}}, "diffraction is zonal"),
+        ({"effects": {"preset": "microfacet", "colour": "fresnel"}}, "colour has an effect only where"),
+        ({"effects": {"diffraction": "off", "renormalised": False}}, "renormalised has an effect only where"),
+        ({"apparatus": {"lamp_sigma_rad": 0.01}}, "grazing_loss is derived"),
+    ],
+)
+def test_keys_that_would_have_no_effect_are_refused(data, words):
+    with pytest.raises(ConfigError, match=words) as error:
+        parse(data, "here")
+    assert "Value error" not in str(error.value)
