@@ -29,7 +29,7 @@ quick: lint types
 		residuals.py result_fields.py damaged_results.py) \
 		$(addprefix tests/model/test_,chebyshev.py parameter_names.py whole_numbers.py)
 
-# What takes minutes; .ci/run does both.
+# What takes minutes a test; to be run by hand before a release.
 test-slow: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 

@@ -20,8 +20,9 @@ def models() -> Mapping[str, type[Reflectance]]:
     found: dict[str, type[Reflectance]] = {TwoScale.name: TwoScale}
     for path in sorted((Path(__file__).parent / "rivals").glob("[!_]*.py")):
         module = import_module(f".rivals.{path.stem}", __package__)
-        for _, kind in inspect.getmembers(module, inspect.isclass):
-            if issubclass(kind, Reflectance) and kind.__module__ == module.__name__ and not inspect.isabstract(kind):
+        own = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == module.__name__]
+        for kind in own:
+            if issubclass(kind, Reflectance) and not (inspect.isabstract(kind) or kind.__name__.startswith("_")):
                 if kind.name in found:
                     raise ValueError(f"two reflectance models are named {kind.name}: {found[kind.name]}, {kind}")
                 found[kind.name] = kind

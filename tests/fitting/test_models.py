@@ -48,6 +48,7 @@ TRUTH = {
         "c": np.array([0.02, 0.05, 0.03]), "k": np.array([5.0, 7.0, 6.0]), "theta0": np.array([0.3, 0.2, 0.4]),
         "diffuse_albedo": ALBEDO,
     },
+    "interfaced-lambertian": {"roughness": 0.3, "eta": np.array([1.4, 1.5, 1.6]), "albedo": np.array([0.7, 0.4, 0.1])},
     "oren-nayar": {"roughness": 0.4, "k_s": np.array([0.1, 0.05, 0.02]), "albedo": np.array([0.7, 0.4, 0.1])},
     "oren-nayar-qualitative": {"roughness": 0.5, "albedo": np.array([0.7, 0.4, 0.1])},
 }  # fmt: skip

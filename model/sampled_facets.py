@@ -1,0 +1,188 @@
+"""Interfaced Lambertian facets by Monte Carlo (IL Section 3.3 and 4.1): anisotropic normals, and light between facets.
+
+What has no sum over few normals: a body whose normals depend on the azimuth, by drawing facets (:func:`body`), and
+light that is reflected again and again within V-cavities, by following paths (:func:`paths`). Both are references, with
+the error of their own samples; no fit uses them.
+"""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from .body import external_diffuse_reflectance, internal_diffuse_reflectance
+from .interfaces import fresnel_of_dielectric
+from .numerics import safe_sqrt
+
+NormalsName = Literal["beckmann", "ggx", "gaussian"]
+LEAST_COSINE = 1e-9
+
+
+class Estimate(NamedTuple):
+    """A mean and its standard error."""
+
+    mean: Array
+    error: Array
+
+
+def draw_normals(key: Array, count: int, roughness: tuple[float, float], normals: NormalsName) -> Array:
+    """Normals of facets with density D(m) cos(theta_m), (count, 3).
+
+    Slopes along x and y have the roughness along it times those of an isotropic surface of roughness 1, which is IL Eq.
+    29-31 without the quadrants that its arctan loses. Gaussian slope angles (IL Eq. 13) are isotropic alone.
+
+    Raises:
+        ValueError: Gaussian normals of two different roughnesses.
+    """
+    if normals == "gaussian" and roughness[0] != roughness[1]:
+        raise ValueError("normals 'gaussian' are isotropic: give the same roughness twice")
+    u, v = jax.random.uniform(key, (2, count))
+    azimuth = 2 * jnp.pi * v
+    if normals == "gaussian":
+        radius = _gaussian_slope(u, roughness[0]) / jnp.asarray(roughness[0])
+    else:
+        radius = jnp.sqrt(-jnp.log1p(-u) if normals == "beckmann" else u / (1 - u))
+    slopes = jnp.stack([roughness[0] * radius * jnp.cos(azimuth), roughness[1] * radius * jnp.sin(azimuth)], -1)
+    up = jnp.concatenate([-slopes, jnp.ones((count, 1))], -1)
+    return up / jnp.linalg.norm(up, axis=-1, keepdims=True)
+
+
+def _gaussian_slope(u: Array, sigma: float) -> Array:
+    """Tangents of slope angles whose share of the projected area is u, from a table of the cumulated density."""
+    angle = jnp.linspace(0.0, min(8 * sigma, jnp.pi / 2), 20_001)
+    middle = (angle[1:] + angle[:-1]) / 2
+    below = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.exp(-((middle / sigma) ** 2) / 2) * jnp.sin(middle))])
+    return jnp.tan(jnp.interp(u, below / below[-1], angle))
+
+
+def masked(direction: Array, roughness: tuple[float, float], normals: NormalsName) -> Array:
+    """Smith's G1 of one direction (IL Eq. 19, 21): that of an isotropic surface of the roughness along it."""
+    tan2 = (roughness[0] * direction[0]) ** 2 + (roughness[1] * direction[1]) ** 2
+    a2 = direction[2] ** 2 / jnp.maximum(tan2, 1e-300)
+    if normals == "ggx":
+        return 2 / (1 + jnp.sqrt(1 + 1 / a2))
+    a = jnp.minimum(jnp.sqrt(a2), 26.0)  # beyond, nothing is masked
+    beyond = jnp.exp(-(a**2)) / (2 * a * jnp.sqrt(jnp.pi)) - jax.scipy.special.erfc(a) / 2
+    return 1 / (1 + beyond)
+
+
+def body(
+    key: Array, i: ArrayLike, o: ArrayLike, roughness: tuple[float, float], index: ArrayLike, albedo: ArrayLike,
+    normals: NormalsName = "beckmann", count: int = 100_000,
+) -> Estimate:  # fmt: skip
+    """Body of interfaced Lambertian facets (IL Eq. 12) with Smith's masking, from facets drawn by their projected area.
+
+    Args:
+        i, o: unit vectors (3,), above the surface. roughness: along x and y. index: real, scalar. albedo: of the
+            substrate.
+
+    Returns: BRDF (1/sr) and its standard error.
+    """
+    i, o, n, albedo = (jnp.asarray(x, float) for x in (i, o, index, albedo))
+    m = draw_normals(key, count, roughness, normals)
+    dots = [jnp.clip(m @ x, 0.0, 1.0) for x in (i, o)]
+    through = [dot * (1 - fresnel_of_dielectric(dot, n)) for dot in dots]
+    each = through[0] * through[1] / (m[:, 2] * i[2] * o[2])
+    each = each * masked(i, roughness, normals) * masked(o, roughness, normals)
+    scale = albedo / (jnp.pi * n**2 * (1 - internal_diffuse_reflectance(n) * albedo))
+    return Estimate(scale * each.mean(), scale * each.std() / jnp.sqrt(count))
+
+
+class Paths(NamedTuple):
+    """Light that left V-cavities: directions (N, 3), what share of the light each path carries, bounces (N,).
+
+    Paths that had to be given up have share 0; ``caught`` is what they carried, summed over N.
+    """
+
+    direction: Array
+    share: Array
+    bounces: Array
+    caught: Array
+
+
+def paths(
+    key: Array, i: ArrayLike, roughness: float, index: float, albedo: float, count: int,
+    normals: NormalsName = "beckmann", most: int = 40,
+) -> Paths:  # fmt: skip
+    """Light from direction i through symmetric V-cavities of interfaced Lambertian facets, all bounces (IL Eq. 22).
+
+    A cavity is drawn by its projected area and a point of its opening evenly, so that every path falls on a facet and
+    none is lost: shadowing and masking come by themselves. A facet reflects as a mirror with probability F; else light
+    enters the substrate, comes out again with the share that IL Eq. 8 gives, and goes where transmittance lets it.
+    Profiles have their bottom at 0 and facets of length 1; the facet a path is on is the one whose normal points to +x.
+
+    Args:
+        i: unit vector (3,) above the surface. most: bounces after which a path is given up.
+    """
+    keys = jax.random.split(key, 3)
+    i = jnp.asarray(i, float)
+    m = draw_normals(keys[0], count, (roughness, roughness), normals)
+    slope = jnp.maximum(safe_sqrt(1 - m[:, 2] ** 2), LEAST_COSINE)
+    x_axis = jnp.stack([m[:, 0], m[:, 1]], -1) / slope[:, None]
+    sine, cosine = slope, m[:, 2]
+    towards = -jnp.stack([i[0] * x_axis[:, 0] + i[1] * x_axis[:, 1],
+                          i[1] * x_axis[:, 0] - i[0] * x_axis[:, 1], jnp.full(count, i[2])], -1)  # fmt: skip
+
+    # where it falls: the side that it meets first, for either side seen as the one whose normal points to +x
+    entry = (2 * jax.random.uniform(keys[1], (count,)) - 1) * cosine
+    flip = jnp.array([-1.0, 1.0, 1.0])
+
+    def meets(direction: Array, x: Array) -> tuple[Array, Array]:
+        """Distance along the ray to the facet's line, infinite from behind, and the place on the facet."""
+        against = -(direction[:, 0] * sine + direction[:, 2] * cosine)
+        distance = jnp.where(against > 0, sine * (cosine + x) / jnp.maximum(against, LEAST_COSINE), jnp.inf)
+        return distance, 1 + distance * direction[:, 2] / sine
+
+    (left, on_left), (right, on_right) = meets(towards, entry), meets(towards * flip, -entry)
+    mirrored = right < left
+    place = jnp.clip(jnp.where(mirrored, on_right, on_left), LEAST_COSINE, 1.0)
+    direction = jnp.where(mirrored[:, None], towards * flip, towards)
+
+    n = jnp.asarray(index, float)
+    out = 1 - external_diffuse_reflectance(n)  # mean transmittance of light that leaves a Lambertian substrate
+    kept = albedo * (1 - internal_diffuse_reflectance(n)) / (1 - internal_diffuse_reflectance(n) * albedo)
+    normal = jnp.stack([sine, jnp.zeros(count), cosine], -1)
+
+    def bounce(carry: tuple, key: Array) -> tuple[tuple, None]:
+        place, direction, mirrored, share, bounces, done = carry
+        choice, u, v = jax.random.uniform(key, (3, count))
+        facing = jnp.clip(-jnp.sum(direction * normal, -1), 0.0, 1.0)
+        specular = choice < fresnel_of_dielectric(facing, n)
+        reflected = direction + 2 * facing[:, None] * normal
+        cos, sin, azimuth = jnp.sqrt(u), jnp.sqrt(1 - u), 2 * jnp.pi * v
+        across, along = sin * jnp.cos(azimuth), sin * jnp.sin(azimuth)
+        scattered = cos[:, None] * normal + jnp.stack([across * cosine, along, -across * sine], -1)
+        goes = jnp.where(specular[:, None], reflected, scattered)
+        carried = share * jnp.where(specular, 1.0, kept * (1 - fresnel_of_dielectric(cos, n)) / out)
+        # on to the other facet, or out
+        away = sine * goes[:, 0] - cosine * goes[:, 2]
+        there = place * (cosine * goes[:, 2] + sine * goes[:, 0]) / jnp.where(away > 0, away, 1.0)
+        hits = (away > 0) & (there <= 1)
+        on = ~done
+        direction = jnp.where(on[:, None], jnp.where(hits[:, None], goes * flip, goes), direction)
+        place = jnp.where(on & hits, jnp.maximum(there, LEAST_COSINE), place)
+        mirrored = jnp.where(on & hits, ~mirrored, mirrored)
+        share, bounces = jnp.where(on, carried, share), bounces + on
+        return (place, direction, mirrored, share, bounces, done | ~hits), None
+
+    start = (place, direction, mirrored, jnp.ones(count), jnp.zeros(count, int), jnp.zeros(count, bool))
+    (_, direction, mirrored, share, bounces, done), _ = jax.lax.scan(bounce, start, jax.random.split(keys[2], most))
+    direction = jnp.where(mirrored[:, None], direction * flip, direction)
+    x, y = x_axis.T
+    back = [direction[:, 0] * x - direction[:, 1] * y, direction[:, 0] * y + direction[:, 1] * x, direction[:, 2]]
+    return Paths(jnp.stack(back, -1), jnp.where(done, share, 0.0), bounces, jnp.sum(jnp.where(done, 0.0, share)))
+
+
+def on_sensor(found: Paths, towards: ArrayLike, half_angle: float, bounces: tuple[int, int] = (1, 10**6)) -> Estimate:
+    """Mean BRDF (1/sr) within a cone about a direction, of paths with so many bounces (IL Eq. 23), and its error.
+
+    Args:
+        towards: axis of the cone, unit vector (3,). half_angle: of the cone (rad). bounces: least and most.
+    """
+    inside = found.direction @ jnp.asarray(towards) >= jnp.cos(half_angle)
+    counted = inside & (found.bounces >= bounces[0]) & (found.bounces <= bounces[1]) & (found.direction[:, 2] > 0)
+    each = jnp.where(counted, found.share / jnp.maximum(found.direction[:, 2], LEAST_COSINE), 0.0)
+    each = each / (2 * jnp.pi * (1 - jnp.cos(half_angle)))
+    return Estimate(each.mean(), each.std() / jnp.sqrt(len(each)))
