@@ -48,7 +48,7 @@ def table(compilation_cache):
 
     before = scaled._keep
     tables.keep_in(Path(os.environ["MERLFIT_CACHE_DIR"]))
-    quickly = jax.config.jax_disable_most_optimizations
+    quickly = jax.config.read("jax_disable_most_optimizations")
     jax.config.update("jax_disable_most_optimizations", False)  # half a minute of computing
     found = scaled.table()
     jax.config.update("jax_disable_most_optimizations", quickly)
