@@ -14,9 +14,11 @@ from jax.typing import ArrayLike
 
 from .body import external_diffuse_reflectance, internal_diffuse_reflectance
 from .interfaces import fresnel_of_dielectric
+from .masking import beckmann, ggx
 from .numerics import safe_sqrt
 
 NormalsName = Literal["beckmann", "ggx", "gaussian"]
+Smooth = Literal["beckmann", "ggx"]  # those that Smith's masking leaves something of
 LEAST_COSINE = 1e-9
 
 
@@ -41,11 +43,15 @@ def draw_normals(key: Array, count: int, roughness: tuple[float, float], normals
     u, v = jax.random.uniform(key, (2, count))
     azimuth = 2 * jnp.pi * v
     if normals == "gaussian":
-        radius = _gaussian_slope(u, roughness[0]) / jnp.asarray(roughness[0])
-    else:
-        radius = jnp.sqrt(-jnp.log1p(-u) if normals == "beckmann" else u / (1 - u))
-    slopes = jnp.stack([roughness[0] * radius * jnp.cos(azimuth), roughness[1] * radius * jnp.sin(azimuth)], -1)
-    up = jnp.concatenate([-slopes, jnp.ones((count, 1))], -1)
+        tangent = _gaussian_slope(u, roughness[0])
+        return _normals(tangent, tangent, azimuth)
+    radius = jnp.sqrt(-jnp.log1p(-u) if normals == "beckmann" else u / (1 - u))
+    return _normals(roughness[0] * radius, roughness[1] * radius, azimuth)
+
+
+def _normals(along_x: Array, along_y: Array, azimuth: Array) -> Array:
+    """Unit normals (N, 3) of facets whose slopes are these times the cosine and the sine of the azimuth."""
+    up = jnp.stack([-along_x * jnp.cos(azimuth), -along_y * jnp.sin(azimuth), jnp.ones_like(azimuth)], -1)
     return up / jnp.linalg.norm(up, axis=-1, keepdims=True)
 
 
@@ -57,36 +63,45 @@ def _gaussian_slope(u: Array, sigma: float) -> Array:
     return jnp.tan(jnp.interp(u, below / below[-1], angle))
 
 
-def masked(direction: Array, roughness: tuple[float, float], normals: NormalsName) -> Array:
+def masked(direction: Array, roughness: tuple[float, float], normals: Smooth) -> Array:
     """Smith's G1 of one direction (IL Eq. 19, 21): that of an isotropic surface of the roughness along it."""
-    tan2 = (roughness[0] * direction[0]) ** 2 + (roughness[1] * direction[1]) ** 2
-    a2 = direction[2] ** 2 / jnp.maximum(tan2, 1e-300)
-    if normals == "ggx":
-        return 2 / (1 + jnp.sqrt(1 + 1 / a2))
-    a = jnp.minimum(jnp.sqrt(a2), 26.0)  # beyond, nothing is masked
-    beyond = jnp.exp(-(a**2)) / (2 * a * jnp.sqrt(jnp.pi)) - jax.scipy.special.erfc(a) / 2
-    return 1 / (1 + beyond)
+    tan = safe_sqrt((roughness[0] * direction[0]) ** 2 + (roughness[1] * direction[1]) ** 2)
+    cos = direction[2] / jnp.sqrt(direction[2] ** 2 + tan**2)
+    return (beckmann if normals == "beckmann" else ggx).G1(cos, jnp.ones(()))
 
 
 def body(
     key: Array, i: ArrayLike, o: ArrayLike, roughness: tuple[float, float], index: ArrayLike, albedo: ArrayLike,
-    normals: NormalsName = "beckmann", count: int = 100_000,
+    normals: Smooth = "beckmann", count: int = 100_000,
 ) -> Estimate:  # fmt: skip
-    """Body of interfaced Lambertian facets (IL Eq. 12) with Smith's masking, from facets drawn by their projected area.
+    """Body of interfaced Lambertian facets (IL Eq. 12) with Smith's masking, from facets that are drawn.
+
+    By their projected area with Beckmann's normals; with GGX evenly in psi, tan(theta_m) = alpha tan(psi), since the
+    variance would be infinite by area.
 
     Args:
         i, o: unit vectors (3,), above the surface. roughness: along x and y. index: real, scalar. albedo: of the
-            substrate.
+            substrate. count: of facets.
 
     Returns: BRDF (1/sr) and its standard error.
+
+    Raises:
+        ValueError: Smith's masking of these normals is 0.
     """
+    if normals not in ("beckmann", "ggx"):
+        raise ValueError(f"Smith's masking of {normals!r} normals is 0: choose 'beckmann' or 'ggx'")
     i, o, n, albedo = (jnp.asarray(x, float) for x in (i, o, index, albedo))
-    m = draw_normals(key, count, roughness, normals)
+    if normals == "ggx":
+        psi, turn = jax.random.uniform(key, (2, count)) * jnp.array([[jnp.pi / 2], [2 * jnp.pi]])
+        m = _normals(roughness[0] * jnp.tan(psi), roughness[1] * jnp.tan(psi), turn)
+        weight = jnp.pi / 2 * jnp.sin(2 * psi)
+    else:
+        m, weight = draw_normals(key, count, roughness, normals), jnp.ones(count)
     dots = [jnp.clip(m @ x, 0.0, 1.0) for x in (i, o)]
     through = [dot * (1 - fresnel_of_dielectric(dot, n)) for dot in dots]
-    each = through[0] * through[1] / (m[:, 2] * i[2] * o[2])
-    each = each * masked(i, roughness, normals) * masked(o, roughness, normals)
+    each = weight * through[0] * through[1] / (m[:, 2] * i[2] * o[2])
     scale = albedo / (jnp.pi * n**2 * (1 - internal_diffuse_reflectance(n) * albedo))
+    scale = scale * masked(i, roughness, normals) * masked(o, roughness, normals)
     return Estimate(scale * each.mean(), scale * each.std() / jnp.sqrt(count))
 
 
@@ -114,7 +129,8 @@ def paths(
     Profiles have their bottom at 0 and facets of length 1; the facet a path is on is the one whose normal points to +x.
 
     Args:
-        i: unit vector (3,) above the surface. most: bounces after which a path is given up.
+        i: unit vector (3,) above the surface. roughness, index, albedo: as in :func:`body`, isotropic. count: of
+            paths. most: bounces after which a path is given up.
     """
     keys = jax.random.split(key, 3)
     i = jnp.asarray(i, float)
@@ -176,7 +192,9 @@ def paths(
 
 
 def on_sensor(found: Paths, towards: ArrayLike, half_angle: float, bounces: tuple[int, int] = (1, 10**6)) -> Estimate:
-    """Mean BRDF (1/sr) within a cone about a direction, of paths with so many bounces (IL Eq. 23), and its error.
+    """Mean BRDF (1/sr) within a cone about a direction, of paths with so many bounces, and its error.
+
+    IL Eq. 23 without its factor D(m_j), which has no place where facets were drawn by it.
 
     Args:
         towards: axis of the cone, unit vector (3,). half_angle: of the cone (rad). bounces: least and most.

@@ -27,9 +27,11 @@ def compilation_cache(tmp_path_factory):
 @pytest.fixture(scope="module")
 def compiled_quickly():
     """Programs that are run a few times on a few directions: half the time to compile, twice the time to run."""
+    before = jax.config.read("jax_disable_most_optimizations")
     jax.config.update("jax_disable_most_optimizations", True)
     yield
-    jax.config.update("jax_disable_most_optimizations", False)
+    jax.config.update("jax_disable_most_optimizations", before)
+    jax.clear_caches()  # what was compiled so is not for others
 
 
 @pytest.fixture(scope="session")

@@ -5,8 +5,9 @@ the cosines with the macroscopic normal. The body is an integral over the facets
 
     K_d / (pi n^2 (1 - r_i K_d)) Int (i.m)+ (o.m)+ / (cos_i cos_o) T(i.m) T(o.m) D(m) G(i, o, m) dw_m,
 
-a sum over a few normals here, placed so that it is reciprocal. With n = 1 it is Lambertian facets; without roughness
-the body is that of a plastic (:func:`merlfit.model.body.plastic`); with K_d = 0 there is the surface alone.
+a sum over a few normals here, placed so that it is reciprocal; light between facets is left out. With n = 1 it is
+Lambertian facets; without roughness the body is that of a plastic (:func:`merlfit.model.body.plastic`); with K_d = 0
+there is the surface alone.
 """
 
 from collections.abc import Mapping
@@ -30,14 +31,14 @@ from .microfacets import Microfacets
 
 SLOPES, AZIMUTHS = 3, 8  # of the sum that fits use
 MANY = (32, 64)  # of the reference's
-FEW = 8  # slopes: fewer are best where the density decays, more where it is cut
 TINY_COSINE = 1e-12
 
 
 class _Gaussian(Microfacets):
     """Facets whose slope angle is Gaussian: D = C exp(-theta^2 / (2 sigma^2)) / cos(theta) (IL Eq. 13).
 
-    So many of them are nearly on edge that the area of all is infinite: Smith's masking of it is 0 everywhere.
+    So many of them are nearly on edge that the area of all is infinite: Smith's masking is 0 in all directions but the
+    normal.
     """
 
     name: ClassVar[str] = "gaussian"
@@ -58,14 +59,14 @@ class _Gaussian(Microfacets):
         return jnp.exp(-((theta_h / v["roughness"]) ** 2) / 2) / (integral * jnp.maximum(jnp.cos(theta_h), TINY_COSINE))
 
     def G1(self, cos: Array, v: Values) -> Array:
-        return jnp.zeros_like(cos)
+        raise NotImplementedError("Gaussian normals need V-grooves")
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         return [{"roughness": float(np.clip(clues.half_width / 1.18, 2e-3, 0.9))}]
 
 
 class Normals(NamedTuple):
-    """Of slope angles of facets, (R,) each: tangents, and shares of the projected area, whose sum is 1."""
+    """A rule over facets: tangents of slope angles (R,), and shares (R,) of the projected area, which sum to 1."""
 
     tangent: Array
     share: Array
@@ -80,14 +81,14 @@ class InterfacedLambertian(Reflectance):
 
     Attributes:
         normals: distribution: ``beckmann`` (IL Eq. 15), ``ggx`` (Eq. 20) or ``gaussian`` in the slope angle (Eq. 13).
-        masking: ``smith``, or ``v-groove``: symmetric cavities (Eq. 14), which Gaussian normals need. Light falls on
-            one facet; all bounces within cavities are in :func:`merlfit.model.sampled_facets.paths`.
+        masking: ``smith``, or ``v-groove``: symmetric cavities (Eq. 14), which Gaussian normals need. Light meets
+            one facet only; :func:`merlfit.model.sampled_facets.paths` follows it from facet to facet.
         form: ``fast``, a sum over 3 x 8 normals; ``reference``, over 32 x 64.
 
-    Reciprocal. The reference is within 5e-3 of the integral. The error of the fast sum's body, in the median and for
-    95 % of the directions up to 75 degrees, is for widths of 0.2 at most 0.01 and 0.2 % with Beckmann's normals, 1.1
-    and 2.5 % with GGX, 0.1 and 0.7 % with Gaussian ones; for widths of 0.6 it is 0.5 and 3.5 %, 1.3 and 7 %, 2 and
-    17 %, with indices from 1.2 to 2 (``tests/rivals/test_interfaced_lambertian.py``).
+    Reciprocal. Up to 75 degrees the reference is within 5e-3 of the integral (widths 0.15 and 0.5). The error of the
+    fast sum's body there, in the median and for 95 % of the directions, indices from 1.2 to 2: at widths of 0.2 at most
+    0.01 and 0.2 % with Beckmann's normals, 1.1 and 2.6 % with GGX, 0.3 and 0.7 % with Gaussian ones; at 0.6 0.5 and
+    3.5 %, 1.3 and 7 %, 0.9 and 6 %; at 1.0 6 and 12 % with all (``tests/rivals/test_interfaced_lambertian.py``).
     """
 
     name: ClassVar[str] = "interfaced-lambertian"
@@ -102,7 +103,7 @@ class InterfacedLambertian(Reflectance):
 
     def __post_init__(self) -> None:
         if self.normals == "gaussian" and self.masking == "smith":
-            raise ValueError("normals 'gaussian' need masking 'v-groove': Smith's formula masks everything")
+            raise ValueError("normals 'gaussian' need masking 'v-groove': Smith's masks every direction but the normal")
 
     @property
     def surface(self) -> Microfacets:
@@ -147,7 +148,7 @@ class InterfacedLambertian(Reflectance):
         return given * self.surface.G1(g.cos_i, v) * self.surface.G1(g.cos_o, v)
 
     def distributed(self, v: Values, count: int) -> Normals:
-        """A rule over slope angles."""
+        """A rule of ``count`` nodes."""
         if self.normals == "beckmann":  # the share beyond a squared slope x is exp(-x / m^2)
             nodes, weights = np.polynomial.laguerre.laggauss(count)
             return Normals(v["roughness"] * np.sqrt(nodes), jnp.asarray(weights))
@@ -156,14 +157,10 @@ class InterfacedLambertian(Reflectance):
             psi = nodes * (np.pi / 2)
             shares = weights * np.sin(2 * psi)
             return Normals(v["alpha"] * np.tan(psi), jnp.asarray(shares / shares.sum()))
-        if count < FEW:  # nodes of what decays
-            nodes, weights = np.polynomial.laguerre.laggauss(count)
-            angle = v["roughness"] * np.sqrt(2 * nodes)
-            shares = jnp.where(angle < np.pi / 2, weights * jnp.sinc(angle / np.pi), 0.0)
-            angle = jnp.where(angle < np.pi / 2, angle, 0.0)
-        else:
-            angle = nodes * jnp.minimum(6 * v["roughness"], np.pi / 2)
-            shares = jnp.exp(-((angle / v["roughness"]) ** 2) / 2) * jnp.sin(angle) * weights
+        sigma = v["roughness"]  # the share below an angle is nearly even in 1 - exp(-angle^2 / (2 sigma^2))
+        reached = -jnp.expm1(-((jnp.minimum(6 * sigma, np.pi / 2) / sigma) ** 2) / 2)
+        angle = sigma * jnp.sqrt(-2 * jnp.log1p(-reached * nodes))
+        shares = jnp.asarray(weights) * jnp.sinc(angle / np.pi)
         return Normals(jnp.tan(angle), shares / jnp.sum(shares))
 
     @property
@@ -184,8 +181,8 @@ def substrate(n: Real, albedo: Real) -> Real:
 def transmitted(g: Geometry, n: Real, normals: Normals, azimuths: int, grooves: bool) -> Real:
     """Int (i.m)+ (o.m)+ / (cos_i cos_o) T(i.m) T(o.m) D(m) [G(i, o, m)] dw_m by a sum over ``normals`` and azimuths.
 
-    Azimuths are even from the bisector of the directions' projections, which exchanges nothing when light and viewer
-    are exchanged. Facets turned away count for nothing.
+    Azimuths are even from the bisector of the directions' projections, so that exchanging light and viewer mirrors the
+    nodes onto themselves. Facets turned away count for nothing.
 
     Args:
         n: index, whose shape broadcasts against the directions'. grooves: whether G of V-cavities (Eq. 14) is within;

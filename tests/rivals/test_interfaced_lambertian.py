@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 from merlfit.model import sampled_facets
 from merlfit.model.body import plastic
 from merlfit.model.geometry import Geometry
@@ -13,7 +14,7 @@ from merlfit.model.rivals.oren_nayar import OrenNayar
 from oracles import rivals as oracle
 from oracles.facets import direction
 
-ETA, ALBEDO = np.array([1.5, 1.3, 2.0]), np.array([0.9, 0.5, 0.1])
+ETA, ALBEDO = np.array([1.5, 1.2, 2.0]), np.array([0.9, 0.5, 0.1])
 KINDS = [
     ("beckmann", "smith"),
     ("beckmann", "v-groove"),
@@ -43,7 +44,7 @@ def body(model, width, i, o, **changes):
 @every
 @pytest.mark.parametrize("width", [0.15, 0.5])
 def test_the_reference_is_the_integral(normals, masking, width):
-    i, o = pairs(6)
+    i, o = pairs(4)
     model = InterfacedLambertian(normals, masking, "reference")
     expected = [[oracle.interfaced_lambertian(a, b, (width, width), n, k, normals, masking == "v-groove")
                  for a, b in zip(i, o, strict=True)] for n, k in zip(ETA, ALBEDO, strict=True)]  # fmt: skip
@@ -51,22 +52,29 @@ def test_the_reference_is_the_integral(normals, masking, width):
     assert not np.allclose(body(model, 1.1 * width, i, o), expected, rtol=5e-3)
 
 
-ERRORS = {  # median and 95th percentile of the fast sum's relative error at widths 0.2 and 0.6
-    "beckmann": ((1e-4, 2e-3), (5e-3, 3.5e-2)),
-    "ggx": ((1.1e-2, 2.6e-2), (1.3e-2, 7e-2)),
-    "gaussian": ((1e-3, 7e-3), (2.2e-2, 0.17)),
+ERRORS = {  # median and 95th percentile of the fast sum's relative error at widths 0.2, 0.6 and 1.0
+    "beckmann": ((1e-4, 2e-3), (5e-3, 3.5e-2), (6e-2, 0.12)),
+    "ggx": ((1.1e-2, 2.6e-2), (1.3e-2, 7e-2), (6e-2, 0.12)),
+    "gaussian": ((3e-3, 7e-3), (9e-3, 6e-2), (6e-2, 0.12)),
 }
 
 
 @every
 def test_the_fast_sum_is_as_near_as_it_says(normals, masking):
-    i, o = pairs(400)
-    for width, (typical, most) in zip((0.2, 0.6), ERRORS[normals], strict=True):
+    i, o = pairs(150)
+    for width, (typical, most) in zip((0.2, 0.6, 1.0), ERRORS[normals], strict=True):
         fast, slow = (body(InterfacedLambertian(normals, masking, form), width, i, o) for form in ("fast", "reference"))
         away = np.abs(fast / slow - 1)
         assert np.median(away) < typical
         assert np.quantile(away, 0.95) < most
     assert away.max() > 1e-3, "the two are not the same"
+
+
+@every
+def test_the_fast_sum_does_not_jump_with_the_width(normals, masking):
+    i, o = pairs(5)
+    found = np.array([body(InterfacedLambertian(normals, masking), w, i, o) for w in np.linspace(0.40, 0.46, 13)])
+    assert np.max(np.abs(np.diff(np.log(found), axis=0))) < 0.03
 
 
 @every
@@ -123,6 +131,10 @@ def test_what_has_no_meaning_is_refused():
     assert "reference" in InterfacedLambertian(form="reference").objection
     with pytest.raises(ValueError, match="isotropic"):
         sampled_facets.draw_normals(jax.random.key(0), 10, (0.1, 0.2), "gaussian")
+    with pytest.raises((ValueError, TypeCheckError), match="gaussian"):
+        sampled_facets.body(
+            jax.random.key(0), direction(0.1, 0.0), direction(0.3, 0.0), (0.1, 0.1), 1.5, 0.5, "gaussian"
+        )
 
 
 # --- By Monte Carlo
@@ -144,23 +156,42 @@ def test_drawn_facets_have_the_integral(normals, roughness):
 def test_cavities_that_absorb_nothing_give_all_light_back(normals, index):
     for theta in (0.1, 1.2):
         light = jnp.asarray(direction(theta, 0.7))
-        found = sampled_facets.paths(jax.random.key(1), light, 0.5, index, 1.0, 100_000, normals)
+        found = sampled_facets.paths(jax.random.key(1), light, 0.5, index, 1.0, 40_000, normals)
         whole = found.share.sum() + found.caught
-        assert whole == pytest.approx(len(found.share), rel=1e-12 if index == 1.0 else 5e-3)
+        assert whole == pytest.approx(len(found.share), rel=1e-12 if index == 1.0 else 8e-3)
         assert found.caught < 3e-3 * whole
         assert np.all(found.direction[found.share > 0][:, 2] > 0)
-        dark = sampled_facets.paths(jax.random.key(1), light, 0.5, index, 0.0, 100_000, normals)
+        dark = sampled_facets.paths(jax.random.key(1), light, 0.5, index, 0.0, 40_000, normals)
         assert dark.share.sum() < 0.5 * len(dark.share), "an absorbing substrate"
 
 
-@pytest.mark.parametrize("bounces", [(1, 1), (1, 2)], ids=["one", "two"])
-def test_paths_in_cavities_are_oren_and_nayars_integral(bounces):
+def test_paths_in_cavities_are_oren_and_nayars_integral():
     """Lambertian facets: one bounce is their direct light, two their interreflection."""
-    light, albedo, half_angle = direction(0.6, 0.0), 0.9, 0.12
-    found = sampled_facets.paths(jax.random.key(2), jnp.asarray(light), 0.5, 1.0, albedo, 600_000, "gaussian")
+    light, albedo, half_angle = direction(0.6, 0.0), 0.9, 0.15
+    found = sampled_facets.paths(jax.random.key(2), light, 0.5, 1.0, albedo, 400_000, "gaussian", 8)
     for theta, phi in ((0.2, 0.0), (0.7, 0.1), (0.7, np.pi), (0.9, 2.0)):
         towards = direction(theta, phi)
-        seen = sampled_facets.on_sensor(found, towards, half_angle, bounces)
-        expected = oracle.cavities(light, towards, 0.5, albedo, 120, 180, bounces == (1, 2))
-        assert abs(seen.mean - expected) < 4 * seen.error + 0.01 * expected
-        assert seen.error < 0.02 * expected
+        for most in (1, 2):
+            seen = sampled_facets.on_sensor(found, towards, half_angle, (1, most))
+            expected = oracle.cavities(light, towards, 0.5, albedo, 120, 180, most == 2)
+            assert abs(seen.mean - expected) < 4 * seen.error + 0.01 * expected
+            assert seen.error < 0.02 * expected
+
+
+@pytest.mark.parametrize("albedo", [0.0, 0.9], ids=["surface", "both"])
+def test_one_bounce_in_cavities_is_the_integral(albedo):
+    """With an interface: where it mirrors, and where transmittance lets light out."""
+    light, half_angle, model = direction(0.7, 0.0), 0.15, InterfacedLambertian("beckmann", "v-groove", "reference")
+    found = sampled_facets.paths(jax.random.key(3), light, 0.4, 1.5, albedo, 400_000, most=3)
+    rng = np.random.default_rng(0)
+    cos, turn = 1 - (1 - np.cos(half_angle)) * rng.uniform(size=60), rng.uniform(0, 2 * np.pi, 60)
+    for theta, phi in ((0.7, np.pi), (0.4, 2.6), (0.9, 0.3)):
+        towards = direction(theta, phi)
+        seen = sampled_facets.on_sensor(found, towards, half_angle, (1, 1))
+        x, y = direction(theta + np.pi / 2, phi), np.cross(towards, direction(theta + np.pi / 2, phi))
+        cone = cos[:, None] * towards + np.sqrt(1 - cos**2)[:, None] * (
+            np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * y
+        )
+        given = values(model, 0.4, eta=np.full(3, 1.5), albedo=np.full(3, albedo))
+        expected = np.mean(evaluate(model, given, Geometry.from_vectors(np.tile(light, (60, 1)), cone))[0])
+        assert abs(seen.mean - expected) < 4 * seen.error + 0.03 * expected
