@@ -60,8 +60,12 @@ def plastic(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
     HP17 prints rho_d/pi inside the series and leaves out the 1/n^2 of rays leaving a denser medium; energy conservation
     and IL Eq. 8 give T(i) T(o) rho_d / (pi n^2 (1 - r_i rho_d)), used here. Reciprocal; never reflects more than 1.
     """
-    r_i = internal_diffuse_reflectance(n)
-    return transmittance(cos_i, cos_o, n) * albedo / (jnp.pi * n**2 * (1 - r_i * albedo))
+    return transmittance(cos_i, cos_o, n) * substrate(n, albedo)
+
+
+def substrate(n: Real, albedo: Real) -> Real:
+    """albedo / (pi n^2 (1 - r_i albedo)), 1/sr (IL Eq. 8): a Lambertian base below its interface, all bounces."""
+    return albedo / (jnp.pi * n**2 * (1 - internal_diffuse_reflectance(n) * albedo))
 
 
 def scattered(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:

@@ -9,10 +9,11 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from .body import external_diffuse_reflectance, internal_diffuse_reflectance
+from .body import external_diffuse_reflectance, internal_diffuse_reflectance, substrate
 from .interfaces import fresnel_of_dielectric
 from .masking import beckmann, ggx
 from .numerics import safe_sqrt
@@ -20,6 +21,7 @@ from .numerics import safe_sqrt
 NormalsName = Literal["beckmann", "ggx", "gaussian"]
 Smooth = Literal["beckmann", "ggx"]  # those that Smith's masking leaves something of
 LEAST_COSINE = 1e-9
+FLIP = np.array([-1.0, 1.0, 1.0])
 
 
 class Estimate(NamedTuple):
@@ -100,8 +102,7 @@ def body(
     dots = [jnp.clip(m @ x, 0.0, 1.0) for x in (i, o)]
     through = [dot * (1 - fresnel_of_dielectric(dot, n)) for dot in dots]
     each = weight * through[0] * through[1] / (m[:, 2] * i[2] * o[2])
-    scale = albedo / (jnp.pi * n**2 * (1 - internal_diffuse_reflectance(n) * albedo))
-    scale = scale * masked(i, roughness, normals) * masked(o, roughness, normals)
+    scale = substrate(n, albedo) * masked(i, roughness, normals) * masked(o, roughness, normals)
     return Estimate(scale * each.mean(), scale * each.std() / jnp.sqrt(count))
 
 
@@ -133,62 +134,77 @@ def paths(
             paths. most: bounces after which a path is given up.
     """
     keys = jax.random.split(key, 3)
-    i = jnp.asarray(i, float)
     m = draw_normals(keys[0], count, (roughness, roughness), normals)
-    slope = jnp.maximum(safe_sqrt(1 - m[:, 2] ** 2), LEAST_COSINE)
-    x_axis = jnp.stack([m[:, 0], m[:, 1]], -1) / slope[:, None]
-    sine, cosine = slope, m[:, 2]
-    towards = -jnp.stack([i[0] * x_axis[:, 0] + i[1] * x_axis[:, 1],
-                          i[1] * x_axis[:, 0] - i[0] * x_axis[:, 1], jnp.full(count, i[2])], -1)  # fmt: skip
+    sine, cosine = jnp.maximum(safe_sqrt(1 - m[:, 2] ** 2), LEAST_COSINE), m[:, 2]
+    x, y = m[:, 0] / sine, m[:, 1] / sine  # the profile's axis
+    i = jnp.asarray(i, float)
+    towards = -jnp.stack([i[0] * x + i[1] * y, i[1] * x - i[0] * y, jnp.full(count, i[2])], -1)
+    opening = (2 * jax.random.uniform(keys[1], (count,)) - 1) * cosine
+    profile = jnp.stack([sine, jnp.zeros(count), cosine], -1)
+    start = _Flight(
+        *_entered(profile, towards, opening), jnp.ones(count), jnp.zeros(count, int), jnp.zeros(count, bool)
+    )
+    n, albedo_ = jnp.asarray(index, float), jnp.asarray(albedo, float)
+    step = lambda flight, key: (_bounced(key, flight, profile, n, albedo_), None)  # noqa: E731
+    end, _ = jax.lax.scan(step, start, jax.random.split(keys[2], most))
+    out = jnp.where(end.mirrored[:, None], end.direction * FLIP, end.direction)
+    back = [out[:, 0] * x - out[:, 1] * y, out[:, 0] * y + out[:, 1] * x, out[:, 2]]
+    left = jnp.where(end.done, end.share, 0.0)
+    return Paths(jnp.stack(back, -1), left, end.bounces, jnp.sum(end.share - left))
 
-    # where it falls: the side that it meets first, for either side seen as the one whose normal points to +x
-    entry = (2 * jax.random.uniform(keys[1], (count,)) - 1) * cosine
-    flip = jnp.array([-1.0, 1.0, 1.0])
+
+class _Flight(NamedTuple):
+    """Where paths are: place on the facet in (0, 1], direction in the frame in which its normal points to +x."""
+
+    place: Array
+    direction: Array
+    mirrored: Array  # whether that frame's x-axis is turned round
+    share: Array
+    bounces: Array
+    done: Array
+
+
+def _entered(normal: Array, towards: Array, opening: Array) -> tuple[Array, Array, Array]:
+    """Place, direction and frame of the facet that light through points of the opening meets first."""
+    sine, cosine = normal[:, 0], normal[:, 2]
 
     def meets(direction: Array, x: Array) -> tuple[Array, Array]:
         """Distance along the ray to the facet's line, infinite from behind, and the place on the facet."""
-        against = -(direction[:, 0] * sine + direction[:, 2] * cosine)
+        against = -jnp.sum(direction * normal, -1)
         distance = jnp.where(against > 0, sine * (cosine + x) / jnp.maximum(against, LEAST_COSINE), jnp.inf)
         return distance, 1 + distance * direction[:, 2] / sine
 
-    (left, on_left), (right, on_right) = meets(towards, entry), meets(towards * flip, -entry)
+    (left, on_left), (right, on_right) = meets(towards, opening), meets(towards * FLIP, -opening)
     mirrored = right < left
     place = jnp.clip(jnp.where(mirrored, on_right, on_left), LEAST_COSINE, 1.0)
-    direction = jnp.where(mirrored[:, None], towards * flip, towards)
+    return place, jnp.where(mirrored[:, None], towards * FLIP, towards), mirrored
 
-    n = jnp.asarray(index, float)
-    out = 1 - external_diffuse_reflectance(n)  # mean transmittance of light that leaves a Lambertian substrate
-    kept = albedo * (1 - internal_diffuse_reflectance(n)) / (1 - internal_diffuse_reflectance(n) * albedo)
-    normal = jnp.stack([sine, jnp.zeros(count), cosine], -1)
 
-    def bounce(carry: tuple, key: Array) -> tuple[tuple, None]:
-        place, direction, mirrored, share, bounces, done = carry
-        choice, u, v = jax.random.uniform(key, (3, count))
-        facing = jnp.clip(-jnp.sum(direction * normal, -1), 0.0, 1.0)
-        specular = choice < fresnel_of_dielectric(facing, n)
-        reflected = direction + 2 * facing[:, None] * normal
-        cos, sin, azimuth = jnp.sqrt(u), jnp.sqrt(1 - u), 2 * jnp.pi * v
-        across, along = sin * jnp.cos(azimuth), sin * jnp.sin(azimuth)
-        scattered = cos[:, None] * normal + jnp.stack([across * cosine, along, -across * sine], -1)
-        goes = jnp.where(specular[:, None], reflected, scattered)
-        carried = share * jnp.where(specular, 1.0, kept * (1 - fresnel_of_dielectric(cos, n)) / out)
-        # on to the other facet, or out
-        away = sine * goes[:, 0] - cosine * goes[:, 2]
-        there = place * (cosine * goes[:, 2] + sine * goes[:, 0]) / jnp.where(away > 0, away, 1.0)
-        hits = (away > 0) & (there <= 1)
-        on = ~done
-        direction = jnp.where(on[:, None], jnp.where(hits[:, None], goes * flip, goes), direction)
-        place = jnp.where(on & hits, jnp.maximum(there, LEAST_COSINE), place)
-        mirrored = jnp.where(on & hits, ~mirrored, mirrored)
-        share, bounces = jnp.where(on, carried, share), bounces + on
-        return (place, direction, mirrored, share, bounces, done | ~hits), None
-
-    start = (place, direction, mirrored, jnp.ones(count), jnp.zeros(count, int), jnp.zeros(count, bool))
-    (_, direction, mirrored, share, bounces, done), _ = jax.lax.scan(bounce, start, jax.random.split(keys[2], most))
-    direction = jnp.where(mirrored[:, None], direction * flip, direction)
-    x, y = x_axis.T
-    back = [direction[:, 0] * x - direction[:, 1] * y, direction[:, 0] * y + direction[:, 1] * x, direction[:, 2]]
-    return Paths(jnp.stack(back, -1), jnp.where(done, share, 0.0), bounces, jnp.sum(jnp.where(done, 0.0, share)))
+def _bounced(key: Array, f: _Flight, normal: Array, n: Array, albedo: Array) -> _Flight:
+    """After one more reflection: on the other facet, or out."""
+    choice, u, v = jax.random.uniform(key, (3, len(f.place)))
+    sine, cosine = normal[:, 0], normal[:, 2]
+    facing = jnp.clip(-jnp.sum(f.direction * normal, -1), 0.0, 1.0)
+    specular = choice < fresnel_of_dielectric(facing, n)
+    mirror = f.direction + 2 * facing[:, None] * normal
+    cos, sin, azimuth = jnp.sqrt(u), jnp.sqrt(1 - u), 2 * jnp.pi * v
+    across, along = sin * jnp.cos(azimuth), sin * jnp.sin(azimuth)
+    scattered = cos[:, None] * normal + jnp.stack([across * cosine, along, -across * sine], -1)
+    goes = jnp.where(specular[:, None], mirror, scattered)
+    r_i = internal_diffuse_reflectance(n)
+    kept = albedo * (1 - r_i) / (1 - r_i * albedo)  # of what entered; it leaves in proportion to transmittance
+    leaves = kept * (1 - fresnel_of_dielectric(cos, n)) / (1 - external_diffuse_reflectance(n))
+    away = sine * goes[:, 0] - cosine * goes[:, 2]
+    there = f.place * jnp.sum(goes * normal, -1) / jnp.where(away > 0, away, 1.0)
+    hits, on = (away > 0) & (there <= 1), ~f.done
+    return _Flight(
+        jnp.where(on & hits, jnp.maximum(there, LEAST_COSINE), f.place),
+        jnp.where(on[:, None], jnp.where(hits[:, None], goes * FLIP, goes), f.direction),
+        jnp.where(on & hits, ~f.mirrored, f.mirrored),
+        jnp.where(on, f.share * jnp.where(specular, 1.0, leaves), f.share),
+        f.bounces + on,
+        f.done | ~hits,
+    )
 
 
 def on_sensor(found: Paths, towards: ArrayLike, half_angle: float, bounces: tuple[int, int] = (1, 10**6)) -> Estimate:

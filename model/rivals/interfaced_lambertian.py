@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..body import internal_diffuse_reflectance, plastic
+from ..body import plastic, substrate
 from ..geometry import Geometry
 from ..interfaces import fresnel_of_dielectric
 from ..numerics import Real, safe_divide, safe_sqrt, total
@@ -59,7 +59,7 @@ class _Gaussian(Microfacets):
         return jnp.exp(-((theta_h / v["roughness"]) ** 2) / 2) / (integral * jnp.maximum(jnp.cos(theta_h), TINY_COSINE))
 
     def G1(self, cos: Array, v: Values) -> Array:
-        raise NotImplementedError("Gaussian normals need V-grooves")
+        raise ValueError("Smith's masking of Gaussian normals is 0: they need V-grooves")
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         return [{"roughness": float(np.clip(clues.half_width / 1.18, 2e-3, 0.9))}]
@@ -171,11 +171,6 @@ class InterfacedLambertian(Reflectance):
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """Those of the surface."""
         return self.surface.starts(clues, middle_um)
-
-
-def substrate(n: Real, albedo: Real) -> Real:
-    """K_d / (pi n^2 (1 - r_i K_d)), 1/sr (IL Eq. 8): substrate and interface with all inter-reflections."""
-    return albedo / (jnp.pi * n**2 * (1 - internal_diffuse_reflectance(n) * albedo))
 
 
 def transmitted(g: Geometry, n: Real, normals: Normals, azimuths: int, grooves: bool) -> Real:
