@@ -303,6 +303,52 @@ def inspect(
         raise typer.Exit(BAD_INPUT)
 
 
+@app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")
+def effects(
+    scene: Annotated[Path, typer.Argument(help="SCENE.toml (docs/scenes.md).", show_default=False, readable=False)],
+) -> None:
+    """Find out which effects a scene calls for: each is left out in turn, on the directions that the scene uses."""
+    from .scenes import plan_scene
+
+    plan_scene(scene)
+
+
+@app.command(epilog="Example: merlfit render configs/scenes/metal.toml -o pictures")
+def render(
+    what: Annotated[
+        list[Path],
+        typer.Argument(help="SCENE.toml, or RESULT.json of fits.", show_default=False, readable=False),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the pictures.")] = Path("pictures"),
+    every: Annotated[bool, typer.Option("--all-effects", help="Leave no effect out.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check/--no-check", help="Of a scene: render it with all effects, too, and compare.")
+    ] = True,
+    samples: Annotated[int | None, typer.Option(min=1, help="Of each pixel.", show_default=False)] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the samples.", show_default=False)] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of one fit: a parameter and factors of its value, as in b=0.5,1,2; given twice, a grid.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Render a scene with the effects that it calls for, or fits as spheres beside what was measured.
+
+    A scene's picture is written as picture.exr and .png; with --check the picture of all effects and the difference lie
+    beside it, and render.json says what took how long. Exit code: 1 if they differ by more than the tolerance.
+    """
+    from .scenes import render_results, render_scene
+
+    if what[0].suffix == ".toml":
+        if len(what) > 1 or vary:
+            raise fail("one scene at a time; --vary is for the RESULT.json of a fit")
+        render_scene(what[0], out, every, check, samples, seed)
+    else:
+        render_results(what, out, vary or [], samples, seed)
+
+
 @app.command(epilog="Example: merlfit cost -o cost")
 def cost(
     file: Annotated[

@@ -37,16 +37,22 @@ AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
 STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
 
 
-def share_of(b_over_lambda: Array, c: Scalar) -> Callable[[Array], Array]:
-    """sigma_rel^2/sigma_s^2 (`diffraction.renormalisation`) as a table over 1 - sin(theta_d), per channel (C,).
+def share_curve(b_over_lambda: Array, c: Scalar) -> Array:
+    """sigma_rel^2/sigma_s^2 (`diffraction.renormalisation`) as a table over 1 - sin(theta_d), (SHARES, C).
 
     The variable is asinh(b/lambda (1 - sin)): the share falls where the lobe's centre is within its width of the rim.
     Nodes are placed as b is now, so that they need no derivative.
     """
     placed = jax.lax.stop_gradient(b_over_lambda)
+    gap = jnp.sinh(chebyshev.nodes(SHARES)[:, None] * jnp.arcsinh(placed)) / placed
+    return diffraction.renormalisation(1 - gap, jnp.broadcast_to(b_over_lambda, gap.shape), c)
+
+
+def share_of(b_over_lambda: Array, c: Scalar, table: Array | None = None) -> Callable[[Array], Array]:
+    """The function of 1 - sin(theta_d), (C, ...), that :func:`share_curve` tabulates, per channel (C,)."""
+    placed = jax.lax.stop_gradient(b_over_lambda)
     longest = jnp.arcsinh(placed)  # (C,)
-    gap = jnp.sinh(chebyshev.nodes(SHARES)[:, None] * longest) / placed
-    values = diffraction.renormalisation(1 - gap, jnp.broadcast_to(b_over_lambda, gap.shape), c)  # (K, C)
+    values = share_curve(b_over_lambda, c) if table is None else table
 
     def share(one_minus_sin: Array) -> Array:  # (C, ...)
         along = (-1, *(1,) * (one_minus_sin.ndim - 1))
@@ -57,8 +63,9 @@ def share_of(b_over_lambda: Array, c: Scalar) -> Callable[[Array], Array]:
 
 
 def lobe_albedo(
-    theta_d: Real, b_um: Scalar, c: Scalar, sigma_s: Scalar, wavelength_um: Array, renormalised: bool, exact: bool
-) -> Array:
+    theta_d: Real, b_um: Scalar, c: Scalar, sigma_s: Scalar, wavelength_um: Array, renormalised: bool, exact: bool,
+    table: Array | None = None,
+) -> Array:  # fmt: skip
     """E(theta_d): directional albedo at |F| = 1 of a facet's own diffraction lobe, per wavelength.
 
     E = Int over |o_p| <= 1 of (1 - A) S_HS(|i_p + o_p|/lambda) d^2 o_p for light at theta_d from the facet's normal.
@@ -69,15 +76,24 @@ def lobe_albedo(
         theta_d: incidence on the facet (rad), any shape. b_um, sigma_s: micrometres. c: falloff of the spectrum.
         wavelength_um: shape ``(C, 1, ..., 1)``, as many ones as ``theta_d`` has axes.
         renormalised: whether sigma_rel and the lobe's amplitude are renormalised (Eq. 17-19).
+        table: :func:`lobe_albedo_table`, if it is known already.
 
     Returns:
         shape ``(C, *theta_d.shape)``. Accuracy: 5e-4 (``tests/model/test_energy.py``); 2e-3 at b/lambda > 100, or
         where c > 5 and sigma_s > lambda/2 beyond 80 degrees.
     """
-    wavelengths = wavelength_um.reshape(-1)
-    table = _lobe_albedo_table(b_um / wavelengths, c, sigma_s / wavelengths, renormalised, exact)  # (C, K)
+    if table is None:
+        table = lobe_albedo_table(b_um, c, sigma_s, wavelength_um, renormalised, exact)
     x = jnp.asarray(theta_d) * (2 / jnp.pi)
     return chebyshev.evaluate(table.T.reshape(LOBE_INCIDENCES, -1, *(1,) * x.ndim), x)
+
+
+def lobe_albedo_table(
+    b_um: Scalar, c: Scalar, sigma_s: Scalar, wavelength_um: Array, renormalised: bool, exact: bool
+) -> Array:
+    """E at the Chebyshev nodes of theta_d/(pi/2), (C, LOBE_INCIDENCES); arguments as for :func:`lobe_albedo`."""
+    wavelengths = wavelength_um.reshape(-1)
+    return _lobe_albedo_table(b_um / wavelengths, c, sigma_s / wavelengths, renormalised, exact)
 
 
 def _lobe_albedo_table(

@@ -87,7 +87,14 @@ class Measured(Reflectance):
         return self._inside(self.material.factors()) | losses
 
     def tables(self) -> Mapping[str, Factor]:  # noqa: D102
-        found = self._inside(self.material.tables())
+        return self._inside(self.material.tables()) | self._exponents()
+
+    def curves(self) -> Mapping[str, Factor]:  # noqa: D102
+        return self._inside(self.material.curves()) | self._exponents()
+
+    def _exponents(self) -> dict[str, Factor]:
+        """Derived ones, which are the same in all directions."""
+        found: dict[str, Factor] = {}
         if self.grazing_loss == "derived":
             found |= {
                 f"{lobe}_exponent": lambda v, s, lobe=lobe: self._derived(lobe, v, s.wavelength_um.reshape(-1))

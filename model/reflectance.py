@@ -204,6 +204,10 @@ class Reflectance(ABC):
         """
         return {}
 
+    def curves(self) -> Mapping[str, Factor]:
+        """Like :meth:`tables`, but over nodes of their own, whatever the directions: for scattered ones."""
+        return self.tables()
+
     def coarse(self, order: int) -> "Reflectance":
         """A cheaper variant with the same parameters, factors and tables; ``order``: of its quadratures."""
         return self
@@ -341,6 +345,20 @@ def evaluate(
     return assembled(shaped(params, s), s)
 
 
+def prepared(
+    model: Reflectance, params: Mapping[str, ArrayLike], wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM
+) -> dict[str, Array]:
+    """Parameters and what many scattered directions share of them: :func:`evaluate` takes them, and looks up.
+
+    A renderer asks for millions of directions of one material; so each costs what it costs on a grid.
+    """
+    one = jnp.ones((1,))
+    s = setting(Geometry(0 * one, 0 * one, one, one), model, wavelengths_um)
+    values = shaped(params, s)
+    found = {name: jnp.asarray(x) for name, x in params.items()}
+    return found | {name: compute(values, s) for name, compute in model.curves().items()}
+
+
 def assembled(values: Values, s: Setting) -> Array:
     """The same of values from :func:`shaped`."""
     return s.model.assemble(factor_values(values, s), s).brdf(s)
@@ -354,7 +372,8 @@ def factor_values(values: Values, s: Setting) -> dict[str, Array]:
 def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
     """Parameters in the precision of the angles, those per channel with a leading axis; tables if given."""
     model = s.model
-    needed, extra = [q.name for q in model.parameters], [*model.tables(), *model.switches]
+    needed = [q.name for q in model.parameters]
+    extra = [*model.tables(), *model.curves(), *model.switches]
     if missing := [name for name in (*needed, *model.switches) if name not in params]:
         raise KeyError(f"{model} needs {', '.join(missing)}: {model!r}")
     if unknown := params.keys() - model.ignored() - {*needed, *extra}:

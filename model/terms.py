@@ -63,11 +63,36 @@ def relative_variance(v: Values, s: Setting) -> Array:
     return diffraction.renormalisation(jnp.sin(s.geometry.theta_d), v["b"] / s.wavelength_um, v["c"])
 
 
+def variance_curve(v: Values, s: Setting) -> Array:
+    """The same as a table over theta_d, (SHARES, C)."""
+    return energy.share_curve(v["b"] / s.wavelength_um.reshape(-1), v["c"])
+
+
+def facet_albedo(v: Values, s: Setting) -> Array:
+    """Albedo of the facets' diffraction lobe as a table over theta_d, (C, LOBE_INCIDENCES)."""
+    e = _effects(s)
+    return energy.lobe_albedo_table(
+        v["b"], v["c"], v["sigma_s"], s.wavelength_um, e.renormalised, e.diffraction == "exact"
+    )
+
+
+def lobe_surface(v: Values, s: Setting) -> Array:
+    """log (S * D) as a table over theta_h and B, up to the sharpest channel's: :func:`convolution.surface`."""
+    sharpest = 2 * v["b"] / jnp.min(s.wavelength_um)
+    return convolution.surface(sharpest, v["c"], v["beta"], v["p"], _effects(s).order)
+
+
 def _variance_and_phase(v: Values, s: Setting) -> tuple[Array, Array]:
     """sigma_rel^2/sigma_s^2, or 1, and the exponent of A_spec."""
     share = jnp.ones((), v["sigma_s"].dtype)
     if _effects(s).renormalised:
-        share = v["relative_variance"] if "relative_variance" in v else relative_variance(v, s)
+        if "relative_variance" in v:
+            share = v["relative_variance"]
+        elif "variance_curve" in v:
+            lacks = 2 * jnp.sin(jnp.pi / 4 - s.geometry.theta_d / 2) ** 2  # 1 - sin(theta_d)
+            share = energy.share_of(v["b"] / s.wavelength_um.reshape(-1), v["c"], v["variance_curve"])(lacks[None])
+        else:
+            share = relative_variance(v, s)
     return share, diffraction.phase_variance(share * v["sigma_s"] ** 2, s.geometry.cos_d, s.wavelength_um)
 
 
@@ -76,8 +101,9 @@ def undiffracted(v: Values, s: Setting) -> Array:
     e = _effects(s)
     if e.split == "conserving":
         albedo = energy.lobe_albedo(
-            s.geometry.theta_d, v["b"], v["c"], v["sigma_s"], s.wavelength_um, e.renormalised, e.diffraction == "exact"
-        )
+            s.geometry.theta_d, v["b"], v["c"], v["sigma_s"], s.wavelength_um, e.renormalised, e.diffraction == "exact",
+            v.get("facet_albedo"),
+        )  # fmt: skip
         return jnp.maximum(1 - albedo, 0.0) * specular(v, s)
     return A_spec(v, s) * specular(v, s)
 
@@ -199,5 +225,8 @@ def blurred_lobe(v: Values, s: Setting) -> Array:
             truncated = zonal.convolve(theta_h, B, c, beta, p, e.zonal_order)
             # no bound on the albedo holds for a lobe that is negative somewhere
             return jnp.maximum(truncated, 0.0) if e.split == "conserving" else truncated
+        case _ if "lobe_surface" in v:
+            sharpest = 2 * v["b"] / jnp.min(s.wavelength_um)
+            return convolution.from_surface(v["lobe_surface"], theta_h, B, sharpest)
         case _:
             return convolution.convolve_many(theta_h, cos_over_lambda, v["b"], c, beta, p, e.order)

@@ -213,6 +213,16 @@ class TwoScale(Reflectance):
             found["surface_albedo"] = terms.surface_albedo
         return found
 
+    def curves(self) -> dict[str, Factor]:  # noqa: D102
+        found = self.tables()
+        if found.pop("relative_variance", None):
+            found["variance_curve"] = terms.variance_curve
+        if self.diffraction == "quadrature":
+            found["lobe_surface"] = terms.lobe_surface
+        if self.diffraction != "off" and self.split == "conserving":
+            found["facet_albedo"] = terms.facet_albedo
+        return found
+
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
         sharp = {"specular": at["specular"] / (s.geometry.cos_i * s.geometry.cos_o)}
         if "diffracted" in at:
@@ -338,7 +348,8 @@ def _parameters(model: TwoScale) -> tuple[Parameter, ...]:
 def _names_of_all() -> frozenset[str]:
     """Names that parameters and tables may have, so that values of a material do for fewer effects as well."""
     every = [TwoScale(body, index=index) for index, body in KINDS]
-    tables = [*TwoScale("lambert", split="conserving").tables()]
+    whole = TwoScale("lambert", split="conserving")
+    tables = [*whole.tables(), *whole.curves()]
     return frozenset([*(q.name for model in every for q in model.parameters), *tables])
 
 

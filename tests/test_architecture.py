@@ -7,11 +7,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ALLOWED = {"model": {"model"}, "merl_io": {"merl_io"}, "fitting": {"model", "merl_io", "fitting"}}
-LIBRARIES = {"model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"}}
+ALLOWED = {
+    "model": {"model"}, "merl_io": {"merl_io"}, "scene": {"model", "scene"},
+    "fitting": {"model", "merl_io", "scene", "fitting"},
+}  # fmt: skip
+LIBRARIES = {
+    "model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"},
+    "scene": {"jax", "numpy", "equinox", "scipy", "pydantic", "PIL", "OpenEXR"},
+}  # fmt: skip
 STANDARD = {
     "abc", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools",
-    "json", "math", "operator", "os", "pathlib", "stat", "struct", "tempfile", "threading", "types", "typing",
+    "json", "math", "operator", "os", "pathlib", "stat", "struct", "tempfile", "threading", "time", "tomllib", "types",
+    "typing",
 }  # fmt: skip
 
 

@@ -17,6 +17,8 @@ from typing import Literal
 import numpy as np
 
 from ...merl_io.grid import merl_grid
+from ...scene.colour import cielab
+from ...scene.lights import studio
 
 Lighting = Literal["lamp", "environment"]
 LAMP = np.array([0.45, 0.55, 0.7]) / np.linalg.norm([0.45, 0.55, 0.7])  # camera along z, up along y
@@ -25,12 +27,6 @@ LAMP_NODES = 3  # radii of its disc, with 6 azimuths each
 AZIMUTHS = 24  # of half vectors, on each of 90 rows
 GOLDEN = (np.sqrt(5) - 1) / 2
 PIXELS = {"lamp": 900, "environment": 220}  # of the comparison, spread evenly over the disc of the sphere
-SKY, GROUND = 0.6, 0.15
-BOXES = (((-0.6, 0.5, 0.6), 60.0, 4.0), ((0.7, 0.6, 0.3), 200.0, 12.0), ((0.2, 0.9, -0.3), 30.0, 2.0))
-"""Direction, concentration and radiance of the environment's windows."""
-XYZ = np.array(
-    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
-)
 
 
 @dataclass(frozen=True)
@@ -99,17 +95,13 @@ def _environment_view(normal: np.ndarray) -> View:
     i = 2 * cos_d * h - o
     cos_i = np.einsum("psk,pk->ps", i, normal)
     lit = (cos_i > 0) & (cos_d[..., 0] > 0)
-    weight = np.where(lit, environment(i) * cos_i * 4 * cos_d[..., 0] * solid_angle, 0.0)
+    weight = np.where(lit, _radiance(i) * cos_i * 4 * cos_d[..., 0] * solid_angle, 0.0)
     return View(_bins(i, o, normal[:, None]), weight / (_irradiance() / np.pi))
 
 
-def environment(direction: np.ndarray) -> np.ndarray:
-    """Radiance from unit directions (..., 3): sky, ground and three windows."""
-    radiance = GROUND + (SKY - GROUND) / (1 + np.exp(-8 * direction[..., 1]))
-    for towards, sharpness, strength in BOXES:
-        cosine = direction @ np.array(towards) / np.linalg.norm(np.array(towards))
-        radiance = radiance + strength * np.exp(sharpness * (cosine - 1))
-    return radiance
+def _radiance(direction: np.ndarray) -> np.ndarray:
+    """Of the studio."""
+    return np.asarray(studio(direction))
 
 
 @cache
@@ -117,7 +109,7 @@ def _irradiance() -> float:
     """Of a surface that faces the camera."""
     points = disc(20_000)  # even in the projected disc: the mean is the irradiance over pi
     z = np.sqrt(np.maximum(1 - np.sum(points**2, -1), 0.0))
-    return float(np.pi * environment(np.concatenate([points, z[:, None]], -1)).mean())
+    return float(np.pi * _radiance(np.concatenate([points, z[:, None]], -1)).mean())
 
 
 def _frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,15 +133,6 @@ def _bins(i: np.ndarray, o: np.ndarray, normal: np.ndarray) -> np.ndarray:
     places = (row, theta_d / (np.pi / 2) * 90, phi_d / (np.pi / 2) * 90)
     h, d, p = (np.clip(x.astype(np.int32), 0, 89) for x in places)
     return (h * 90 + d) * 90 + p
-
-
-def cielab(radiance: np.ndarray) -> np.ndarray:
-    """CIELAB (L*, a*, b*) of linear sRGB, (..., 3), relative to white (1, 1, 1); brighter than white is not cut off."""
-    xyz = np.maximum(radiance, 0.0) @ XYZ.T / XYZ.sum(1)
-    delta = 6 / 29
-    f = np.where(xyz > delta**3, np.cbrt(xyz), xyz / (3 * delta**2) + 4 / 29)
-    x, y, z = np.moveaxis(f, -1, 0)
-    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
 
 
 def difference(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> float:

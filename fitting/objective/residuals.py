@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial, reduce
 from operator import add
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,13 +17,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from ...model import reflectance
+from ...model.materialised import materialised, true_of
 from ...model.reflectance import Reflectance, Setting, reads
 from ..support.threads import side_by_side
 from .problem import Directions, Part, Problem, shares
 from .transforms import Layout
 
 Numbers = np.ndarray | Array
-T = TypeVar("T")
 
 
 def predict(model: Reflectance, values: Mapping[str, Array], where: Directions) -> np.ndarray:
@@ -184,27 +184,6 @@ def _setting(model: Reflectance, b: Directions) -> Setting:
     return reflectance.setting(b.geometry, model, b.bands.wavelengths_um, b.log_base)
 
 
-def _materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
-    """``compute(*args)``, its results written to memory instead of being computed again by each of their users.
-
-    XLA's CPU compiler fuses producers into every consumer and drops optimisation barriers; a conditional it must keep.
-    Measured when all azimuths were still evaluated: normal equations 0.34 s with it, 1.2 s without.
-
-    Args:
-        always: true, which the compiler must not know (`_true_of`).
-    """
-    shapes = jax.eval_shape(compute, *args)
-    return jax.lax.cond(always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)
-
-
-def _true_of(number: Array) -> Array:
-    """True whatever the number is, NaN and infinities included, which XLA does not find out.
-
-    It knows that x < x is false, and |x| < 0, but nothing of minus infinity.
-    """
-    return ~(number < -jnp.inf)
-
-
 def with_tables(model: Reflectance, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
     """Values and what all blocks look up."""
     s = _setting(model, jax.tree.map(lambda x: x[0], where))
@@ -258,9 +237,9 @@ def _block_gram(
             result.append(weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
         return [*result, b.target - weigh(b.root, model.assemble(at, s).brdf(s))]
 
-    always = _true_of(b.target[0, 0, 0, 0])
-    at, slopes = _materialised(factor_derivatives, always, values, b.directions)
-    columns_ = [x.reshape(x.shape[0], -1) for x in _materialised(columns, always, at, slopes, b)]
+    always = true_of(b.target[0, 0, 0, 0])
+    at, slopes = materialised(factor_derivatives, always, values, b.directions)
+    columns_ = [x.reshape(x.shape[0], -1) for x in materialised(columns, always, at, slopes, b)]
     upper = {
         (i, j): jnp.sum(columns_[i] * columns_[j], -1, dtype=jnp.float64)
         for i in range(len(columns_))

@@ -7,15 +7,15 @@ from merlfit.fitting.assess.picture import (
     LAMP,
     LAMP_RADIUS_RAD,
     PIXELS,
-    cielab,
     comparison,
     difference,
     disc,
-    environment,
     view,
 )
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.geometry import Geometry
+from merlfit.scene.colour import cielab
+from merlfit.scene.lights import studio
 
 WHITE = np.full((3, 90, 90, 90), 1 / np.pi)
 EVERYWHERE = np.ones((90, 90, 90), bool)
@@ -134,7 +134,7 @@ def sphere_of_directions(count):
 def received(normals, count=100_000):
     """Irradiance of the environment on surfaces, by directions that know nothing of half vectors."""
     i = sphere_of_directions(count)
-    light = environment(i)
+    light = studio(i)
     return np.array([4 * np.pi * np.mean(light * np.maximum(i @ n, 0)) for n in normals])
 
 
@@ -159,7 +159,7 @@ def test_the_environment_s_picture_of_a_lobe_is_the_integral_over_light():
     lobe = np.exp(-((np.tan(grid.theta_h) / width) ** 2))[:, None, None] * np.ones((3, 90, 90, 90))
     positions = disc(40)
     i = sphere_of_directions(400_000)
-    light, camera = environment(i), np.array([0.0, 0.0, 1.0])
+    light, camera = studio(i), np.array([0.0, 0.0, 1.0])
     h = unit(i + camera)
     white = received(camera[None])[0] / np.pi
     expected = []

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.objective.problem import Part, directions
-from merlfit.fitting.objective.residuals import _materialised, _normal_equations, _true_of
+from merlfit.fitting.objective.residuals import _normal_equations
+from merlfit.model.materialised import materialised, true_of
 from merlfit.model.two_scale import TwoScale
 
 EFFECTS = TwoScale("none", "off")
@@ -31,13 +32,13 @@ def test_data_that_are_no_numbers_do_not_become_zeros():
 @pytest.mark.parametrize("number", [0.0, 1.0, -1.0, np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_the_flag_is_true_of_every_number(number, kind):
-    assert bool(jax.jit(_true_of)(jnp.asarray(number, kind)))
+    assert bool(jax.jit(true_of)(jnp.asarray(number, kind)))
 
 
 def test_the_compiler_keeps_the_condition():
     def doubled(flag_of):
-        twice = lambda x: _materialised(lambda y: 2 * jnp.sin(y), flag_of(x[0]), x)  # noqa: E731
+        twice = lambda x: materialised(lambda y: 2 * jnp.sin(y), flag_of(x[0]), x)  # noqa: E731
         return jax.jit(twice).lower(jnp.ones(3)).compile().as_text()
 
-    assert "conditional(" in doubled(_true_of)
+    assert "conditional(" in doubled(true_of)
     assert "conditional(" not in doubled(lambda x: ~(jnp.abs(x) < 0))  # which it knows to be true

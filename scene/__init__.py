@@ -1,0 +1,1 @@
+"""RENDERING: scenes, what effects their pictures call for, and the pictures; knows models, no file format of fits."""

@@ -1,0 +1,323 @@
+"""Pictures: every pixel the mean of samples, each of which asks the material for light from lamps and environment.
+
+Directions are drawn by the material's own sampler and by the environment's brightness, in shares that depend on how
+uneven it is, and weighted by the density of both together. Numbers are a scrambled Sobol sequence, turned around in
+every pixel by another amount (Cranley & Patterson 1976). Pictures with the same seed and the same samplers take the
+same directions.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.stats import qmc
+
+from ..model.geometry import Geometry
+from ..model.materialised import materialised, true_of
+from ..model.sampling import Sampler
+from . import lights
+from . import shapes as forms
+from .description import Camera, Scene, SceneError
+from .shapes import FAR, Shapes
+from .surface import Drawn, Material
+
+CHUNK = 1 << 16  # samples at a time
+DIMENSIONS = 2, 1, 3, 2, 2  # of the place in a pixel, of the choice, of environment, material, and each lamp
+LEAST = 1e-12  # density: below it the direction did not come from either
+STREAM = 0x5CE7E  # of random numbers that turn the sequence
+Report = Callable[[float], None]
+
+
+class View(eqx.Module):
+    """A camera: where it is, and what takes places in the picture to directions.
+
+    Attributes:
+        origin: (3,). corner, right, down: directions to the picture's upper left corner, and along its edges.
+        size: width and height.
+    """
+
+    origin: Array
+    corner: Array
+    right: Array
+    down: Array
+    size: tuple[int, int] = eqx.field(static=True)
+
+    def rays(self, pixel: Array, place: Array) -> Array:
+        """Unit directions (..., 3) through places (..., 2) in pixels counted by rows."""
+        x, y = (
+            (pixel % self.size[0] + place[..., 0]) / self.size[0],
+            (pixel // self.size[0] + place[..., 1]) / self.size[1],
+        )
+        towards = self.corner + x[..., None] * self.right + y[..., None] * self.down
+        return towards / jnp.linalg.norm(towards, axis=-1, keepdims=True)
+
+
+class Stage(eqx.Module):
+    """All of a scene but its materials, as arrays.
+
+    Attributes:
+        open: whether nothing can be in the way of light.
+    """
+
+    view: View
+    shapes: Shapes
+    lamps: tuple[lights.Lamp, ...]
+    environment: lights.Environment | None
+    open: bool = eqx.field(static=True)
+    background: bool = eqx.field(static=True)
+
+
+class Rays(NamedTuple):
+    """Light that a pixel's samples ask for, in the frame of the surface.
+
+    Attributes:
+        i, o: directions of light and viewer, (L, P, S, 3). weight: what a BRDF of 1/sr adds to the pixel, (L, P, S, 3).
+    """
+
+    i: Array
+    o: Array
+    weight: Array
+
+
+def _view(camera: Camera) -> View:
+    position, ahead = np.array(camera.position), np.subtract(camera.look_at, camera.position)
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, camera.up)
+    right = right / np.linalg.norm(right)
+    height = 2 * np.tan(np.radians(camera.field_of_view_deg) / 2)
+    right, down = right * height * camera.width / camera.height, -np.cross(right, ahead) * height
+    origin, corner, right, down = (
+        jnp.asarray(x, jnp.float32) for x in (position, ahead - right / 2 - down / 2, right, down)
+    )
+    return View(origin, corner, right, down, (camera.width, camera.height))
+
+
+def stage(scene: Scene, radiance: np.ndarray | None = None) -> Stage:
+    """A scene made ready.
+
+    Args:
+        radiance: of the environment's map (H, W, 3), where it has one.
+    """
+    names = list(scene.materials)
+    spheres = [(np.array(s.centre), s.radius, names.index(s.material)) for s in scene.sphere]
+    walls = [(np.array(r.corner), np.array(r.across), np.array(r.up), names.index(r.material)) for r in scene.rectangle]
+    around = None
+    if scene.environment is not None:
+        if scene.environment.kind == "map":
+            if radiance is None:
+                raise SceneError("the environment's map was not read")
+            found = radiance
+        elif scene.environment.kind == "studio":
+            found = np.asarray(lights.studio(lights.directions(256, 512)))[..., None]
+        else:
+            found = np.ones((2, 4, 1))
+        around = lights.environment(found * np.array(scene.environment.strength))
+    lamps = tuple(
+        lights.lamp(np.array(x.towards), np.array(x.irradiance), np.radians(x.radius_deg)) for x in scene.lamp
+    )
+    return Stage(
+        _view(scene.camera), forms.shapes(spheres, walls), lamps, around, forms.unobstructed(spheres, walls),
+        scene.environment is not None and scene.environment.background,
+    )  # fmt: skip
+
+
+class Numbers(eqx.Module):
+    """Uniform numbers of samples, (S, D), and a seed by which each pixel turns them."""
+
+    sequence: Array
+    key: Array
+
+    def of(self, pixel: Array) -> Array:
+        """(P, S, D) in [0, 1)."""
+        turn = jax.vmap(lambda k: jax.random.uniform(jax.random.fold_in(self.key, k), self.sequence.shape[1:]))(pixel)
+        moved = self.sequence + turn[:, None].astype(jnp.float32)
+        return jnp.minimum(moved - jnp.floor(moved), np.float32(1 - 2**-24))
+
+
+def numbers(scene: Scene, samples: int | None = None) -> Numbers:
+    """Those of a scene's seed."""
+    dimensions = sum(DIMENSIONS[:4]) + DIMENSIONS[4] * len(scene.lamp)
+    count = samples or scene.samples
+    sobol = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(scene.seed))
+    drawn = sobol.random_base2(int(np.ceil(np.log2(count))))[:count] if count > 1 else sobol.random(1)
+    return Numbers(jnp.asarray(drawn, jnp.float32), jax.random.fold_in(jax.random.key(scene.seed), STREAM))
+
+
+def _frame(normal: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a normal (Duff et al. 2017)."""
+    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
+    sign = jnp.where(z < 0, -1.0, 1.0).astype(z.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    return (
+        jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], -1),
+        jnp.stack([b, sign + y * y * a, -y], -1),
+    )
+
+
+class _Hits(NamedTuple):
+    """Where samples meet the material: point, three axes of the surface, viewer in their frame; and whether."""
+
+    point: Array
+    axes: tuple[Array, Array, Array]
+    viewer: Array
+    seen: Array
+
+
+def _hits(stage: Stage, material: Array, pixel: Array, u: Array) -> _Hits:
+    """Of samples (P, S)."""
+    origin = stage.view.origin
+    towards = stage.view.rays(pixel[:, None], u[..., :2])
+    distance, index = stage.shapes.nearest(jnp.broadcast_to(origin, towards.shape), towards)
+    seen = (distance < FAR) & (stage.shapes.material[index] == material)
+    point = origin + jnp.where(seen, distance, 1.0)[..., None] * towards
+    normal = stage.shapes.normals(index, point)
+    normal = jnp.where(seen[..., None], normal, jnp.array([0.0, 0.0, 1.0], normal.dtype))
+    axes = (*_frame(normal), normal)
+    viewer = _local(axes, -towards)
+    seen = seen & (viewer[..., 2] > 0)
+    return _Hits(point, axes, jnp.where(seen[..., None], viewer, jnp.array([0.0, 0.0, 1.0], viewer.dtype)), seen)
+
+
+def _local(axes: tuple[Array, Array, Array], direction: Array) -> Array:
+    return jnp.stack([jnp.sum(direction * axis, -1) for axis in axes], -1)
+
+
+def lit(stage: Stage, sampler: Sampler, material: Array, pixel: Array, u: Array) -> Rays:
+    """What samples ``u`` (P, S, D) of pixels (P,) ask of the material; weights are 0 where another shape is seen."""
+    always = true_of(stage.view.origin[0])
+    hits = materialised(partial(_hits, stage), always, material, pixel, u)
+    found = [materialised(each, always, hits, u) for each in _lights(stage, sampler)]
+    directions, weights = (jnp.stack([each[k] for each in found]) for k in range(2))
+    return Rays(directions, jnp.broadcast_to(hits.viewer, directions.shape), weights)
+
+
+def _lights(stage: Stage, sampler: Sampler) -> Iterator[Callable[[_Hits, Array], tuple[Array, Array]]]:
+    """Of each light: from hits and numbers to directions in the surface's frame and weights, (P, S, 3)."""
+    start = sum(DIMENSIONS[:2])
+
+    def reaching(hits: _Hits, direction: Array, light: Array, weight: Array) -> tuple[Array, Array]:
+        """Light in coordinates of the world and of the surface."""
+        reaches = hits.seen & (light[..., 2] > 0)
+        if not stage.open:
+            reaches = reaches & ~stage.shapes.blocked(hits.point, direction)
+        return light, jnp.where(reaches[..., None], weight * light[..., 2:], 0.0) / light.shape[1]
+
+    def from_around(around: lights.Environment, hits: _Hits, u: Array) -> tuple[Array, Array]:
+        by_light = around.draw(u[..., start : start + 3])
+        by_material = sampler.draw(hits.viewer, u[..., start + 3 : start + 5])
+        chosen = (u[..., 2] < around.share)[..., None]
+        world = sum(by_material[..., k, None] * axis for k, axis in enumerate(hits.axes))
+        light = jnp.where(chosen, _local(hits.axes, by_light), by_material)
+        direction = jnp.where(chosen, by_light, world)
+        by_both = around.density(direction), sampler.density(hits.viewer, light)
+        density = around.share * by_both[0] + (1 - around.share) * by_both[1]
+        return reaching(hits, direction, light, around.look(direction) / jnp.maximum(density, LEAST)[..., None])
+
+    def from_lamp(k: int, lamp: lights.Lamp, hits: _Hits, u: Array) -> tuple[Array, Array]:
+        first = sum(DIMENSIONS[:4]) + DIMENSIONS[4] * k
+        direction = lamp.draw(u[..., first : first + 2])
+        return reaching(hits, direction, _local(hits.axes, direction), lamp.irradiance)
+
+    if stage.environment is not None:
+        yield partial(from_around, stage.environment)
+    for k, lamp in enumerate(stage.lamps):
+        yield partial(from_lamp, k, lamp)
+
+
+def radiance(material: Material, rays: Rays) -> Array:
+    """Of pixels, (P, 3)."""
+    g = materialised(Geometry.from_vectors, true_of(rays.weight[0, 0, 0, 0]), rays.i, rays.o)
+    found = material.brdf(g)
+    each = [jnp.where(rays.weight[..., k] > 0, rays.weight[..., k] * found[k], 0.0) for k in range(3)]
+    return jnp.stack([jnp.sum(x, (0, 2)) for x in each], -1)
+
+
+@eqx.filter_jit
+def _shaded(
+    stage: Stage, sampler: Sampler, materials: tuple[Material, ...], index: Array, pixel: Array, numbers: Numbers
+) -> list[Array]:
+    rays = lit(stage, sampler, index, pixel, numbers.of(pixel))
+    return [radiance(material, rays) for material in materials]
+
+
+@eqx.filter_jit
+def _first(stage: Stage, pixel: Array, numbers: Numbers, materials: int) -> tuple[Array, Array]:
+    """Which materials pixels see (P, M), and what of the background, (P, 3)."""
+    u = numbers.of(pixel)
+    towards = stage.view.rays(pixel[:, None], u[..., :2])
+    distance, index = stage.shapes.nearest(jnp.broadcast_to(stage.view.origin, towards.shape), towards)
+    hit = distance < FAR
+    seen = [jnp.any(hit & (stage.shapes.material[index] == k), 1) for k in range(materials)]
+    behind = jnp.zeros((*pixel.shape, 3), jnp.float32)
+    if stage.background and stage.environment is not None:
+        behind = jnp.mean(jnp.where(hit[..., None], 0.0, stage.environment.look(towards)), 1)
+    return jnp.stack(seen, -1), behind
+
+
+class Film:
+    """Which pixels see what, for one scene and its numbers."""
+
+    def __init__(self, scene: Scene, stage: Stage, samples: int | None = None) -> None:
+        self.scene, self.stage, self.numbers = scene, stage, numbers(scene, samples)
+        self.size = scene.camera.width, scene.camera.height
+        self.step = max(CHUNK // self.numbers.sequence.shape[0], 1)
+
+    @cached_property
+    def _first(self) -> tuple[np.ndarray, np.ndarray]:
+        every = np.arange(self.size[0] * self.size[1])
+        found = [_first(self.stage, p, self.numbers, len(self.scene.materials)) for p, _ in self.chunks(every)]
+        seen, behind = (np.concatenate([np.asarray(each[k]) for each in found])[: len(every)] for k in range(2))
+        return seen, behind
+
+    def pixels(self, material: int) -> np.ndarray:
+        """Those that see a material in any sample, counted by rows."""
+        return np.flatnonzero(self._first[0][:, material])
+
+    @property
+    def background(self) -> np.ndarray:
+        """Radiance of what is behind the shapes, (pixels, 3)."""
+        return self._first[1]
+
+    def chunks(self, pixels: np.ndarray) -> Iterator[tuple[Array, int]]:
+        """Pixels at a time, as many in each, the last filled up by its last; and how many of them count."""
+        for start in range(0, len(pixels), self.step):
+            part = pixels[start : start + self.step]
+            yield jnp.asarray(np.pad(part, (0, self.step - len(part)), "edge"), jnp.int32), len(part)
+
+    def shade(
+        self, drawn: Drawn, others: Sequence[Material], material: int, pixels: np.ndarray
+    ) -> Iterator[np.ndarray]:
+        """Radiance chunk by chunk, (1 + others, pixels of the chunk, 3): the others by the first one's directions."""
+        every = (drawn.material, *others)
+        for pixel, count in self.chunks(pixels):
+            found = _shaded(self.stage, drawn.sampler, every, jnp.asarray(material), pixel, self.numbers)
+            yield np.stack([np.asarray(each)[:count] for each in found])
+
+
+def pictures(
+    film: Film, materials: Sequence[Drawn], others: Sequence[Sequence[Material]] = (), report: Report = lambda _: None
+) -> np.ndarray:
+    """Radiance over white, (1 + K, height, width, 3), K the number of ``others`` of each material.
+
+    Args:
+        materials: in the order of the scene. others: of each material as many more, by the same directions.
+        report: told the share that is done.
+    """
+    more = len(others[0]) if others else 0
+    found = np.repeat(film.background[None], 1 + more, 0)
+    todo = [film.pixels(k) for k in range(len(materials))]
+    whole, done = sum(map(len, todo)), 0
+    for k, pixels in enumerate(todo):
+        begin = 0
+        for part in film.shade(materials[k], others[k] if others else (), k, pixels):
+            end = begin + part.shape[1]
+            found[:, pixels[begin:end]] += part
+            begin, done = end, done + part.shape[1]
+            report(done / whole)
+    return found.reshape(1 + more, film.size[1], film.size[0], 3) / film.scene.white

@@ -1,0 +1,125 @@
+"""Commands of scenes: what they write, say and refuse."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_results import made
+from merlfit.fitting import scenes
+from merlfit.fitting.cli import app
+from merlfit.fitting.results.export import write_result
+from merlfit.scene import effects
+from merlfit.scene.images import read_map
+from PIL import Image
+from typer.testing import CliRunner
+
+ROOT = Path(__file__).parents[2]
+SMALL = """
+samples = 4
+[camera]
+position = [0, 0, 6]
+field_of_view_deg = 22
+width = 16
+height = 16
+[[lamp]]
+towards = [0.4, 0.5, 0.8]
+[[sphere]]
+material = "a"
+[materials.a]
+"""
+GGX = 'model = "ggx"\nparameters = { alpha = 0.3, F0 = 0.5, albedo = [0.1, 0.2, 0.3] }\n'
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    monkeypatch.setattr(effects, "PIXELS", 128)
+    studio = scenes.STUDIO
+    camera = studio.camera.model_copy(update={"width": 12, "height": 12})
+    monkeypatch.setattr(scenes, "STUDIO", studio.model_copy(update={"camera": camera, "samples": 4}))
+
+
+def run(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def scene(folder, material):
+    path = folder / "scene.toml"
+    path.write_text(SMALL + material)
+    return path
+
+
+@pytest.fixture
+def result(tmp_path):
+    path = tmp_path / "nickel.json"
+    write_result(path, made())
+    return path
+
+
+def test_a_scene_is_planned_rendered_and_compared(tmp_path):
+    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out")
+    assert found.exit_code == 0, found.output
+    report = json.loads((tmp_path / "out" / "render.json").read_text())
+    assert report["within"] is True
+    assert set(report["seconds"]) == {"plan", "all effects"}
+    assert report["difference"]["99.9 % of pixels"] <= 1.0
+    picture = read_map(tmp_path / "out" / "picture.exr")
+    assert picture.shape == (16, 16, 3)
+    assert np.asarray(Image.open(tmp_path / "out" / "picture.png")).max() > 100
+    for name in ("all_effects.exr", "all_effects.png", "difference.exr", "difference.png"):
+        assert (tmp_path / "out" / name).is_file()
+    again = run("render", scene(tmp_path, GGX), "-o", tmp_path / "again", "--no-check")
+    assert again.exit_code == 0
+    np.testing.assert_array_equal(read_map(tmp_path / "again" / "picture.exr"), picture)
+    assert not (tmp_path / "again" / "all_effects.exr").exists()
+
+
+def test_effects_of_a_result_in_a_scene(tmp_path, result):
+    found = run("effects", scene(tmp_path, f'result = "{result.name}"\nparameters = {{ sigma_s = 1e-6 }}\n'))
+    assert found.exit_code == 0, found.output
+    rows = [line for line in found.output.splitlines() if "│ diffraction " in line]
+    assert len(rows) == 1
+    assert "dropped" in rows[0]
+
+
+def test_a_result_is_a_sphere_and_a_grid_of_them(tmp_path, result):
+    found = run("render", result, "-o", tmp_path / "out")
+    assert found.exit_code == 0, found.output
+    assert np.asarray(Image.open(tmp_path / "out" / "nickel.png")).shape == (12, 12, 3)
+    assert "the fit alone" in found.output
+    found = run("render", result, "--vary", "sigma_s=0.5,1,2", "--vary", "b=0.5,2", "-o", tmp_path / "out")
+    assert found.exit_code == 0, found.output
+    grid = np.asarray(Image.open(tmp_path / "out" / "nickel.sigma_s-b.png"))
+    assert grid.shape == (24, 36, 3)
+    assert not np.array_equal(grid[:12, :12], grid[:12, 12:24])
+
+
+@pytest.mark.parametrize(
+    ("material", "said"),
+    [
+        ('model = "ggx"\nparameters = { alpha = 0.3, F0 = 0.5 }\n', "needs albedo"),
+        (GGX.replace("alpha", "alfa"), "no parameter alfa"),
+        (GGX.replace("0.3, F0", "-0.3, F0"), "impossible"),
+        (GGX.replace('"ggx"', '"gggx"'), "nearest is 'ggx'"),
+        ('measured = "none.binary"\n', "none.binary: no such file"),
+        ('result = "none.json"\n', "none.json: cannot be read"),
+    ],
+)
+def test_materials_that_cannot_be_used(tmp_path, material, said):
+    found = run("effects", scene(tmp_path, material))
+    assert found.exit_code == 2
+    assert said in found.output
+    assert "Traceback" not in found.output
+
+
+@pytest.mark.parametrize("vary", ["sigma_s", "sigma_s=a", "sigma_s=-1,2", "sigma=1,2"])
+def test_what_cannot_be_varied(tmp_path, result, vary):
+    found = run("render", result, "--vary", vary, "-o", tmp_path)
+    assert found.exit_code == 2
+    assert "--vary" in found.output or "no parameter sigma" in found.output
+
+
+@pytest.mark.parametrize("name", ["matte", "metal", "paint"])
+def test_the_scenes_that_are_shipped_can_be_read(name):
+    ready = scenes.staged(ROOT / "configs" / "scenes" / f"{name}.toml")
+    assert {each.name for each in ready.given} == set(ready.scene.materials)

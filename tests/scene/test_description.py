@@ -1,0 +1,54 @@
+"""Scenes that cannot be rendered are refused in one line that says what to mend."""
+
+import pytest
+from merlfit.scene.description import SceneError, load
+
+GOOD = """
+[camera]
+position = [0, 0, 6]
+[[lamp]]
+towards = [0, 1, 1]
+[[sphere]]
+material = "a"
+[materials.a]
+model = "ggx"
+"""
+CASES = {
+    "no shape": (GOOD.replace("[[sphere]]\nmaterial = \"a\"\n", ""), r"no \[\[sphere\]\]"),
+    "no light": (GOOD.replace("[[lamp]]\ntowards = [0, 1, 1]\n", ""), "no light"),
+    "no material": (GOOD.replace('material = "a"', 'material = "b"'), r"no \[materials.b\]"),
+    "unused": (GOOD + '[materials.z]\nmodel = "ggx"\n', r"\[materials.z\]"),
+    "two sources": (GOOD + 'result = "x.json"\n', "result and model"),
+    "misspelt": (GOOD.replace("position", "positon"), "camera"),
+    "on top": (GOOD.replace("[0, 0, 6]", "[0, 0, 0]"), "look_at should differ"),
+    "dark lamp": (GOOD.replace("[0, 1, 1]", "[0, 0, 0]"), "towards should not"),
+    "tolerances": (GOOD + "[tolerance]\ncielab = 1\nradiance = 0.1\n", "either cielab or radiance"),
+    "skewed": (
+        GOOD.replace('[[sphere]]', '[[rectangle]]\ncorner=[0,0,0]\nacross=[1,0,0]\nup=[1,1,0]'), "right angles"
+    ),
+    "map without file": (GOOD + '[environment]\nkind = "map"\n', "file is for"),
+    "not TOML": ("[camera", "is not TOML"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_wrong_is_named(case, tmp_path):
+    text, said = CASES[case]
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(SceneError, match=said) as error:
+        load(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(SceneError, match="cannot be read"):
+        load(tmp_path / "none.toml")
+
+
+def test_what_is_left_out_has_its_default(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text("\ufeff" + GOOD, encoding="utf-8")  # as Windows editors write it
+    found = load(path)
+    assert (found.samples, found.camera.width, found.tolerance.cielab) == (64, 256, 1.0)
