@@ -349,6 +349,30 @@ def render(
         render_results(what, out, vary or [], samples, seed)
 
 
+@app.command(epilog="Example: merlfit export fits/nickel.json --to mitsuba -o exported")
+def export(
+    result: Annotated[
+        Path,
+        typer.Argument(help="RESULT.json of a fit; --to mitsuba also a MERL file.", show_default=False, readable=False),
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            help="mitsuba (scene and tables), merl (.binary), json (parameters alone), gltf or openpbr (nearest GGX).",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),
+) -> None:
+    """Write a fitted material for another program.
+
+    A scene for Mitsuba 3 renders at once: python -m merlfit.scene.mitsuba OUT/NAME.xml (it needs merlfit[mitsuba]).
+    """
+    from .exports import export as write_export
+
+    write_export(result, to, out)
+
+
 @app.command(epilog="Example: merlfit cost -o cost")
 def cost(
     file: Annotated[

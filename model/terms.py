@@ -90,7 +90,8 @@ def _variance_and_phase(v: Values, s: Setting) -> tuple[Array, Array]:
             share = v["relative_variance"]
         elif "variance_curve" in v:
             lacks = 2 * jnp.sin(jnp.pi / 4 - s.geometry.theta_d / 2) ** 2  # 1 - sin(theta_d)
-            share = energy.share_of(v["b"] / s.wavelength_um.reshape(-1), v["c"], v["variance_curve"])(lacks[None])
+            lacks = lacks.reshape((1,) * (s.wavelength_um.ndim - lacks.ndim) + lacks.shape)
+            share = energy.share_of(v["b"] / s.wavelength_um.reshape(-1), v["c"], v["variance_curve"])(lacks)
         else:
             share = relative_variance(v, s)
     return share, diffraction.phase_variance(share * v["sigma_s"] ** 2, s.geometry.cos_d, s.wavelength_um)

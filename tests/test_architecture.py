@@ -8,17 +8,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
-    "model": {"model"}, "merl_io": {"merl_io"}, "scene": {"model", "scene"},
+    "model": {"model"}, "merl_io": {"merl_io"}, "scene": {"model", "merl_io", "scene"},
     "fitting": {"model", "merl_io", "scene", "fitting"},
 }  # fmt: skip
 LIBRARIES = {
     "model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"},
-    "scene": {"jax", "numpy", "equinox", "scipy", "pydantic", "PIL", "OpenEXR"},
+    "scene": {"jax", "numpy", "equinox", "scipy", "pydantic", "PIL", "OpenEXR", "mitsuba", "drjit"},
 }  # fmt: skip
 STANDARD = {
-    "abc", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools",
-    "json", "math", "operator", "os", "pathlib", "stat", "struct", "tempfile", "threading", "time", "tomllib", "types",
-    "typing",
+    "abc", "argparse", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib",
+    "inspect", "itertools", "json", "math", "operator", "os", "pathlib", "stat", "struct", "tempfile", "threading",
+    "time", "tomllib", "types", "typing",
 }  # fmt: skip
 
 

@@ -123,3 +123,57 @@ def test_what_cannot_be_varied(tmp_path, result, vary):
 def test_the_scenes_that_are_shipped_can_be_read(name):
     ready = scenes.staged(ROOT / "configs" / "scenes" / f"{name}.toml")
     assert {each.name for each in ready.given} == set(ready.scene.materials)
+
+
+@pytest.mark.parametrize("to", ["mitsuba", "json", "merl"])
+def test_exports(tmp_path, result, to):
+    found = run("export", result, "--to", to, "-o", tmp_path / "out")
+    assert found.exit_code == 0, found.output
+    out = tmp_path / "out"
+    if to == "mitsuba":
+        scene_file = (out / "nickel.xml").read_text()
+        assert str(out / "nickel.mitsuba.npz") in scene_file
+        with np.load(out / "nickel.mitsuba.npz") as arrays:
+            assert np.all(np.isfinite(arrays["brdf"]))
+    elif to == "json":
+        written = json.loads((out / "nickel.material.json").read_text())
+        assert written["model"] == "two-scale"
+        assert {"beta", "n_R"} <= written["parameters"].keys()
+        assert not any(name.startswith("grazing") for name in written["parameters"])
+    else:
+        from merlfit.merl_io.binary import read
+
+        assert read(out / "nickel.binary").valid.any()
+
+
+def test_the_nearest_ggx_of_ggx_is_itself(tmp_path, monkeypatch):
+    """A metal of GGX facets: glTF and OpenPBR can say all of it but the colour of F0's mean."""
+    from merlfit.fitting import exports
+    from merlfit.fitting.output.synthesis import tabulate
+    from merlfit.merl_io.binary import write
+    from merlfit.model.reflectance import evaluate
+    from merlfit.model.registry import models
+
+    given = {"alpha": 0.2, "F0": np.array([0.9, 0.7, 0.4]), "albedo": np.full(3, 1e-4)}
+    values = tabulate(lambda g: evaluate(models()["ggx"](), given, g))
+    monkeypatch.setattr(exports, "from_result", lambda path: (values, "GGX"))
+    nearest = exports.nearest_ggx(tmp_path / "gold.json")
+    assert nearest["metallic"] == 1
+    np.testing.assert_allclose(nearest["base_color"], given["F0"], rtol=5e-3)
+    assert nearest["roughness"] == pytest.approx(np.sqrt(0.2), rel=5e-3)
+    assert nearest["error"]["cielab"] < 0.1
+    text = exports.to_openpbr("gold", nearest, "GGX", tmp_path).read_text()
+    assert "base_metalness" in text
+    assert "CIELAB distance of 0.0" in text
+    asset = json.loads(exports.to_gltf("gold", nearest, "GGX", tmp_path).read_text())
+    assert asset["materials"][0]["extras"]["merlfit"]["error"] == nearest["error"]
+    write(tmp_path / "gold.binary", values)
+    found = run("export", tmp_path / "gold.binary", "--to", "mitsuba", "-o", tmp_path / "measured")
+    assert found.exit_code == 0, found.output
+
+
+@pytest.mark.parametrize(("words", "said"), [(("--to", "blend"), "none of mitsuba"), (("--to", "json"), "fit it for")])
+def test_what_cannot_be_exported(tmp_path, words, said):
+    found = run("export", tmp_path / "x.binary", *words)
+    assert found.exit_code == 2
+    assert said in found.output

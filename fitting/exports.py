@@ -1,0 +1,220 @@
+"""Materials for other programs: Mitsuba, MERL files, plain parameters, and the nearest GGX of glTF and OpenPBR."""
+
+import json
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal, get_args
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from ..merl_io.atomic import write_atomically
+from ..merl_io.binary import MerlError, read, write
+from ..model.reflectance import evaluate
+from ..model.registry import models
+from ..scene.description import SceneError
+from ..scene.surface import Material, measurement
+from ..scene.tables import write_tables
+from .assess.picture import difference
+from .output.synthesis import from_result, tabulate
+from .pipeline.run import fit_file
+from .results.export import ResultError, read_result
+from .results.schema import Result
+from .scenes import folded, of_result
+from .settings.config import AcquisitionSection, load
+from .support.compilation import use_persistent_cache
+from .support.terminal import console, fail, progress_display, reporter, writable_folder
+
+To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
+SCENE = """<?xml version="1.0" encoding="utf-8"?>
+<!-- {said}. Render it: python -m merlfit.scene.mitsuba {name}.xml -o {name}.exr -->
+<scene version="3.0.0">
+    <integrator type="path"/>
+    <sensor type="perspective">
+        <float name="fov" value="20"/>
+        <transform name="to_world"><lookat origin="0, 0, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="256"/><integer name="height" value="256"/></film>
+        <sampler type="multijitter"><integer name="sample_count" value="256"/></sampler>
+    </sensor>
+    <emitter type="constant"><rgb name="radiance" value="0.3"/></emitter>
+    <emitter type="directional">
+        <vector name="direction" value="-0.45, -0.55, -0.7"/><rgb name="irradiance" value="2"/>
+    </emitter>
+    <shape type="sphere"><bsdf type="merlfit"><string name="filename" value={tables}/></bsdf></shape>
+</scene>
+"""
+MATERIALX = """<?xml version="1.0"?>
+<!-- {said} -->
+<materialx version="1.39" colorspace="lin_rec709">
+  <open_pbr_surface name="{name}_surface" type="surfaceshader">
+    <input name="base_color" type="color3" value="{base}"/>
+    <input name="base_metalness" type="float" value="{metal:g}"/>
+    <input name="specular_roughness" type="float" value="{roughness:.6g}"/>
+    <input name="specular_ior" type="float" value="{ior:.6g}"/>
+  </open_pbr_surface>
+  <surfacematerial name="{name}" type="material">
+    <input name="surfaceshader" type="surfaceshader" nodename="{name}_surface"/>
+  </surfacematerial>
+</materialx>
+"""
+
+
+def export(path: Path, to: str, out: Path) -> None:
+    """`merlfit export`: write what another program reads; exits with 2 after bad input."""
+    use_persistent_cache()
+    if to not in get_args(To):
+        raise fail(f"--to {to!r} is none of {', '.join(get_args(To))}")
+    writable_folder(out)
+    try:
+        with progress_display() as progress:
+            say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
+            written = _exported(path, to, out, say)
+    except (ResultError, MerlError, SceneError, OSError) as error:
+        raise fail(str(error)) from None
+    console.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> list[Path]:
+    if path.suffix == ".binary":
+        if to != "mitsuba":
+            raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
+        return to_mitsuba(f"{path.stem}.measured", measurement(*folded(read(path))), f"Measured: {path.name}", out)
+    result = read_result(path)
+    given = of_result(path.stem, result, path)
+    assert given.model is not None
+    said = f"{result.model.name if result.model else ''} fit of {result.source.material} by merlfit"
+    match to:
+        case "mitsuba":
+            say("tables")
+            return to_mitsuba(path.stem, given.of(given.model), said, out)
+        case "merl":
+            say("bins")
+            write(out / f"{path.stem}.binary", from_result(path)[0])
+            return [out / f"{path.stem}.binary"]
+        case "json":
+            return [_write_json(out / f"{path.stem}.material.json", parameters_of(result))]
+        case _:
+            say("nearest GGX")
+            nearest = nearest_ggx(path)
+            write_ = to_gltf if to == "gltf" else to_openpbr
+            return [write_(path.stem, nearest, said, out)]
+
+
+def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path]:
+    """Tables and a scene that renders at once: a sphere under a lamp in an even room."""
+    tables = out / f"{name}.mitsuba.npz"
+    write_tables(tables, material)
+    said = said.replace("--", "- -")
+    text = SCENE.format(said=said, name=name, tables=quoteattr(str(tables.resolve())))
+    return [tables, _write_text(out / f"{name}.xml", text)]
+
+
+def parameters_of(result: Result) -> dict[str, Any]:
+    """What an own implementation of the model needs, without what is of the fit."""
+    assert result.model is not None
+    m = result.model
+    return {
+        "format": "merlfit-material 1", "material": result.source.material, "model": m.name,
+        "citation": models()[m.name].citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
+        "channels": m.channels, "wavelengths_um": m.wavelengths_um,
+        "parameters": {
+            q.name: {"value": q.value, "unit": q.unit, "meaning": q.meaning, "standard_error": q.standard_error}
+            for q in result.parameters if not q.parameter.startswith("grazing_")
+        },
+        "note": "BRDF in 1/sr, linear RGB; the apparatus's loss of light at grazing angles is left out",
+    }  # fmt: skip
+
+
+def nearest_ggx(path: Path) -> dict[str, Any]:
+    """What metallic-roughness materials can say of a fit: GGX facets refitted to it, and how far off they are.
+
+    Fitted to the material's BRDF on MERL's grid with the weights of all fits. Then it becomes a metal or a dielectric,
+    as these formats know no other, whichever is nearer; ``cielab`` is the mean distance of rendered spheres from the
+    fit, conversion included.
+    """
+    values, _ = from_result(path)
+    config = load(None, model=["ggx"], posterior=False)
+    config = config.model_copy(update={"acquisition": AcquisitionSection(grazing_loss="off")})
+    with tempfile.TemporaryDirectory(prefix="merlfit-") as scratch:
+        file = Path(scratch) / f"{path.stem}.binary"
+        write(file, values)
+        found = fit_file(file, scratch, config)
+        measured = read(file)
+    if found.model is None:
+        raise ResultError(f"{path}: GGX could not be fitted to it ({found.fit.status})")
+    v = found.values()
+    ours, valid = folded(measured)
+    kinds = [_converted(v, metal, ours, valid) for metal in (True, False)]
+    return {
+        **min(kinds, key=lambda kind: kind["error"]["cielab"]), "alpha": float(v["alpha"]),
+        "roughness": min(math.sqrt(float(v["alpha"])), 1.0),
+        "ggx": {"rmse": found.metrics.rmse, "smape": found.metrics.smape},
+    }  # fmt: skip
+
+
+def _converted(v: dict[str, Any], metal: bool, ours: np.ndarray, valid: np.ndarray) -> dict[str, Any]:
+    """GGX facets as a metal, or as a dielectric over a body, and how far that is from folded values."""
+    base = np.clip(v["F0"] if metal else v["albedo"], 0, 1)
+    facet = base if metal else np.full(3, min(float(np.mean(v["F0"])), 0.9))
+    given = {"alpha": v["alpha"], "F0": facet, "albedo": np.zeros(3) if metal else base}
+    ggx = models()["ggx"]()
+    converted = tabulate(lambda g: evaluate(ggx, given, g))
+    theirs = (converted[..., :90] + converted[..., :89:-1]) / 2
+    root = math.sqrt(float(facet.mean()))
+    return {
+        "base_color": [float(x) for x in base], "metallic": float(metal),
+        "ior": 1.5 if metal else (1 + root) / (1 - root),
+        "error": {"cielab": difference(ours, np.nan_to_num(theirs), valid)},
+    }  # fmt: skip
+
+
+def in_words(nearest: dict[str, Any]) -> str:
+    """What the file holds, and how far off it is."""
+    return (
+        "the nearest GGX material, without diffraction: rendered spheres differ from the fit by a mean CIELAB distance "
+        f"of {nearest['error']['cielab']:.2f}"
+    )
+
+
+def to_gltf(name: str, nearest: dict[str, Any], said: str, out: Path) -> Path:
+    """A glTF 2.0 asset of one material."""
+    material = {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*nearest["base_color"], 1.0], "metallicFactor": nearest["metallic"],
+            "roughnessFactor": nearest["roughness"],
+        },
+        "extensions": {"KHR_materials_ior": {"ior": nearest["ior"]}},
+        "extras": {
+            "merlfit": {
+                "source": said, "what": in_words(nearest), "error": nearest["error"], "ggx": nearest["ggx"],
+            }
+        },
+    }  # fmt: skip
+    asset = {
+        "asset": {"version": "2.0", "generator": "merlfit"}, "extensionsUsed": ["KHR_materials_ior"],
+        "materials": [material],
+    }  # fmt: skip
+    return _write_json(out / f"{name}.gltf", asset)
+
+
+def to_openpbr(name: str, nearest: dict[str, Any], said: str, out: Path) -> Path:
+    """A MaterialX document of one OpenPBR surface."""
+    plain = "".join(c if c.isalnum() else "_" for c in name)
+    text = MATERIALX.format(
+        said=f"{said}: {in_words(nearest)}".replace("--", "- -"), name=f"m_{plain}", metal=nearest["metallic"],
+        base=", ".join(f"{x:.6g}" for x in nearest["base_color"]), roughness=nearest["roughness"], ior=nearest["ior"],
+    )  # fmt: skip
+    return _write_text(out / f"{name}.mtlx", text)
+
+
+def _write_json(path: Path, what: dict[str, Any]) -> Path:
+    return _write_text(path, json.dumps(what, indent=2, allow_nan=False) + "\n")
+
+
+def _write_text(path: Path, text: str) -> Path:
+    write_atomically(path, lambda file: file.write(text.encode()))  # pyright: ignore[reportArgumentType] - a count
+    return path

@@ -1,0 +1,187 @@
+"""Materials inside Mitsuba 3: the BSDF ``merlfit``, whose tables `merlfit export --to mitsuba` writes.
+
+Importing this module registers it with the variant that is set (``mitsuba.set_variant``), scalar or LLVM; it needs the
+extra ``merlfit[mitsuba]``. ``python -m merlfit.scene.mitsuba SCENE.xml -o PICTURE.exr`` renders a scene with it. LLVM
+variants need LLVM's library: Debian's libllvm19, found here, or ``DRJIT_LIBLLVM_PATH``.
+"""
+
+# pyright: reportMissingImports=false
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+LIBRARIES = tuple(
+    f"/usr/lib/{folder}/libLLVM{end}"
+    for folder in ("x86_64-linux-gnu", "llvm-19/lib", "aarch64-linux-gnu")
+    for end in (".so.19.1", "-19.so.1", "-19.so")
+)
+if "DRJIT_LIBLLVM_PATH" not in os.environ:
+    there = [path for path in LIBRARIES if Path(path).exists()]
+    if there:
+        os.environ["DRJIT_LIBLLVM_PATH"] = there[0]
+
+import drjit  # noqa: E402 - of the extra; after its library is named
+import mitsuba  # noqa: E402
+
+dr: Any = drjit  # types of values depend on the variant
+mi: Any = mitsuba
+
+CELLS, LINEAR, STEEPEST = 256, 2e-4, 1e3  # as in `model.sampling.visible`, without JAX (tests/scene/test_mitsuba.py)
+GRAZING, INCIDENCES, NEWTON, SMALLEST = np.radians(89.9), 48, 5, 1e-6
+LONGEST = float(np.arcsinh(STEEPEST / LINEAR))
+
+
+def make() -> type:
+    """The BSDF's class for the variant that is set."""
+
+    class Merlfit(mi.BSDF):
+        """A tabulated isotropic BRDF, with directions drawn as facets are seen."""
+
+        def __init__(self, props: Any) -> None:  # noqa: ANN401 - of Mitsuba
+            mi.BSDF.__init__(self, props)
+            self.path = props["filename"]
+            with np.load(self.path) as arrays:
+                brdf, share, below = (arrays[name] for name in ("brdf", "share", "below"))
+            linear, nearest = dr.FilterMode.Linear, dr.FilterMode.Nearest
+            self.brdf = mi.Texture3f(mi.TensorXf(brdf), filter_mode=linear, wrap_mode=dr.WrapMode.Clamp)
+            self.share, self.below = (
+                mi.Texture2f(mi.TensorXf(x[..., None]), filter_mode=nearest, wrap_mode=dr.WrapMode.Clamp)
+                for x in (share, below)
+            )
+            flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [flags]
+            self.m_flags = flags
+
+        def _value(self, wi: Any, wo: Any) -> Any:  # noqa: ANN401
+            half = wi + wo
+            length = dr.maximum(dr.norm(half), 1e-8)
+            sine = dr.sqrt(half.x * half.x + half.y * half.y) / length
+            tangent = dr.sqrt(half.x * half.x + half.y * half.y) / dr.maximum(half.z, 1e-8)
+            theta_d = dr.atan2(dr.norm(wi - wo), length)
+            cos_phi = dr.abs(wo.z - wi.z) / dr.maximum(2 * sine * dr.sin(theta_d), 1e-9)
+            place = (
+                dr.asinh(tangent / LINEAR) / LONGEST,
+                theta_d * (2 / dr.pi),
+                dr.acos(dr.minimum(cos_phi, 1.0)) * (2 / dr.pi),
+            )
+            r, g, b, weight = self.brdf.eval(mi.Point3f(place[2], place[1], place[0]))
+            inverse = dr.select(weight > 0, 1 / dr.maximum(weight, 1e-8), 0.0)
+            value = mi.Color3f(dr.exp(r * inverse), dr.exp(g * inverse), dr.exp(b * inverse))
+            return dr.select((wi.z > 0) & (wo.z > 0) & (weight > 0), value, 0.0)
+
+        def _look(self, table: Any, row: Any, cell: Any) -> Any:  # noqa: ANN401
+            return table.eval(mi.Point2f((cell + 0.5) / CELLS, (row + 0.5) / INCIDENCES))[0]
+
+        def _density(self, wi: Any, wo: Any) -> Any:  # noqa: ANN401
+            half = wi + wo
+            tangent = dr.maximum(dr.sqrt(half.x * half.x + half.y * half.y) / dr.maximum(half.z, 1e-8), SMALLEST)
+            place = dr.asinh(tangent / LINEAR) * (CELLS / LONGEST)
+            cell = dr.minimum(dr.floor(place), CELLS - 1)
+            row, t = _row(wi.z)
+            found = self._look(self.share, row, cell) * (1 - t) + self._look(self.share, row + 1, cell) * t
+            along, end = _ring(wi.z, tangent)
+            grown = dr.sqrt(1 + tangent * tangent)
+            by_tangent = found * (CELLS / LONGEST) / dr.sqrt(tangent * tangent + LINEAR * LINEAR)
+            by_azimuth = grown / dr.maximum(
+                2 * (wi.z * end + along * dr.sin(end)), 1e-20
+            )  # over cos_d, which the Jacobian has again
+            found = by_tangent * by_azimuth * grown * grown * grown / (4 * tangent)
+            return dr.select((wi.z > 0) & (wo.z > 0) & (end > 0) & (place < CELLS), found, 0.0)
+
+        def _draw(self, wi: Any, u: Any) -> Any:  # noqa: ANN401
+            row, t = _row(wi.z)
+            first = u.x >= t
+            row = dr.select(first, row, row + 1)
+            v = dr.select(first, (u.x - t) / dr.maximum(1 - t, 1e-8), u.x / dr.maximum(t, 1e-8))
+            cell, step = row * 0.0, CELLS // 2
+            while step:
+                cell = dr.select(self._look(self.below, row, cell + step) <= v, cell + step, cell)
+                step //= 2
+            inside = (v - self._look(self.below, row, cell)) / dr.maximum(self._look(self.share, row, cell), 1e-12)
+            tangent = LINEAR * dr.sinh((cell + dr.clip(inside, 0.0, 1.0)) * (LONGEST / CELLS))
+            along, end = _ring(wi.z, tangent)
+            turn = _azimuth(wi.z, along, end, 2 * u.y - 1)
+            horizontal = dr.sqrt(wi.x * wi.x + wi.y * wi.y)
+            there = horizontal > 1e-12
+            x = dr.select(there, wi.x / dr.maximum(horizontal, 1e-12), 1.0)
+            y = dr.select(there, wi.y / dr.maximum(horizontal, 1e-12), 0.0)
+            c, s, up = dr.cos(turn), dr.sin(turn), 1 / dr.sqrt(1 + tangent * tangent)
+            facet = mi.Vector3f(tangent * up * (x * c - y * s), tangent * up * (y * c + x * s), up)
+            return 2 * dr.dot(wi, facet) * facet - wi
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:  # noqa: ANN401
+            wo = self._draw(si.wi, sample2)
+            density = self._density(si.wi, wo)
+            bs = mi.BSDFSample3f()
+            bs.wo, bs.pdf, bs.eta = wo, density, 1.0
+            bs.sampled_component = mi.UInt32(0)
+            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
+            there = active & (density > 0) & (si.wi.z > 0) & (wo.z > 0)
+            value = self._value(si.wi, wo) * (wo.z / dr.maximum(density, 1e-20))
+            return bs, dr.select(there, mi.Color3f(value), 0.0)
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:  # noqa: ANN401
+            return dr.select(active, self._value(si.wi, wo) * dr.maximum(wo.z, 0.0), 0.0)
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:  # noqa: ANN401
+            return dr.select(active, self._density(si.wi, wo), 0.0)
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:  # noqa: ANN401
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def traverse(self, cb: Any) -> None:  # noqa: ANN401 - nothing to edit
+            pass
+
+        def to_string(self) -> str:
+            return f"Merlfit[filename={self.path}]"
+
+    return Merlfit
+
+
+def _row(cos: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    position = dr.clip(dr.acos(dr.clip(cos, -1.0, 1.0)) * ((INCIDENCES - 1) / GRAZING), 0.0, INCIDENCES - 1.0)
+    row = dr.minimum(dr.floor(position), INCIDENCES - 2.0)
+    return row, position - row
+
+
+def _ring(cos: Any, tangent: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    along = tangent * dr.sqrt(dr.maximum(1 - cos * cos, 0.0))
+    level = cos * (tangent * tangent - 1) / 2 / dr.maximum(along, 1e-12)
+    return along, dr.acos(dr.clip(level, -1.0, 1.0))
+
+
+def _azimuth(cos: Any, along: Any, end: Any, v: Any) -> Any:  # noqa: ANN401
+    aim = dr.abs(v) * (cos * end + along * dr.sin(end))
+    phi = dr.abs(v) * end
+    for _ in range(NEWTON):
+        slope = dr.maximum(cos + along * dr.cos(phi), 1e-7)
+        phi = dr.clip(phi - (cos * phi + along * dr.sin(phi) - aim) / slope, 0.0, end)
+    return dr.select(v < 0, -phi, phi)
+
+
+def register() -> None:
+    """Make ``<bsdf type="merlfit">`` known to the variant that is set."""
+    kind = make()
+    mi.register_bsdf("merlfit", lambda props: kind(props))
+
+
+def main() -> None:
+    """Render a scene file."""
+    parser = argparse.ArgumentParser(prog="python -m merlfit.scene.mitsuba", description="Render a scene by Mitsuba 3.")
+    parser.add_argument("scene", help="SCENE.xml, as `merlfit export --to mitsuba` writes it")
+    parser.add_argument("-o", "--out", default="picture.exr", help="picture to write (.exr or .png)")
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba; scalar_rgb needs no LLVM")
+    parser.add_argument("--samples", type=int, default=0, help="of each pixel, if not as the scene says")
+    asked = parser.parse_args()
+    mi.set_variant(asked.variant)
+    register()
+    mi.util.write_bitmap(asked.out, mi.render(mi.load_file(asked.scene), spp=asked.samples))
+    print(f"wrote {asked.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""The BSDF inside Mitsuba: its own chi-square test, its values, and a sphere beside ours."""
+
+import os
+import sys
+
+import numpy as np
+import pytest
+from merlfit.model.registry import models
+from merlfit.model.sampling import visible as ours
+from merlfit.scene.description import Scene
+from merlfit.scene.render import Film, pictures, stage
+from merlfit.scene.surface import drawn, surface
+from merlfit.scene.tables import write_tables
+
+plugin = pytest.importorskip("merlfit.scene.mitsuba", reason="needs merlfit[mitsuba]", exc_type=ImportError)
+mi, dr = plugin.mi, plugin.dr
+GGX = {"alpha": 0.25, "F0": np.array([0.9, 0.6, 0.3]), "albedo": np.array([0.1, 0.2, 0.3])}
+RGB = (0.645, 0.526, 0.444)
+VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
+
+
+@pytest.fixture(scope="module")
+def made():
+    return surface(models()["ggx"](), GGX, RGB)
+
+
+@pytest.fixture(scope="module")
+def file(made, tmp_path_factory):
+    path = tmp_path_factory.mktemp("tables") / "ggx.npz"
+    write_tables(path, made)
+    return path
+
+
+@pytest.fixture(params=VARIANTS)
+def variant(request):
+    if request.param.startswith("llvm") and "DRJIT_LIBLLVM_PATH" not in os.environ:
+        pytest.skip("needs LLVM: Debian's libllvm19")
+    mi.set_variant(request.param)
+    plugin.register()
+    return request.param
+
+
+def test_constants_are_those_of_the_sampler():
+    for name in ("CELLS", "LINEAR", "STEEPEST", "GRAZING", "INCIDENCES", "NEWTON", "LONGEST"):
+        assert getattr(plugin, name) == getattr(ours, name), name
+
+
+def test_values_are_those_of_the_model(variant, file):
+    from merlfit.model.geometry import Geometry
+    from merlfit.model.reflectance import evaluate
+
+    bsdf = mi.load_dict({"type": "merlfit", "filename": str(file)})
+    rng = np.random.default_rng(0)
+    worst = []
+    for _ in range(40):
+        pair = rng.normal(size=(2, 3))
+        pair[:, 2] = np.abs(pair[:, 2]) + 0.2
+        i, o = pair / np.linalg.norm(pair, axis=1, keepdims=True)
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi = mi.Vector3f([float(x) for x in i])
+        found = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f([float(x) for x in o]))).ravel() / o[2]
+        expected = np.asarray(evaluate(models()["ggx"](), GGX, Geometry.from_vectors(i, o)))
+        worst.append(np.max(np.abs(found - expected) / expected))
+    assert np.median(worst) < 2e-3
+    assert max(worst) < 3e-2
+
+
+@pytest.mark.parametrize("angle", [5, 50, 80])
+def test_mitsubas_own_chi_square(file, angle):
+    if "DRJIT_LIBLLVM_PATH" not in os.environ:
+        pytest.skip("needs LLVM: Debian's libllvm19")
+    mi.set_variant("llvm_ad_rgb")
+    plugin.register()
+    from mitsuba.chi2 import BSDFAdapter, ChiSquareTest, SphericalDomain
+
+    wi = [float(np.sin(np.radians(angle))), 0.0, float(np.cos(np.radians(angle)))]
+    draw, density = BSDFAdapter("merlfit", f'<string name="filename" value="{file}"/>', wi=wi)
+    test = ChiSquareTest(
+        domain=SphericalDomain(), sample_func=draw, pdf_func=density, sample_dim=3, sample_count=400_000, ires=16
+    )
+    assert test.run(), test.messages
+    assert sys.modules["mitsuba"] is mi
+
+
+def test_a_sphere_is_that_of_our_renderer(variant, file, made):
+    size, spp = 12, 1024
+    scene = mi.load_dict({
+        "type": "scene", "integrator": {"type": "path"},
+        "sensor": {
+            "type": "perspective", "fov": 22, "fov_axis": "y",
+            "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 6], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+        },
+        "light": {"type": "constant", "radiance": 0.3},
+        "lamp": {"type": "directional", "direction": [-0.45, -0.55, -0.7], "irradiance": 2.0},
+        "sphere": {"type": "sphere", "bsdf": {"type": "merlfit", "filename": str(file)}},
+    })  # fmt: skip
+    theirs = np.array(mi.render(scene, spp=spp, seed=1))[..., :3]
+    description = Scene.model_validate({
+        "camera": {"position": (0, 0, 6), "field_of_view_deg": 22, "width": size, "height": size},
+        "environment": {"kind": "constant", "strength": 0.3},
+        "lamp": [{"towards": (0.45, 0.55, 0.7), "irradiance": 2.0, "radius_deg": 0}],
+        "sphere": [{"material": "a"}], "materials": {"a": {"model": "ggx"}}, "samples": spp,
+    })  # fmt: skip
+    (found,) = pictures(Film(description, stage(description)), [drawn(made)])
+    inside = np.s_[3:9, 3:9]  # the whole disc of the sphere but its rim, where a pixel is partly background
+    off = np.abs(found[inside] / theirs[inside] - 1)  # both by chance; most where a pixel has half of the highlight
+    assert np.quantile(off, 0.9) < 0.03
+    assert off.max() < 0.15
+    np.testing.assert_allclose(found[inside].mean(), theirs[inside].mean(), rtol=5e-3)
