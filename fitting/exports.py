@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
@@ -30,7 +31,7 @@ from .support.terminal import console, fail, progress_display, reporter, writabl
 
 To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
-<!-- {said}. Render it: python -m merlfit.scene.mitsuba {name}.xml -o {name}.exr -->
+<!-- {said}. Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr -->
 <scene version="3.0.0">
     <integrator type="path"/>
     <sensor type="perspective">
@@ -107,8 +108,7 @@ def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path
     """Tables and a scene that renders at once: a sphere under a lamp in an even room."""
     tables = out / f"{name}.mitsuba.npz"
     write_tables(tables, material)
-    said = said.replace("--", "- -")
-    text = SCENE.format(said=said, name=name, tables=quoteattr(str(tables.resolve())))
+    text = SCENE.format(said=_comment(said), tables=quoteattr(str(tables.resolve())))
     return [tables, _write_text(out / f"{name}.xml", text)]
 
 
@@ -205,10 +205,15 @@ def to_openpbr(name: str, nearest: dict[str, Any], said: str, out: Path) -> Path
     """A MaterialX document of one OpenPBR surface."""
     plain = "".join(c if c.isalnum() else "_" for c in name)
     text = MATERIALX.format(
-        said=f"{said}: {in_words(nearest)}".replace("--", "- -"), name=f"m_{plain}", metal=nearest["metallic"],
+        said=_comment(f"{said}: {in_words(nearest)}"), name=f"m_{plain}", metal=nearest["metallic"],
         base=", ".join(f"{x:.6g}" for x in nearest["base_color"]), roughness=nearest["roughness"], ior=nearest["ior"],
     )  # fmt: skip
     return _write_text(out / f"{name}.mtlx", text)
+
+
+def _comment(text: str) -> str:
+    """What XML allows in a comment."""
+    return re.sub("-{2,}", "-", text).replace("<", " ").replace("&", "and")
 
 
 def _write_json(path: Path, what: dict[str, Any]) -> Path:

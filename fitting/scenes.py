@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 import typer
+from pydantic import ValidationError
 from rich.table import Table
 
 from ..merl_io.binary import Measurement, MerlError, read
@@ -72,6 +73,8 @@ def given_of(name: str, source: Source, folder: Path) -> Given:
             return of_result(name, result, folder / source.result, source.parameters)
         assert source.model is not None
         model = made(source.model, source.settings)
+        if model.objection is not None:
+            raise SceneError(f"{where}: {model.objection}")
         return Given(name, model, values_of(model, source.parameters, where), WAVELENGTHS_UM)
     except (MerlError, ResultError, ValueError) as error:
         raise SceneError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
@@ -103,9 +106,12 @@ def values_of(model: Reflectance, given: Mapping[str, Any], where: str) -> dict[
         if value.shape not in ((), (1,), (3,)) or (value.size == 3 and not q.per_channel):
             wanted = "one number, or three" if q.per_channel else "one number"
             raise SceneError(f"{where}: {name} should be {wanted}, not {given[name]}")
-        least = q.offset if q.scale == "log" else q.lower
-        if not np.all(np.isfinite(value)) or np.any(value < least) or (q.scale == "log" and np.any(value <= least)):
-            raise SceneError(f"{where}: {name} {given[name]} is impossible: it is above {least:g}")
+        log = q.scale == "log" and name != "k"  # of a metal without absorption k is 0
+        least, most = (q.offset if log else min(q.lower, 0.0)), np.inf if q.scale == "log" else max(q.upper, 1.0)
+        if not np.all(np.isfinite(value) & (value >= least) & (value <= most)) or (log and np.any(value <= least)):
+            least_said = f"{'above' if log else 'at least'} {least:g}"
+            most_said = "" if most == np.inf else f" and at most {most:g}"
+            raise SceneError(f"{where}: {name} should be {least_said}{most_said}, not {given[name]}")
         found[name] = np.broadcast_to(value.reshape(-1), (3,)).copy() if q.per_channel else value.reshape(())
     return found
 
@@ -125,12 +131,25 @@ def staged(path: Path, **changes: Any) -> Staged:  # noqa: ANN401 - settings of 
     Raises:
         SceneError: the scene, a material or the environment's map cannot be used.
     """
-    scene = load(path).model_copy(update={k: v for k, v in changes.items() if v is not None})
+    scene = changed(load(path), **changes)
     given = tuple(given_of(name, source, path.parent) for name, source in scene.materials.items())
     around, found = scene.environment, None
     if around is not None and around.file is not None:
         found = images.read_map(path.parent / around.file)
-    return Staged(scene, Film(scene, stage(scene, found)), given)
+    film = Film(scene, stage(scene, found))
+    if hidden := [each.name for k, each in enumerate(given) if not len(film.pixels(k))]:
+        raise SceneError(f"{path}: no pixel sees {hidden[0]}: move the camera, or take its shapes out")
+    return Staged(scene, film, given)
+
+
+def changed(scene: Scene, **changes: Any) -> Scene:  # noqa: ANN401 - settings of a scene
+    """The same with some settings changed, those that are None left as they are."""
+    given = {name: value for name, value in changes.items() if value is not None}
+    try:
+        return Scene.model_validate({**scene.model_dump(), **given})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise SceneError(f"--{first['loc'][0]}: {first['msg'].replace('Input should be', 'should be')}") from None
 
 
 def plans_of(ready: Staged, say: Say) -> list[Plan]:
@@ -152,10 +171,11 @@ def plan_table(plans: Sequence[Plan], scene: Scene) -> Table:
         table.add_column(heading, justify=justify)  # pyright: ignore[reportArgumentType] - left or right
     for each in plans:
         for row in each.rows:
-            together = "nothing left of it" if row.together is None else f"{row.together:.3g}"
+            moot = row.together is None
+            together = "nothing left of it" if moot else f"{row.together:.3g}"
             table.add_row(
-                each.name, row.effect.name, "kept" if row.kept else "dropped", f"{row.alone:.3g}", together,
-                f"{row.nanoseconds:.0f} ns", "" if row.kept else row.effect.instead,
+                each.name, row.effect.name, "kept" if row.kept else "moot" if moot else "dropped", f"{row.alone:.3g}",
+                together, f"{row.nanoseconds:.0f} ns", "" if row.kept else row.effect.instead,
             )  # fmt: skip
         looked = "all" if each.pixels == each.of else f"{each.pixels} of"
         said = "measured, as it is" if each.reference is None else f"off by {each.off_by:.3g}"
@@ -329,7 +349,7 @@ def plan_scene(path: Path) -> None:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             ready = staged(path)
             found = plans_of(ready, say)
-    except SceneError as error:
+    except (SceneError, OSError) as error:
         raise fail(str(error)) from None
     console.print(plan_table(found, ready.scene))
 
@@ -344,7 +364,7 @@ def render_scene(path: Path, out: Path, every: bool, check: bool, samples: int |
             ready = staged(path, samples=samples, seed=seed)
             plans = None if every else plans_of(ready, lambda effect: say(f"effects: {effect}"))
             found = render(ready, out, plans, check, lambda what, share: say(Stage(what, share)))
-    except SceneError as error:
+    except (SceneError, OSError) as error:
         raise fail(str(error)) from None
     if plans is not None:
         console.print(plan_table(plans, ready.scene))
@@ -371,8 +391,11 @@ def render_results(
     """`merlfit render RESULT...`: each beside its file, or varied; exits with 2 after bad input."""
     use_persistent_cache()
     writable_folder(out)
-    changes = {k: v for k, v in (("samples", samples), ("seed", seed)) if v is not None}
-    scene, code = STUDIO.model_copy(update=changes), 0
+    code = 0
+    try:
+        scene = changed(STUDIO, samples=samples, seed=seed)
+    except SceneError as error:
+        raise fail(str(error)) from None
     if vary and len(paths) > 1:
         raise fail("--vary is for one fit at a time")
     with progress_display() as progress:

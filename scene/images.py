@@ -56,9 +56,11 @@ def read_map(path: Path) -> np.ndarray:
                 found = one.pixels[..., :3] if one else np.stack([channels[k].pixels for k in "RGB"], -1)
         else:
             raise SceneError(f"{path}: a map is an .exr or .npy file")
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        found = np.asarray(found, float)
+    except SceneError:
+        raise
+    except (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError) as error:
         raise SceneError(f"{path}: cannot be read as a map ({error})") from None
-    found = np.asarray(found, float)
     if found.ndim != 3 or found.shape[2] != 3 or min(found.shape[:2]) < 2:
         raise SceneError(f"{path}: a map has the shape (height, width, 3), not {found.shape}")
     if not np.all(np.isfinite(found)) or found.min() < 0 or found.max() == 0:

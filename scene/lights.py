@@ -39,10 +39,10 @@ class Lamp(eqx.Module):
     radius: Array
 
     def draw(self, u: Array) -> Array:
-        """Directions evenly over its disc, (..., 3)."""
-        radius, turn = jnp.tan(self.radius) * jnp.sqrt(u[..., :1]), 2 * jnp.pi * u[..., 1:2]
-        towards = self.axes[2] + radius * (jnp.cos(turn) * self.axes[0] + jnp.sin(turn) * self.axes[1])
-        return towards / jnp.linalg.norm(towards, axis=-1, keepdims=True)
+        """Directions over its disc of even radiance, by the irradiance of a surface that faces it, (..., 3)."""
+        sine, turn = jnp.sin(self.radius) * jnp.sqrt(u[..., :1]), 2 * jnp.pi * u[..., 1:2]
+        across = jnp.cos(turn) * self.axes[0] + jnp.sin(turn) * self.axes[1]
+        return jnp.sqrt(1 - sine * sine) * self.axes[2] + sine * across
 
 
 def lamp(towards: ArrayLike, irradiance: ArrayLike, radius: float) -> Lamp:

@@ -1,7 +1,7 @@
 """Materials inside Mitsuba 3: the BSDF ``merlfit``, whose tables `merlfit export --to mitsuba` writes.
 
-Importing this module registers it with the variant that is set (``mitsuba.set_variant``), scalar or LLVM; it needs the
-extra ``merlfit[mitsuba]``. ``python -m merlfit.scene.mitsuba SCENE.xml -o PICTURE.exr`` renders a scene with it. LLVM
+:func:`register` makes it known to the variant that is set (``mitsuba.set_variant``), scalar or LLVM; it needs the extra
+``merlfit[mitsuba]``. ``python -m merlfit.scene.mitsuba SCENE.xml -o PICTURE.exr`` renders a scene with it. LLVM
 variants need LLVM's library: Debian's libllvm19, found here, or ``DRJIT_LIBLLVM_PATH``.
 """
 

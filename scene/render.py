@@ -222,7 +222,8 @@ def _lights(stage: Stage, sampler: Sampler) -> Iterator[Callable[[_Hits, Array],
     def from_lamp(k: int, lamp: lights.Lamp, hits: _Hits, u: Array) -> tuple[Array, Array]:
         first = sum(DIMENSIONS[:4]) + DIMENSIONS[4] * k
         direction = lamp.draw(u[..., first : first + 2])
-        return reaching(hits, direction, _local(hits.axes, direction), lamp.irradiance)
+        towards = jnp.sum(direction * lamp.axes[2], -1, keepdims=True)
+        return reaching(hits, direction, _local(hits.axes, direction), lamp.irradiance / towards)
 
     if stage.environment is not None:
         yield partial(from_around, stage.environment)

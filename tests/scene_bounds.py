@@ -7,9 +7,11 @@ import json
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 from merlfit.fitting.cost.calibration import truth
 from merlfit.fitting.support.compilation import use_persistent_cache
+from merlfit.scene import effects
 from merlfit.scene.description import Scene
 from merlfit.scene.effects import Given, allowed, off_by, plan
 from merlfit.scene.render import Film, pictures, stage
@@ -21,7 +23,7 @@ RGB = (0.645, 0.526, 0.444)
 
 
 def random_scene(rng):
-    """One to three spheres before a wall or none, one or two lamps or a studio, a camera around them; and materials."""
+    """One to three spheres, one or two lamps, a studio or both, a camera around them; and names of materials."""
     spheres = int(rng.integers(1, 4))
     names = [f"m{k}" for k in range(spheres)]
     kind = rng.integers(3)
@@ -38,7 +40,7 @@ def random_scene(rng):
     scene = Scene.model_validate({
         "camera": {
             "position": (7 * np.sin(turn), rng.uniform(-1, 2), 7 * np.cos(turn)), "field_of_view_deg": 35,
-            "width": 128, "height": 128,
+            "width": 192, "height": 192,
         },
         "sphere": [
             {"centre": (2.1 * (k - (spheres - 1) / 2), 0, 0), "radius": float(rng.uniform(0.6, 1)), "material": name}
@@ -75,10 +77,12 @@ def judged(seed):
 
 def main():
     use_persistent_cache()
+    effects.PIXELS = 1536  # fewer than a sphere covers: chance has a part in every plan
     count, rows = int(sys.argv[1]) if len(sys.argv) > 1 else SCENES, []
     for seed in range(count):
         rows.append(judged(seed))
         print(rows[-1], flush=True)
+        jax.clear_caches()  # programs of many scenes take more mappings of memory than a process may have
     kept = sum(row["found"] <= row["tolerance"] for row in rows)
     head = (
         "# Plans of random scenes\n\nSynthetic materials of random parameters. `found`: CIELAB difference to all "

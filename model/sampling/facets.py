@@ -37,8 +37,8 @@ class Normals(Protocol):
 class EPD(eqx.Module):
     """The exponential power distribution, tan(theta_m) = beta x^(1/2p) with x of a Gamma(1/p) law (HP17 Eq. 49).
 
-    HP15 Eq. 23 prints the exponent p/2. The quantile of that law is looked up, to 1e-8
-    (``tests/sampling/test_facets.py``).
+    HP15 Eq. 23 prints the exponent p/2. The quantile of that law is looked up, to 1e-7
+    (``tests/sampling/test_sampling.py``).
     """
 
     beta: Array

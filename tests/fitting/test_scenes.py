@@ -99,7 +99,9 @@ def test_a_result_is_a_sphere_and_a_grid_of_them(tmp_path, result):
     [
         ('model = "ggx"\nparameters = { alpha = 0.3, F0 = 0.5 }\n', "needs albedo"),
         (GGX.replace("alpha", "alfa"), "no parameter alfa"),
-        (GGX.replace("0.3, F0", "-0.3, F0"), "impossible"),
+        (GGX.replace("0.3, F0", "-0.3, F0"), "alpha should be"),
+        (GGX.replace("F0 = 0.5", "F0 = 7.0"), "F0 should be"),
+        ('model = "two-scale"\nsettings = { body = "any" }\n', "body should be"),
         (GGX.replace('"ggx"', '"gggx"'), "nearest is 'ggx'"),
         ('measured = "none.binary"\n', "none.binary: no such file"),
         ('result = "none.json"\n', "none.json: cannot be read"),
@@ -177,3 +179,49 @@ def test_what_cannot_be_exported(tmp_path, words, said):
     found = run("export", tmp_path / "x.binary", *words)
     assert found.exit_code == 2
     assert said in found.output
+
+
+def test_a_fit_beside_its_file(tmp_path, monkeypatch):
+    """Measured and fitted are alike where the file is of the fit itself, and the distance between them is black."""
+    from merlfit.fitting.output.synthesis import tabulate
+    from merlfit.merl_io.binary import read, write
+    from merlfit.model.reflectance import evaluate
+
+    whole = made()
+    model, values = whole.model.measured, whole.values()
+    write(tmp_path / "nickel.binary", tabulate(lambda g: evaluate(model, values, g, whole.model.wavelengths_um)))
+    sha1 = read(tmp_path / "nickel.binary").sha1
+    write_result(tmp_path / "nickel.json", made(path=str(tmp_path / "nickel.binary"), sha1=sha1))
+    found = run("render", tmp_path / "nickel.json", "-o", tmp_path / "out")
+    assert found.exit_code == 0, found.output
+    picture = np.asarray(Image.open(tmp_path / "out" / "nickel.png"))
+    assert picture.shape == (12, 36, 3)
+    inside = np.s_[3:9, 3:9]
+    measured, fitted, away = (picture[:, k : k + 12][inside].astype(int) for k in (0, 12, 24))
+    assert measured.max() > 40
+    assert np.abs(measured - fitted).mean() < 4
+    assert away.mean() < 40
+
+
+def test_a_picture_that_misses_the_tolerance_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(effects, "allowed", lambda tolerance: 1e9)  # a plan that drops everything
+    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out")
+    assert found.exit_code == 1
+    assert "--all-effects" in found.output
+    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out", "--all-effects", "--seed", "3")
+    assert found.exit_code == 0, found.output
+
+
+@pytest.mark.parametrize("words", [("--seed", 2**70), ("--samples", 10**9)])
+def test_numbers_out_of_range(tmp_path, words):
+    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out", *words)
+    assert found.exit_code == 2
+    assert words[0] in found.output
+
+
+def test_a_camera_that_sees_nothing(tmp_path):
+    path = scene(tmp_path, GGX)
+    path.write_text(path.read_text().replace("position = [0, 0, 6]", "position = [0, 0, 6]\nlook_at = [0, 0, 12]"))
+    found = run("effects", path)
+    assert found.exit_code == 2
+    assert "no pixel sees a" in found.output

@@ -90,6 +90,7 @@ def test_a_sphere_is_that_of_our_renderer(variant, file, made):
             "type": "perspective", "fov": 22, "fov_axis": "y",
             "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 6], target=[0, 0, 0], up=[0, 1, 0]),
             "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+            "sampler": {"type": "multijitter", "sample_count": spp},
         },
         "light": {"type": "constant", "radiance": 0.3},
         "lamp": {"type": "directional", "direction": [-0.45, -0.55, -0.7], "irradiance": 2.0},

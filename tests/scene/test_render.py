@@ -70,6 +70,14 @@ def test_a_lamp_lights_by_the_cosine():
     np.testing.assert_allclose(found[inner], expected[inner], atol=0.03)  # a pixel covers 0.03 of the slope
 
 
+def test_a_wide_lamp_gives_its_irradiance():
+    made = scene(
+        lamp=[{"towards": (0, 0, 1), "irradiance": np.pi, "radius_deg": 40}], samples=1024,
+        sphere=[], rectangle=[{"material": "a", "corner": (-9, -9, 0), "across": (18, 0, 0), "up": (0, 18, 0)}],
+    )  # fmt: skip
+    np.testing.assert_allclose(rendered(made, ggx(WHITE)), 1.0, rtol=5e-3)
+
+
 @pytest.mark.parametrize("kind", ["ggx", "two-scale"])
 def test_a_pixel_under_the_studio_is_the_integral(kind):
     """Over all directions by a fine grid of them, without samplers."""
