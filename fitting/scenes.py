@@ -27,7 +27,7 @@ from .output.inspection import file_of
 from .results.export import ResultError, read_result
 from .results.schema import Result
 from .support.clock import Stage
-from .support.compilation import use_persistent_cache
+from .support.compilation import make_room, use_persistent_cache
 from .support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
@@ -154,10 +154,11 @@ def changed(scene: Scene, **changes: Any) -> Scene:  # noqa: ANN401 - settings o
 
 def plans_of(ready: Staged, say: Say) -> list[Plan]:
     """What the scene calls for of each material."""
-    return [
-        plan(ready.scene, ready.film, each, k, lambda effect, name=each.name: say(f"{name}: {effect}"))
-        for k, each in enumerate(ready.given)
-    ]
+    found = []
+    for k, each in enumerate(ready.given):
+        make_room()
+        found.append(plan(ready.scene, ready.film, each, k, lambda effect, name=each.name: say(f"{name}: {effect}")))
+    return found
 
 
 def plan_table(plans: Sequence[Plan], scene: Scene) -> Table:

@@ -24,6 +24,15 @@ def compilation_cache(tmp_path_factory):
     os.environ["MERLFIT_CACHE_DIR"] = folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def room_for_programs():
+    """A worker that has compiled for an hour must not run out of mappings of memory."""
+    yield
+    from merlfit.fitting.support.compilation import make_room  # not before the import hook
+
+    make_room()
+
+
 @pytest.fixture(scope="module")
 def compiled_quickly():
     """Programs that are run a few times on a few directions: half the time to compile, twice the time to run."""

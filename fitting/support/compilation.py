@@ -71,3 +71,20 @@ def _mend(folder: Path) -> None:
             note(f"damaged programs in {folder} were deleted and are compiled again, once")
 
     warnings.showwarning = shown
+
+
+MAPPINGS = 30_000  # of memory, of the 65 530 that Linux allows a process; a compiled program takes up to some hundreds
+
+
+def make_room() -> None:
+    """Forget compiled programs where they take so many mappings that LLVM would soon find no memory for more.
+
+    They come back from the cache on disk. Where mappings cannot be counted, nothing is done.
+    """
+    try:
+        with open("/proc/self/maps", "rb") as file:
+            many = sum(1 for _ in file) > MAPPINGS
+    except OSError:
+        return
+    if many:
+        jax.clear_caches()
