@@ -366,7 +366,7 @@ def export(
 ) -> None:
     """Write a fitted material for another program.
 
-    A scene for Mitsuba 3 renders at once: python -m merlfit.scene.mitsuba OUT/NAME.xml (it needs merlfit[mitsuba]).
+    A scene for Mitsuba 3 renders at once: python -m merlfit.scene.mitsuba OUT/NAME.xml (it needs the extra "mitsuba").
     """
     from .exports import export as write_export
 
