@@ -7,6 +7,7 @@ short chain, and leaves out what the README calls slow: `--preset conserving` an
 import argparse
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -49,6 +50,7 @@ def run(folder, programs_in, quick, text=None):
     text, failed = (ROOT / "README.md").read_text() if text is None else text, []
     environment = {**os.environ, "PATH": f"{programs_in}{os.pathsep}{os.environ['PATH']}"}
     (folder / "short.toml").write_text(SHORT)
+    shutil.copytree(ROOT / "configs", folder / "configs", dirs_exist_ok=True)  # as in a clone
 
     def call(said, words, allowed=(0,)):
         start = time.perf_counter()
