@@ -281,11 +281,11 @@ def _grey(share: np.ndarray) -> np.ndarray:
     return np.repeat(np.round(255 * np.clip(share, 0, 1)).astype(np.uint8)[..., None], 3, -1)
 
 
-def sphere_of(given: Given, scene: Scene = STUDIO, report: Callable[[float], None] = lambda _: None) -> np.ndarray:
+def sphere_of(given: Given, scene: Scene) -> np.ndarray:
     """A material as a sphere in the studio, (height, width, 3) over white, with all effects."""
     film = Film(scene, stage(scene))
     material = given.of(given.model) if given.model is not None else given.finest()
-    (found,) = pictures(film, [drawn(material)], (), report)
+    (found,) = pictures(film, [drawn(material)])
     return found
 
 

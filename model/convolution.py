@@ -295,8 +295,9 @@ def surface(sharpest: Scalar, c: Scalar, beta: Scalar, p: Scalar, order: int = 3
 def from_surface(table: Real, theta_h: Real, B: Real, sharpest: Scalar) -> Real:
     """(S * D) looked up, by cubic polynomials both ways.
 
-    Accuracy against :func:`convolve` of the same order, over 300 lobes drawn from the priors of the fit and all
-    directions, relative to the lobe: see ``tests/model/test_prepared.py``.
+    Accuracy against :func:`convolve` of the same order (HP17 Eq. 33), 60 random lobes of beta in [3e-3, 0.6], p in
+    [0.25, 4], c in [1.05, 5], b in [0.1, 30] um: median 1e-7 of the lobe, 99 % within 6e-4 where it is above 1e-6 of
+    its peak, all within 2e-4 of the peak (``tests/model/test_prepared.py`` holds six to about these numbers).
     """
     root = jnp.sqrt(1 + sharpest**2)
     across = jnp.arcsinh(root * theta_h) * ((HALVES - 1) / jnp.arcsinh(root * jnp.pi / 2))

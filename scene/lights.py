@@ -127,7 +127,6 @@ def environment(radiance: np.ndarray) -> Environment:
     at = directions(ROWS, COLUMNS)
     rows, columns = radiance.shape[:2]
     # the mean of the map's cells that lie in each cell of ours, by a few points of each
-    luminance = np.zeros((ROWS, COLUMNS))
     fine = directions(4 * ROWS, 4 * COLUMNS)
     i = np.clip((np.arccos(np.clip(fine[..., 1], -1, 1)) / np.pi * rows).astype(int), 0, rows - 1)
     j = np.clip(((np.arctan2(fine[..., 0], -fine[..., 2]) / np.pi + 1) / 2 * columns).astype(int), 0, columns - 1)
