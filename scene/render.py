@@ -18,7 +18,6 @@ from jax import Array
 from scipy.stats import qmc
 
 from ..model.geometry import Geometry
-from ..model.materialised import materialised, true_of
 from ..model.sampling import Sampler
 from . import lights
 from . import shapes as forms
@@ -190,9 +189,8 @@ def _local(axes: tuple[Array, Array, Array], direction: Array) -> Array:
 
 def lit(stage: Stage, sampler: Sampler, material: Array, pixel: Array, u: Array) -> Rays:
     """What samples ``u`` (P, S, D) of pixels (P,) ask of the material; weights are 0 where another shape is seen."""
-    always = true_of(stage.view.origin[0])
-    hits = materialised(partial(_hits, stage), always, material, pixel, u)
-    found = [materialised(each, always, hits, u) for each in _lights(stage, sampler)]
+    hits = _hits(stage, material, pixel, u)
+    found = [light(hits, u) for light in _lights(stage, sampler)]
     directions, weights = (jnp.stack([each[k] for each in found]) for k in range(2))
     return Rays(directions, jnp.broadcast_to(hits.viewer, directions.shape), weights)
 
@@ -233,8 +231,7 @@ def _lights(stage: Stage, sampler: Sampler) -> Iterator[Callable[[_Hits, Array],
 
 def radiance(material: Material, rays: Rays) -> Array:
     """Of pixels, (P, 3)."""
-    g = materialised(Geometry.from_vectors, true_of(rays.weight[0, 0, 0, 0]), rays.i, rays.o)
-    found = material.brdf(g)
+    found = material.brdf(Geometry.from_vectors(rays.i, rays.o))
     each = [jnp.where(rays.weight[..., k] > 0, rays.weight[..., k] * found[k], 0.0) for k in range(3)]
     return jnp.stack([jnp.sum(x, (0, 2)) for x in each], -1)
 

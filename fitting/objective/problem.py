@@ -20,7 +20,7 @@ from ...merl_io.bands import MERL, Bands
 from ...merl_io.samples import Samples
 from ...model.acquisition import grazing_log_base
 from ...model.geometry import Geometry
-from ..support.threads import CORES
+from ..support.threads import SHARES
 
 T = TypeVar("T")
 Precision = Literal["float64", "float32"]
@@ -94,10 +94,10 @@ def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precisio
 
 
 def _threads(size: int) -> int:
-    """How many cores so many directions are worth."""
+    """How many threads so many directions are worth: the same on every machine, and so are the sums."""
     if jax.default_backend() != "cpu":
         return 1
-    return min(CORES, max(1, size // LEAST_SHARE))
+    return min(SHARES, 1 << max(0, (size // LEAST_SHARE).bit_length() - 1))
 
 
 def shares(blocks: T, size: int) -> list[T]:

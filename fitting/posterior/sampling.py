@@ -17,7 +17,7 @@ from ..assess.outcome import Fitted
 from ..objective.problem import make_problem
 from ..objective.transforms import Layout
 from ..support.clock import Report, Stage, silent
-from ..support.threads import CORES, one_core_a_call, side_by_side
+from ..support.threads import SHARES, one_core_a_call, side_by_side
 from .chain import Chain, begin, extend, read_chain, write_chain
 from .emulator import Emulator
 from .importance import Posterior, correct
@@ -49,9 +49,9 @@ def _physical(layout: Layout, draws: Array) -> tuple[Array, dict[str, Array]]:
 
 def physical(layout: Layout, draws: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Physical values (n, P) and derived quantities of draws (n, P) in free coordinates."""
-    count = -(-len(draws) // CORES)
-    padded = np.concatenate([draws, np.repeat(draws[:1], count * CORES - len(draws), 0)])
-    shares = side_by_side(lambda few: jax.device_get(_physical(layout, jnp.asarray(few))), np.split(padded, CORES))
+    count = -(-len(draws) // SHARES)
+    padded = np.concatenate([draws, np.repeat(draws[:1], count * SHARES - len(draws), 0)])
+    shares = side_by_side(lambda few: jax.device_get(_physical(layout, jnp.asarray(few))), np.split(padded, SHARES))
     values, found = jax.tree.map(lambda *x: np.concatenate(x)[: len(draws)], *shares)
     return values, found
 

@@ -167,7 +167,7 @@ def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
     assert problem.parts[0].target.shape[0] == 1
     monkeypatch.setattr(problems, "BLOCK", 700)
     monkeypatch.setattr(problems, "LEAST_SHARE", 700)
-    monkeypatch.setattr(problems, "CORES", 2)
+    monkeypatch.setattr(problems, "SHARES", 2)
     blocked = make_problem(thinned)
     assert len(blocked.parts) == 2
     assert blocked.parts[0].target.shape[0] > 1
