@@ -40,7 +40,6 @@ CANDIDATE_AZIMUTHS, CANDIDATE_ORDER = 2, 8
 RUNNERS_EACH, FIRST_LAP, SECOND_LAP = 3, 6, 14  # the first: runners for each of `fit.starts`, which run the second lap
 FAR = 1.6, 1.3  # times the lowest after the first and after the second lap: who is so much behind gives up
 APART = 0.3  # in standard deviations of the prior: runners nearer to each other are on the way to the same minimum
-TOGETHER = 6  # runners of the first lap that one call takes along
 Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, schema.Accuracy | None]]
 
 
@@ -236,9 +235,8 @@ def fit_coarse(
 
 
 def _shared_out(points: np.ndarray) -> list[np.ndarray]:
-    """As many points for each call, the last one repeated where there are too few: one shape to compile."""
-    padded = np.concatenate([points, points[-1:].repeat(-len(points) % TOGETHER, 0)])
-    return np.split(padded, len(padded) // TOGETHER)
+    """Half the points for each of two calls, the last one repeated where there are too few: one shape to compile."""
+    return np.split(np.concatenate([points, points[-1:].repeat(len(points) % 2, 0)]), 2)
 
 
 Follow = Callable[[list[np.ndarray], int, bool], list[list[Solution]]]

@@ -4,6 +4,7 @@ import glob
 import os
 import re
 import warnings
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import TextIO
@@ -23,8 +24,8 @@ def cache_folder() -> Path:
     return Path(os.environ.get("MERLFIT_CACHE_DIR") or platformdirs.user_cache_dir("merlfit"))
 
 
-def use_persistent_cache() -> Path:
-    """Keep compiled programs in the cache folder: only the first run waits, and is told so.
+def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
+    """Keep compiled programs in the cache folder: only the first run waits, and is told so by ``say``.
 
     So with the table of ``diffraction = "scaled"``, which is computed when it is first asked for. Damaged entries are
     deleted, that they may be compiled anew.
@@ -34,26 +35,26 @@ def use_persistent_cache() -> Path:
     tables.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small ones take 15 s together
-    _tell_of_compilation(folder)
-    _mend(folder)
+    _tell_of_compilation(folder, say)
+    _mend(folder, say)
     return folder
 
 
 @cache
-def _tell_of_compilation(folder: Path) -> None:
+def _tell_of_compilation(folder: Path, say: Callable[[str], None]) -> None:
     """Once a process, and only if there is something to compile."""
     told = []
 
     def listen(event: str, **_: str | int) -> None:
         if event == NEW and not told:
             told.append(True)
-            note(f"compiling, once: this can take some minutes; later runs reuse the programs in {folder}")
+            say(f"compiling, once: this can take some minutes; later runs reuse the programs in {folder}")
 
     jax.monitoring.register_event_listener(listen)
 
 
 @cache
-def _mend(folder: Path) -> None:
+def _mend(folder: Path, say: Callable[[str], None]) -> None:
     """Answer JAX's warning of a damaged entry, which it would leave as it is and warn of in every run."""
     show, told = warnings.showwarning, []
 
@@ -68,7 +69,7 @@ def _mend(folder: Path) -> None:
             entry.unlink(missing_ok=True)
         if not told:
             told.append(True)
-            note(f"damaged programs in {folder} were deleted and are compiled again, once")
+            say(f"damaged programs in {folder} were deleted and are compiled again, once")
 
     warnings.showwarning = shown
 

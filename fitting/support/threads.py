@@ -12,7 +12,14 @@ from threadpoolctl import threadpool_limits
 
 S = TypeVar("S")
 T = TypeVar("T")
-CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def cores_of() -> list[int]:
+    """Numbers of the cores that this process may use."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+CORES = len(cores_of())
 SHARES = 8  # that work is divided into at the most: what a sum comes to does not depend on the number of cores
 # Ours are the threads: those that BLAS adds of its own wait for each other busily, on busy cores for seconds a product.
 one_core_a_call = threadpool_limits.wrap(limits=1, user_api="blas")

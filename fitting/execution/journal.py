@@ -1,0 +1,128 @@
+"""The manifest of a folder of results: what was run there, with which settings, and how each file ended.
+
+``manifest.jsonl`` has a line, a JSON object, for each thing that happened, the oldest first: it only grows, so that
+nothing that was written is lost with the process that writes it. A last line that is torn is left out by who reads.
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from ...merl_io.atomic import WriteError
+from ..results.export import versions
+from ..results.schema import Run
+from ..settings.config import Config
+from .unit import Ended, Kind, Unit
+
+NAME = "manifest.jsonl"
+
+
+class _Line(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    at: str
+    """Date and time, UTC."""
+
+
+class Began(_Line):
+    """A run began."""
+
+    event: Literal["began"] = "began"
+    command: list[str]
+    files: int
+    jobs: int
+    executor: str
+    settings: dict[str, Any]
+    versions: dict[str, str]
+
+
+class FileEnded(_Line):
+    """The work on a file ended, or was not needed."""
+
+    event: Literal["file"] = "file"
+    material: str
+    file: str
+    ended: Kind | Literal["kept"]
+    """``kept``: a result of the same file, settings and versions was there."""
+    status: str | None = None
+    """Of the fit, if there is one."""
+    error: str | None = None
+    sha1: str | None = None
+    seconds: float | None = None
+
+
+class RunEnded(_Line):
+    """A run came to its end, or was stopped."""
+
+    event: Literal["ended"] = "ended"
+    stopped: bool
+    seconds: float
+
+
+Line = TypeAdapter[Began | FileEnded | RunEnded](Annotated[Began | FileEnded | RunEnded, Field(discriminator="event")])
+
+
+class Journal:
+    """The manifest of a folder, for one run."""
+
+    def __init__(self, out: Path) -> None:
+        self.path = out / NAME
+        with suppress(OSError):
+            if self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
+                self._append("\n")  # the end of a line that was torn
+
+    def began(self, config: Config, files: int, jobs: int, executor: str) -> None:
+        """A run begins."""
+        command = Run.now().command
+        settings = config.model_dump(mode="json")
+        self._write(
+            Began(
+                at=_now(), command=command, files=files, jobs=jobs, executor=executor, settings=settings,
+                versions=versions(),
+            )
+        )  # fmt: skip
+
+    def ended(self, unit: Unit, ended: Ended, kept: bool = False) -> None:
+        """The work on a unit ended."""
+        result = ended.result
+        self._write(
+            FileEnded(
+                at=_now(), material=unit.name, file=str(unit.path), ended="kept" if kept else ended.kind,
+                status=result.fit.status if result else None, error=ended.error or None,
+                sha1=result.source.sha1 if result else None, seconds=result.seconds["total"] if result else None,
+            )
+        )  # fmt: skip
+
+    def closed(self, stopped: bool, seconds: float) -> None:
+        """The run ends."""
+        self._write(RunEnded(at=_now(), stopped=stopped, seconds=round(seconds, 1)))
+
+    def _write(self, line: Began | FileEnded | RunEnded) -> None:
+        self._append(json.dumps(line.model_dump(mode="json"), ensure_ascii=True) + "\n")
+
+    def _append(self, text: str) -> None:
+        try:
+            with open(self.path, "ab") as file:
+                file.write(text.encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise WriteError(f"{self.path}: cannot be written ({error.strerror or error})") from None
+
+
+def lines(out: Path) -> Iterator[Began | FileEnded | RunEnded]:
+    """What the manifest of a folder says; lines that are torn or of another program are left out."""
+    with suppress(FileNotFoundError), open(out / NAME, "rb") as file:
+        for line in file:
+            with suppress(ValidationError):
+                yield Line.validate_json(line)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

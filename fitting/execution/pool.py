@@ -1,0 +1,238 @@
+"""Units in worker processes of this machine.
+
+A worker that dies, whatever killed it, takes with it the one unit that it worked on: `concurrent.futures` would give up
+all of them. So every worker has a pipe of its own, of which the end is seen, and no lock is shared with another.
+"""
+
+import os
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+
+import psutil
+
+from ..support.clock import Stage
+from ..support.terminal import Stopped, stoppable
+from ..support.threads import CORES, cores_of
+from .unit import Ended, Kind, Task, Unit, fit_unit
+
+NEED = 3 * 2**30  # bytes of a worker, its programs compiled anew
+PATIENCE = 20.0  # seconds that a worker has to write what it holds when it is told to stop
+Tell = Callable[[int, str], None]  # of the unit with this number, what is being done
+Note = Callable[[str], None]
+
+
+def jobs_for(units: int, asked: int | None = None) -> int:
+    """Worker processes for so many units: as many as asked for, or as cores and free memory allow."""
+    room = max(1, int(psutil.virtual_memory().available // NEED))
+    return max(1, min(units, CORES, room if asked is None else asked))
+
+
+@dataclass
+class _Worker:
+    """A process, our end of its pipe, and the number of the unit that it works on."""
+
+    process: SpawnProcess
+    pipe: Connection
+    cores: list[int]
+    unit: int | None = None
+
+
+class Pool:
+    """Units in ``jobs`` processes at once, each with its share of the cores.
+
+    Attributes:
+        note: told what concerns the run and not one unit alone.
+    """
+
+    def __init__(self, jobs: int, task: Task = fit_unit, note: Note = print) -> None:
+        self.jobs, self.task, self.note = jobs, task, note
+        self._workers: list[_Worker] = []
+        self._noted: set[str] = set()
+
+    def ended(self, units: Sequence[Unit], tell: Tell) -> Iterator[tuple[int, Ended]]:
+        """Number of a unit and what came of it, as they end.
+
+        A unit whose worker died is tried once more, after all others and alone on the machine.
+        """
+        lost: list[int] = []
+        for k, ended in self._all(units, deque(range(len(units))), self.jobs, tell):
+            if ended.kind is Kind.LOST:
+                lost.append(k)
+                self.note(f"{units[k].path}: {ended.error}; it is tried once more when the others are done, alone")
+            else:
+                yield k, ended
+        for k in lost:
+            for _, ended in self._all(units, deque([k]), 1, tell):
+                yield k, ended
+        self._end()
+
+    def stop(self) -> list[tuple[int, Ended]]:
+        """End all workers; of each that was at work: its unit, and what there is of it."""
+        for worker in self._workers:
+            worker.process.terminate()
+        found = []
+        for worker in self._workers:
+            last = Ended(Kind.STOPPED)
+            with suppress(EOFError, OSError):
+                while worker.pipe.poll(PATIENCE):
+                    message = worker.pipe.recv()
+                    last = message if isinstance(message, Ended) else last
+            if worker.unit is not None:
+                found.append((worker.unit, last))
+        self._end()
+        return found
+
+    def _all(self, units: Sequence[Unit], waiting: deque[int], jobs: int, tell: Tell) -> Iterator[tuple[int, Ended]]:
+        self._staff(min(jobs, len(waiting)))
+        while waiting or any(worker.unit is not None for worker in self._workers):
+            for worker in self._workers:
+                if worker.unit is None and waiting:
+                    with suppress(OSError):  # it has died while it was idle; what is left of it is seen below
+                        worker.pipe.send(units[waiting[0]])
+                    worker.unit = waiting.popleft()
+            for pipe in wait([worker.pipe for worker in self._workers]):
+                n, worker = next((n, w) for n, w in enumerate(self._workers) if w.pipe is pipe)
+                try:
+                    message = worker.pipe.recv()
+                except (EOFError, OSError):
+                    unit, error = worker.unit, _why(worker.process)
+                    self._workers[n] = self._worker(worker.cores)
+                    if unit is not None:
+                        yield unit, Ended(Kind.LOST, error=error)
+                    continue
+                if isinstance(message, Ended):
+                    unit, worker.unit = worker.unit, None
+                    if unit is not None:
+                        yield unit, message
+                elif isinstance(message, _Note):
+                    if message.text not in self._noted:
+                        self._noted.add(message.text)
+                        self.note(message.text)
+                elif worker.unit is not None:
+                    tell(worker.unit, message)
+
+    def _staff(self, jobs: int) -> None:
+        """So many workers; those that are there stay if their number does."""
+        if len(self._workers) == jobs:
+            return
+        self._end()
+        cores = cores_of()
+        self._workers = [self._worker(cores[n::jobs]) for n in range(jobs)]
+
+    def _worker(self, cores: list[int]) -> _Worker:
+        context = get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs, self.task, cores_of()), daemon=True)
+        with _on(cores):  # libraries see these alone, and have a thread for each
+            process.start()
+        theirs.close()
+        return _Worker(process, ours, cores)
+
+    def _end(self) -> None:
+        for worker in self._workers:
+            worker.pipe.close()
+            worker.process.terminate()
+        for worker in self._workers:
+            worker.process.join(PATIENCE)
+            if worker.process.is_alive():
+                worker.process.kill()
+        self._workers = []
+
+
+def _why(process: SpawnProcess) -> str:
+    """Why a worker died, as far as that can be told."""
+    process.join(PATIENCE)
+    code = process.exitcode or 0
+    if code >= 0:
+        return f"its process ended (exit code {code})"
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+    memory = ", as the system does when memory runs out" if -code == signal.SIGKILL else ""
+    return f"its process was killed ({name}{memory})"
+
+
+@contextmanager
+def _on(cores: list[int]) -> Iterator[None]:
+    """Processes that are started in here begin on these cores."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def _spread(cores: list[int]) -> None:
+    """Let this process's threads, as many as it began with cores, run on all of these."""
+    if not hasattr(os, "sched_setaffinity"):
+        return
+    for thread in os.listdir("/proc/self/task"):
+        with suppress(OSError):
+            os.sched_setaffinity(int(thread), cores)
+
+
+@dataclass(frozen=True)
+class _Note:
+    """What a worker says that is not of one unit."""
+
+    text: str
+
+
+def _work(pipe: Connection, task: Task, cores: list[int]) -> None:
+    """Of a worker: units from the pipe, one after the other, until it closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all its processes: ours says what to do
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    import jax
+
+    from ..support.compilation import use_persistent_cache
+
+    jax.devices()  # makes its threads
+    _spread(cores)
+    use_persistent_cache(lambda text: pipe.send(_Note(text)))
+
+    def tell(stage: str) -> None:
+        with suppress(OSError):
+            pipe.send(stage if isinstance(stage, Stage) else str(stage))
+
+    with suppress(EOFError, OSError, Stopped), stoppable():
+        while True:
+            unit: Unit = pipe.recv()
+            with _into(unit):
+                ended = task(unit, tell)
+            pipe.send(ended)
+            if ended.kind is Kind.STOPPED:
+                return
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def _into(unit: Unit) -> Iterator[None]:
+    """What this process prints, and libraries written in other languages, goes to the unit's log."""
+    try:
+        unit.log.parent.mkdir(parents=True, exist_ok=True)
+        file = open(unit.log, "ab")  # noqa: SIM115 - closed below
+    except OSError:
+        file = open(os.devnull, "ab")  # noqa: SIM115
+    with file:
+        for number in (1, 2):
+            os.dup2(file.fileno(), number)
+    yield
+    with suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()

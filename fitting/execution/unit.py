@@ -1,0 +1,120 @@
+"""One file to fit: all that it takes to do that in any process, and what came of it."""
+
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from ...merl_io.atomic import WriteError
+from ...merl_io.binary import MerlError
+from ..output.keeping import place_of
+from ..pipeline.run import Finish, fit_file
+from ..results.export import read_result
+from ..results.schema import Result
+from ..settings.config import Config
+from ..support.clock import Report, silent
+from ..support.compilation import make_room
+from ..support.terminal import Stopped
+
+
+class Kind(Enum):
+    """How the work on a unit ended."""
+
+    FITTED = "fitted"  # a result is written, of a fit that succeeded or did not
+    BAD_INPUT = "bad input"
+    FAILED = "failed"
+    STOPPED = "stopped"
+    LOST = "lost"  # with the process that worked on it
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A file, the folder for its result, and the settings; as `pipeline.run.fit_file` takes them."""
+
+    path: Path
+    out: Path
+    settings: Config
+    finish: Finish | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the material, and of its files."""
+        return self.path.stem
+
+    @property
+    def target(self) -> Path:
+        """Where the result is to be."""
+        return self.out / f"{self.name}.json"
+
+    @property
+    def log(self) -> Path:
+        """What was done when, and what libraries said in the meantime."""
+        return self.out / "logs" / f"{self.name}.log"
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What came of a unit.
+
+    Attributes:
+        result: what was written, None if nothing was. error: one line that says why there is none.
+        said: of results that lie beside others. code: what to exit with, of one that was stopped.
+    """
+
+    kind: Kind
+    result: Result | None = None
+    error: str = ""
+    said: str = ""
+    code: int = 0
+
+
+Task = Callable[[Unit, Report], Ended]
+
+
+def fit_unit(unit: Unit, report: Report = silent) -> Ended:
+    """Fit the file and write its result; whatever it runs into is told by what is returned.
+
+    A stop ends the fit where it is: what is computed so far is on disk, the chain of an unfinished posterior, too.
+    """
+    place = None
+    try:
+        make_room()
+        with place_of(unit.out, unit.name) as place:
+            result = fit_file(unit.path, place.folder, unit.settings, _logged(unit, report), unit.finish)
+        log(unit, f"{result.fit.status}, {result.seconds['total']:.1f} s")
+        return Ended(Kind.FITTED, result, said=place.said)
+    except MerlError as error:
+        return Ended(Kind.BAD_INPUT, error=str(error), said=place.said if place else "")
+    except WriteError as error:  # names the output, the input is not to blame
+        return Ended(Kind.FAILED, error=str(error), said=place.said if place else "")
+    except Stopped as stop:
+        kept = read_result(place.path) if place and place.path.exists() else None
+        return Ended(Kind.STOPPED, kept, said=place.said if place else "", code=stop.code)
+    except Exception as error:  # of any kind: said with its name, and the next file has its turn
+        log(unit, traceback.format_exc())
+        said = f"{unit.path}: failed unexpectedly: {type(error).__name__}: {error}"
+        return Ended(Kind.FAILED, error=said, said=place.said if place else "")
+
+
+def log(unit: Unit, text: str) -> None:
+    """A line for the unit's log, if that can be written."""
+    with suppress(OSError):
+        unit.log.parent.mkdir(parents=True, exist_ok=True)
+        with open(unit.log, "a", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n")
+
+
+def _logged(unit: Unit, report: Report) -> Report:
+    """Reports whose stages, without every step, are also written to the log."""
+    last = [""]
+
+    def told(stage: str) -> None:
+        if (begun := stage.split(":")[0]) != last[0]:
+            last[0] = begun
+            log(unit, stage)
+        report(stage)
+
+    return told
