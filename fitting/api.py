@@ -18,7 +18,7 @@ from rich.console import Console
 from ..merl_io.binary import Measurement, read
 from .output import plots
 from .output.inspection import file_of
-from .output.keeping import claimed, place_of, taken
+from .output.keeping import claimed, place_of
 from .output.report import print_result
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of, fit_file
@@ -230,7 +230,8 @@ def fit(
 
     Raises:
         merlfit.MerlError: the file cannot be used. merlfit.ConfigError: bad settings. merlfit.WriteError: ``out``
-            cannot be written. RuntimeError: the sampler failed; the message names the file that holds the fit.
+            cannot be written, or a command is writing there. RuntimeError: the sampler failed; the message names the
+            file that holds the fit.
     """
     config = settings_of(settings, **replaced)
     if "enabled" not in config.posterior.model_fields_set:
@@ -239,9 +240,7 @@ def fit(
     measurement = file if isinstance(file, Measurement) else read(Path(file).absolute())
     folder = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out)
     try:
-        with claimed(folder) as alone, place_of(folder, measurement.name) as place:
-            if not alone:
-                warnings.warn(taken(folder), stacklevel=2)
+        with claimed(folder, alone=False), place_of(folder, measurement.name) as place:
             result = fit_file(measurement, place.folder, config, report)
     except BaseException:  # raised again
         if out is None and not any(folder.iterdir()):

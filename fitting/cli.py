@@ -123,14 +123,30 @@ def fit(
         str | None,
         typer.Option("--time", help="Choose the most accurate settings within this time for each file: 20s, 1.5min."),
     ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "-j",
+            "--jobs",
+            min=1,
+            help="Files to fit at once \\[default: as cores and memory allow].",
+            show_default=False,
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Leave alone what is done, of the same file, settings and versions.")
+    ] = False,
 ) -> None:
-    """Fit each file and write OUT/NAME.json. Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad."""
+    """Fit each file and write OUT/NAME.json, OUT/logs/NAME.log and a line of OUT/manifest.jsonl.
+
+    Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
+    """
     from .files import aim_of, fit_files, settings_of, summarise
 
     settings = settings_of(
         config, model=model, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
     )
-    outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within))
+    outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume)
     summarise(outcomes)
 
 
@@ -202,7 +218,7 @@ def sample(
     from ..merl_io.atomic import WriteError
     from ..merl_io.binary import MerlError
     from .output.inspection import file_of
-    from .output.keeping import claimed, taken
+    from .output.keeping import claimed
     from .output.report import print_result
     from .pipeline.resampling import resample
     from .posterior.chain import ChainError
@@ -213,9 +229,7 @@ def sample(
     use_persistent_cache()
     try:
         read = read_result(result)
-        with claimed(result.parent) as alone, progress_display() as progress:
-            if not alone:
-                note(taken(result.parent))
+        with claimed(result.parent), progress_display() as progress:
             task = progress.add_task(result.name)
             report = reporter(progress, task, read.source.material)
             found = resample(result, read, file or file_of(result, read), max_steps, report)

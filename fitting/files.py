@@ -1,22 +1,31 @@
-"""Fits of files, one after the other, as the commands `merlfit fit` and `merlfit demo` make them."""
+"""Fits of files, as the commands `merlfit fit` and `merlfit demo` make them."""
 
+import hashlib
+import time
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Unpack
+from typing import Protocol, Unpack
 
 import typer
+from rich.progress import Progress, TaskID
 
 from ..merl_io.atomic import WriteError
 from ..merl_io.binary import Measurement, MerlError
 from ..model.registry import made, models
 from .cost.accuracy import Aim, aim
 from .cost.request import request
+from .execution.here import Here
+from .execution.journal import Journal
+from .execution.pool import Pool, jobs_for
+from .execution.unit import Ended, Kind, Unit
 from .output.comparison import by_label, judged_result, metrics_table, table_of, verdict, write_metrics, write_tables
-from .output.keeping import Complete, Place, claimed, completeness, place_of, taken
+from .output.keeping import Complete, Taken, claimed, completeness, place_of
 from .output.report import Outcome, accuracy_line, summary_table
 from .pipeline.comparison import FIT, compare_file
 from .pipeline.run import fit_file
-from .results.export import ResultError, read_result
+from .results.export import ResultError, read_result, valid_result
 from .results.schema import Result
 from .settings.config import Config, ConfigError, Replaced, load
 from .support.compilation import use_persistent_cache
@@ -64,62 +73,159 @@ def refuse_same_names(files: list[Path]) -> None:
         )
 
 
-def fit_files(files: list[Path], out: Path, settings: Config, aim: Aim | None = None) -> list[Outcome]:
-    """Fit one file after the other; whatever one runs into, the others are fitted."""
-    use_persistent_cache()
+class Executor(Protocol):
+    """What fits units: `Here`, a `Pool`, or a cluster."""
+
+    def ended(self, units: Sequence[Unit], tell: Callable[[int, str], None]) -> Iterator[tuple[int, Ended]]:
+        """Number of a unit and what came of it, as they end."""
+        ...
+
+    def stop(self) -> Sequence[tuple[int, Ended]]:
+        """End what goes on, and say what came of it."""
+        ...
+
+
+def executor_of(units: int, jobs: int | None = None) -> tuple[Executor, int]:
+    """What fits so many units, and how many at once; a single one needs no process of its own."""
+    count = jobs_for(units, jobs)
+    return (Here(), 1) if units <= 1 else (Pool(count, note=note), count)
+
+
+def fit_files(
+    files: list[Path], out: Path, settings: Config, aim: Aim | None = None, jobs: int | None = None,
+    resume: bool = False,
+) -> list[Outcome]:  # fmt: skip
+    """Fit files, and write each result when it is done; whatever one runs into, the others are fitted.
+
+    Args:
+        jobs: processes at the same time; None for as many as cores and memory allow.
+        resume: leave alone what has a result of the same file, settings and versions.
+
+    Returns:
+        what came of each file, in their order.
+    """
     writable_folder(out)
     refuse_same_names(files)
     chosen, finish = (aim.settings, aim.finish) if aim else (settings, None)
-    outcomes = []
-    with claimed(out) as alone, progress_display() as progress:
-        if not alone:
-            note(taken(out))
-        batch = progress.add_task(f"{len(files)} files", total=len(files), visible=len(files) > 1)
-        for k, path in enumerate(files, 1):
-            progress.update(batch, completed=k - 1, description=f"{k - 1} of {len(files)} files")
-            task = progress.add_task(path.name, total=None)
-            label = f"[{k}/{len(files)}] {path.stem}"
-            place = None
+    units = [Unit(path, out, chosen, finish) for path in files]
+    found: dict[int, Outcome] = {}
+    start = time.perf_counter()
+    try:
+        with claimed(out), progress_display() as progress:
+            for k, result in enumerate(map(_done, units) if resume else ()):
+                if result is not None:
+                    found[k] = Outcome(files[k], result)
+            left = [k for k in range(len(units)) if k not in found]
+            executor, count = executor_of(len(left), jobs)
+            journal = Journal(out)
+            journal.began(chosen, len(files), count, type(executor).__name__)
+            for k, outcome in found.items():
+                journal.ended(units[k], Ended(Kind.FITTED, outcome.result), kept=True)
+            if found:
+                console.print(f"{len(found)} of {len(files)} files are done already: same data, settings and versions")
+            run = _Run(units, left, progress, journal)
             try:
-                with place_of(out, path.stem) as place:
-                    result = fit_file(path, place.folder, chosen, reporter(progress, task, label), finish)
-                outcomes.append(Outcome(path, result))
-                console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s")
-                if result.accuracy is not None:
-                    console.print(f"{label}: {accuracy_line(result.accuracy)}", soft_wrap=True)
-            except MerlError as error:
-                outcomes.append(Outcome(path, None, str(error), bad_input=True))
-                fail(str(error))
-            except WriteError as error:  # names the output, the input is not to blame
-                outcomes.append(Outcome(path, None, str(error)))
-                fail(str(error))
+                for k, ended in executor.ended([units[k] for k in left], run.tell):
+                    if ended.kind is Kind.STOPPED:
+                        run.stopped.append((left[k], ended))
+                        raise Stopped(ended.code - 128)
+                    found[left[k]] = run.book(left[k], ended)
             except Stopped as stop:
-                left = f"; {len(files) - k} of {len(files)} files were not begun" if k < len(files) else ""
-                note(f"stopped by {stop}: {kept(path, place)}{left}")
-                if place is not None and completeness(place.path) >= Complete.FIT:
-                    outcomes.append(Outcome(path, read_result(place.path)))
-                if outcomes:
-                    console.print(summary_table(outcomes))
+                run.stopped += [(left[k], ended) for k, ended in executor.stop()]
+                journal.closed(True, time.perf_counter() - start)
+                _say_stopped(stop, run, [found[k] for k in sorted(found)])
                 raise typer.Exit(stop.code) from None
-            except Exception as error:  # of any kind: said with its name, and the next file has its turn
-                said = f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
-                outcomes.append(Outcome(path, None, said))
-                fail(said)
-            if place is not None and place.said:
-                note(place.said)
-            progress.remove_task(task)
-    return outcomes
+            journal.closed(False, time.perf_counter() - start)
+    except WriteError as error:  # of the folder itself, or of its manifest
+        raise fail(str(error)) from None
+    return [found[k] for k in sorted(found)]
 
 
-def kept(path: Path, place: Place | None) -> str:
+def _done(unit: Unit) -> Result | None:
+    """A whole result of the same file, settings and versions."""
+    try:
+        with open(unit.path, "rb") as file:
+            sha1 = hashlib.file_digest(file, "sha1").hexdigest()
+    except OSError:
+        return None  # said when it is fitted
+    found = valid_result(unit.target, sha1, unit.settings)
+    if found is None or not found.fit.succeeded or (found.accuracy is None) != (unit.finish is None):
+        return None
+    return found if found.posterior is not None or not unit.settings.posterior.enabled else None
+
+
+class _Run:
+    """What is shown and written down while units are fitted.
+
+    Attributes:
+        stopped: units that were not fitted to the end, and what there is of them.
+    """
+
+    def __init__(self, units: list[Unit], left: list[int], progress: Progress, journal: Journal) -> None:
+        self.units, self.left, self.progress, self.journal = units, left, progress, journal
+        self.stopped: list[tuple[int, Ended]] = []
+        self.done = 0
+        self.batch = progress.add_task("", total=len(left), visible=len(left) > 1)
+        self._count()
+        self.tasks: dict[int, tuple[TaskID, Callable[[str], None]]] = {}
+
+    def label(self, k: int) -> str:
+        return f"[{k + 1}/{len(self.units)}] {self.units[k].name}"
+
+    def tell(self, k: int, stage: str) -> None:
+        k = self.left[k]
+        if k not in self.tasks:
+            task = self.progress.add_task(self.units[k].path.name, total=None)
+            self.tasks[k] = task, reporter(self.progress, task, self.label(k))
+        self.tasks[k][1](stage)
+
+    def book(self, k: int, ended: Ended) -> Outcome:
+        """Show and write down what came of a unit."""
+        result, label = ended.result, self.label(k)
+        self.journal.ended(self.units[k], ended)
+        if result is not None:
+            console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s")
+            if result.accuracy is not None:
+                console.print(f"{label}: {accuracy_line(result.accuracy)}", soft_wrap=True)
+        else:
+            fail(ended.error if ended.kind is not Kind.LOST else f"{self.units[k].path}: {ended.error}, twice")
+        if ended.said:
+            note(ended.said)
+        if k in self.tasks:
+            self.progress.remove_task(self.tasks.pop(k)[0])
+        self.done += 1
+        self._count()
+        return Outcome(self.units[k].path, result, ended.error or None, ended.kind is Kind.BAD_INPUT)
+
+    def _count(self) -> None:
+        words = f"{self.done} of {len(self.left)} files"
+        self.progress.update(self.batch, completed=self.done, description=words)
+
+
+def _say_stopped(stop: Stopped, run: _Run, outcomes: list[Outcome]) -> None:
+    """What is kept of a run that was stopped, and how it goes on."""
+    begun = {k for k, _ in run.stopped}
+    left = len(run.left) - run.done - len(begun)
+    words = [_kept(run.units[k], ended) for k, ended in sorted(run.stopped, key=lambda each: each[0])]
+    if left:
+        words.append(f"{left} of {len(run.units)} files were not begun")
+    if len(run.units) > 1:
+        words.append("the same command with --resume goes on")
+    note(f"stopped by {stop}: {'; '.join(words)}")
+    outcomes = outcomes + [Outcome(run.units[k].path, e.result) for k, e in run.stopped if e.result is not None]
+    if outcomes:
+        console.print(summary_table(outcomes))
+
+
+def _kept(unit: Unit, ended: Ended) -> str:
     """What there is of a fit that was stopped."""
-    if place is not None and place.said:
-        return place.said
-    found = Complete.NOTHING if place is None else completeness(place.path)
-    if place is None or found == Complete.NOTHING:
-        return f"{path.stem} was not fitted"
+    if ended.said:
+        return ended.said
+    found = completeness(unit.target)
+    if found == Complete.NOTHING:
+        return f"{unit.name} was not fitted"
     more = "continues it" if found == Complete.CHAIN else "samples it"
-    return f"{place.path} holds {found.words}; `merlfit sample {place.path}` {more}"
+    return f"{unit.target} holds {found.words}; `merlfit sample {unit.target}` {more}"
 
 
 def summarise(outcomes: list[Outcome]) -> None:
@@ -172,9 +278,12 @@ def compare_files(
     writable_folder(out)
     refuse_same_names(files)
     wanted, rows, code = chosen_models(names), [], 0
-    with claimed(out) as alone, progress_display() as progress:
-        if not alone:
-            note(taken(out))
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(claimed(out))
+        except Taken as error:
+            raise fail(str(error)) from None
+        progress = stack.enter_context(progress_display())
         for k, path in enumerate(files, 1):
             task = progress.add_task(path.name, total=None)
             label = f"[{k}/{len(files)}] {path.stem}"

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
+UNFINISHED = ".merlfit-"  # what names of files and folders begin with that are not whole
+
 
 class WriteError(OSError):
     """A file that cannot be written; the message is one line that names it."""
@@ -24,7 +26,7 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
 
 
 def _write(path: Path, write: Callable[[IO[bytes]], None]) -> None:
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".merlfit-")  # of any length, the name may be as long
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=UNFINISHED)  # of any length, the name may be as long
     try:
         with os.fdopen(handle, "wb") as file:
             write(file)

@@ -18,6 +18,7 @@ import os, signal, sys, time
 sys.path.insert(0, {str(TESTS)!r})
 from made_results import made
 from merlfit.fitting import cli, files
+from merlfit.fitting.execution import here, unit
 from merlfit.fitting.results.export import write_result
 
 def fit(path, out, settings, report, finish):
@@ -30,7 +31,9 @@ def fit(path, out, settings, report, finish):
     write_result(out / f"{{path.stem}}.json", result)
     return result
 
-files.fit_file = fit
+unit.fit_file = fit
+here.use_persistent_cache = lambda: None
+files.executor_of = lambda units, jobs: (here.Here(), 1)
 # whoever started the tests may have had Ctrl-C ignored, and children inherit that
 signal.signal(signal.SIGINT, signal.SIG_IGN if "DEAF" in os.environ else signal.default_int_handler)
 cli.main()
@@ -54,7 +57,7 @@ def test_who_stops_a_batch_is_told_what_is_kept(number, word, tmp_path):
     kept = f"{tmp_path}/slow.json"
     assert said == (
         f"merlfit: stopped by {word}: {kept} holds a fit without a posterior; `merlfit sample {kept}` samples it; "
-        "1 of 3 files were not begun\n"
+        "1 of 3 files were not begun; the same command with --resume goes on\n"
     )
     assert "quick" in printed.split("Fits")[1]  # the summary of what is done
     assert read_result(tmp_path / "quick.json").fit.succeeded

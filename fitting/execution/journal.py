@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...merl_io.atomic import WriteError
 from ..results.export import versions
-from ..results.schema import Run
+from ..results.schema import Text, this_run
 from ..settings.config import Config
 from .unit import Ended, Kind, Unit
 
@@ -34,7 +34,7 @@ class Began(_Line):
     """A run began."""
 
     event: Literal["began"] = "began"
-    command: list[str]
+    command: list[Text]
     files: int
     jobs: int
     executor: str
@@ -46,13 +46,13 @@ class FileEnded(_Line):
     """The work on a file ended, or was not needed."""
 
     event: Literal["file"] = "file"
-    material: str
-    file: str
+    material: Text
+    file: Text
     ended: Kind | Literal["kept"]
     """``kept``: a result of the same file, settings and versions was there."""
     status: str | None = None
     """Of the fit, if there is one."""
-    error: str | None = None
+    error: Text | None = None
     sha1: str | None = None
     seconds: float | None = None
 
@@ -79,11 +79,10 @@ class Journal:
 
     def began(self, config: Config, files: int, jobs: int, executor: str) -> None:
         """A run begins."""
-        command = Run.now().command
         settings = config.model_dump(mode="json")
         self._write(
             Began(
-                at=_now(), command=command, files=files, jobs=jobs, executor=executor, settings=settings,
+                at=_now(), command=this_run().command, files=files, jobs=jobs, executor=executor, settings=settings,
                 versions=versions(),
             )
         )  # fmt: skip

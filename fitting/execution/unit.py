@@ -95,7 +95,8 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
         return Ended(Kind.STOPPED, kept, said=place.said if place else "", code=stop.code)
     except Exception as error:  # of any kind: said with its name, and the next file has its turn
         log(unit, traceback.format_exc())
-        said = f"{unit.path}: failed unexpectedly: {type(error).__name__}: {error}"
+        where = str(error) if place is None else str(error).replace(str(place.folder), str(place.path.parent))
+        said = f"{unit.path}: failed unexpectedly: {type(error).__name__}: {where}"
         return Ended(Kind.FAILED, error=said, said=place.said if place else "")
 
 

@@ -2,12 +2,15 @@
 
 import json
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum
 from itertools import count
 from pathlib import Path
 
+from ...merl_io.atomic import UNFINISHED, WriteError
 from ..pipeline.run import chain_of
 
 
@@ -46,32 +49,47 @@ def completeness(path: Path) -> Complete:
     return Complete.CHAIN if chain_of(path).is_file() else Complete.FIT
 
 
+class Taken(WriteError):
+    """A folder that another run writes to."""
+
+
 @contextmanager
-def claimed(out: Path) -> Iterator[bool]:
-    """Claim a folder for as long as this lasts; False if another run has it already."""
+def claimed(out: Path, alone: bool = True) -> Iterator[None]:
+    """Claim a folder for as long as this lasts, and clear away what a run that was killed left unfinished in it.
+
+    Args:
+        alone: if not, others that are content with that may write there, too; then nothing is cleared away.
+
+    Raises:
+        Taken: another run has it.
+    """
     try:
         import fcntl  # not on Windows
 
         folder = os.open(out, os.O_RDONLY)
     except (ImportError, OSError):
-        yield True
+        yield
         return
     try:
+        free = alone
         try:
-            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            free = True
+            fcntl.flock(folder, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
         except BlockingIOError:
-            free = False
+            raise Taken(f"{out}: another merlfit is writing there; wait for it, or name another folder") from None
         except OSError:  # a file system without locks
-            free = True
-        yield free
+            free = False
+        if free:
+            _clear(out)
+        yield
     finally:
         os.close(folder)
 
 
-def taken(out: Path) -> str:
-    """What to say of a folder that another run has claimed."""
-    return f"{out}: another merlfit is writing there; if both write a result of the same name, the later one stays"
+def _clear(out: Path) -> None:
+    """Files and folders that were not whole when the process that wrote them was killed."""
+    for left in out.glob(f"{UNFINISHED}*"):
+        with suppress(OSError):
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 class Place:
@@ -92,8 +110,7 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
     if completeness(target.path) == Complete.NOTHING:
         yield target
         return
-    beside = next(folder for k in count(2) if not (folder := out / f"{name}.{k}").exists())
-    beside.mkdir()
+    beside = Path(tempfile.mkdtemp(dir=out, prefix=UNFINISHED))
     new = Place(beside, name)
     try:
         yield new
@@ -105,11 +122,20 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
             _move(new.path, target.path)
             new.path = target.path
         elif new.path.exists():
+            named = next(folder for k in count(2) if not (folder := out / f"{name}.{k}").exists())
+            beside.chmod(0o777 & ~_umask())
+            new.path = beside.rename(named) / new.path.name
             of_model, of_new = (f" of the {model} model" if other else "" for model in models)
             new.said = f"{target.path} stays as it was, with {before.words}{of_model}; "
             new.said += f"{new.path} is the new one, {after.words}{of_new}"
         with suppress(OSError):  # not empty
             beside.rmdir()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def _model(path: Path) -> str | None:

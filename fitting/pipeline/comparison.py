@@ -16,7 +16,7 @@ from ..assess import metrics
 from ..assess.published import judged, sources_of
 from ..assess.selection import bic
 from ..objective.weights import weighted_samples
-from ..results.export import ResultError, finite, read_result, versions
+from ..results.export import finite, valid_result
 from ..results.schema import Result
 from ..settings.config import Config, ConfigError, parse
 from ..support.clock import Report, Stage, silent
@@ -107,7 +107,7 @@ def compare_file(
     for k, name in enumerate(names):
         report(Stage(f"{name} ({k + 1} of {len(names)} models)", k / len(names)))
         own = settings[k]
-        kept = _kept(out / name / f"{measurement.name}.json", measurement, own)
+        kept = valid_result(out / name / f"{measurement.name}.json", measurement.sha1, own)
         results[name] = fit(measurement, out / name, own) if kept is None else kept
     rows = [row_of(result) for result in results.values() if result.model is not None]
     if with_published and (sources := sources_of(measurement.name)):
@@ -127,16 +127,6 @@ def compare_file(
                 len(flat), errors, cost, float("nan"), None, flat,
             ))  # fmt: skip
     return with_bic(rows, results), results
-
-
-def _kept(path: Path, measurement: Measurement, config: Config) -> Result | None:
-    """A result that is there already, if it is of the same data, settings and versions."""
-    try:
-        found = read_result(path)
-    except ResultError:
-        return None
-    same = found.source.sha1, found.config, found.versions
-    return found if same == (measurement.sha1, config.model_dump(mode="json"), versions()) else None
 
 
 def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:

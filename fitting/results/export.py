@@ -24,6 +24,7 @@ from ...model.acquisition import Apparatus
 from ...model.registry import models
 from ...model.two_scale import ANY, TwoScale
 from ..settings.choice import Choice
+from ..settings.config import Config
 from . import schema as parts
 from .schema import OLDER, SCHEMA_VERSION, Model, Result
 from .upgrade import upgraded
@@ -57,6 +58,16 @@ def write_result(path: Path, result: Result) -> None:
         file.write(text.encode())
 
     write_atomically(path, write)
+
+
+def valid_result(path: Path, sha1: str, config: Config) -> Result | None:
+    """A result that is there already, if it is of the same data, settings and versions."""
+    try:
+        found = read_result(path)
+    except ResultError:
+        return None
+    same = found.source.sha1, found.config, found.versions
+    return found if same == (sha1, config.model_dump(mode="json"), versions()) else None
 
 
 class _Versioned(BaseModel):

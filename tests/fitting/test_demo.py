@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from made_results import made, quantiles
-from merlfit.fitting import cli, files
+from merlfit.fitting import cli
+from merlfit.fitting.execution import unit
 from merlfit.fitting.output import demo
 from merlfit.fitting.results.export import write_result
 from merlfit.merl_io.binary import genuine_names, read, write
@@ -25,7 +26,7 @@ def stand_in(monkeypatch, tmp_path):
         write_result(out / f"{path.stem}.json", result)
         return result
 
-    monkeypatch.setattr(files, "fit_file", fit)
+    monkeypatch.setattr(unit, "fit_file", fit)
 
 
 def run(*words):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from made_results import made
 from merlfit.fitting import cli, files
+from merlfit.fitting.execution import here, journal, unit
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.output import keeping
 from merlfit.fitting.output.inspection import file_of
@@ -26,6 +27,11 @@ from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
 
+def results_in(folder):
+    """Names in there, but for what a run says of itself."""
+    return sorted(p.name for p in folder.iterdir() if p.name not in (journal.NAME, "logs"))
+
+
 def call(*words):
     return CliRunner().invoke(cli.app, [str(w) for w in words])
 
@@ -35,8 +41,9 @@ def stand_in(monkeypatch):
     """Let a function take the place of the fit: it is given the file and the folder to write to."""
 
     def put(fit):
-        monkeypatch.setattr(files, "fit_file", lambda path, out, *_: fit(path, out))
-        monkeypatch.setattr(files, "use_persistent_cache", lambda: None)
+        monkeypatch.setattr(unit, "fit_file", lambda path, out, *_: fit(path, out))
+        monkeypatch.setattr(here, "use_persistent_cache", lambda: None)
+        monkeypatch.setattr(files, "executor_of", lambda units, jobs: (here.Here(), 1))
 
     return put
 
@@ -111,7 +118,7 @@ def test_a_result_at_least_as_complete_takes_the_place_of_the_old_one(old, new, 
     stand_in(lambda path, folder: put_result(folder, posterior=new, chain=None if new is None else "the new chain"))
     assert call("fit", "nickel.binary", "-o", out).exit_code == 0
     assert read_result(out / "nickel.json").posterior == made(posterior=new).posterior
-    assert [p.name for p in sorted(out.iterdir())] == ["nickel.chain.npz", "nickel.json"][new is None :]
+    assert results_in(out) == ["nickel.chain.npz", "nickel.json"][new is None :]
     assert new is None or chain_of(out / "nickel.json").read_text() == "the new chain"
 
 
@@ -119,7 +126,7 @@ def test_the_chain_of_a_replaced_result_does_not_stay_beside_another(tmp_path):
     put_result(tmp_path, posterior=False, chain="the old chain")
     with place_of(tmp_path, "nickel") as place:
         put_result(place.folder, posterior=True)
-    assert [p.name for p in tmp_path.iterdir()] == ["nickel.json"]
+    assert results_in(tmp_path) == ["nickel.json"]
 
 
 def test_of_two_unfinished_chains_both_stay(tmp_path):
@@ -148,7 +155,7 @@ def test_nothing_is_left_of_a_fit_that_wrote_nothing(tmp_path, stand_in):
 
     stand_in(fails)
     assert call("fit", "nickel.binary", "-o", out).exit_code == cli.BAD_INPUT
-    assert [p.name for p in out.iterdir()] == ["nickel.json"]
+    assert results_in(out) == ["nickel.json"]
     assert read_result(out / "nickel.json") == before
 
 
@@ -280,14 +287,26 @@ def test_a_picture_of_broken_text_is_said_to_be_impossible(tmp_path):
     assert keeping.completeness(tmp_path / "nickel.json") == Complete.INTERVALS
 
 
-def test_two_runs_into_one_folder_are_told(tmp_path, stand_in):
+def test_a_second_run_into_a_folder_is_refused(tmp_path, stand_in):
     stand_in(lambda path, folder: put_result(folder, name=path.stem))
-    with keeping.claimed(tmp_path) as alone:
-        assert alone
+    with keeping.claimed(tmp_path):
         shown = call("fit", "nickel.binary", "-o", tmp_path)
-    assert shown.exit_code == 0
-    assert f"merlfit: {tmp_path}: another merlfit is writing there" in shown.stderr
-    assert "another" not in call("fit", "nickel.binary", "-o", tmp_path).stderr
+    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.stderr == (
+        f"merlfit: {tmp_path}: another merlfit is writing there; wait for it, or name another folder\n"
+    )
+    assert not (tmp_path / "nickel.json").exists()
+    assert call("fit", "nickel.binary", "-o", tmp_path).exit_code == 0
+
+
+def test_python_may_write_to_a_folder_from_several_places_but_not_beside_a_command(tmp_path):
+    (tmp_path / ".merlfit-half").touch()
+    with keeping.claimed(tmp_path, alone=False), keeping.claimed(tmp_path, alone=False):
+        assert (tmp_path / ".merlfit-half").exists()
+        with pytest.raises(keeping.Taken), keeping.claimed(tmp_path):
+            pass
+    with keeping.claimed(tmp_path):
+        assert not (tmp_path / ".merlfit-half").exists()
 
 
 def test_names_of_files_and_folders_may_be_text_in_python(tmp_path):

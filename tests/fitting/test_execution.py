@@ -1,0 +1,198 @@
+"""Batches in worker processes: nothing that is done is lost, whatever happens to one of them."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from made_results import made
+from merlfit.fitting.execution import journal, pool
+from merlfit.fitting.execution.pool import Pool, jobs_for
+from merlfit.fitting.execution.unit import Ended, Kind, Unit
+from merlfit.fitting.files import _done
+from merlfit.fitting.results.export import versions, write_result
+from merlfit.fitting.settings.config import Config, load
+from merlfit.fitting.support.threads import CORES
+from merlfit.merl_io.binary import DIMS, write
+from stand_ins import task
+
+TESTS = Path(__file__).parents[1]
+PROGRAM = f"""
+import sys
+sys.path.insert(0, {str(TESTS)!r})
+from stand_ins import task
+from merlfit.fitting import cli, files
+from merlfit.fitting.execution.pool import Pool
+files.executor_of = lambda units, jobs: (Pool(2, task, note=files.note), 2)
+if __name__ == "__main__":
+    cli.main()
+"""
+
+
+def units(out, *names):
+    return [Unit(Path(f"{name}.binary"), out, Config()) for name in names]
+
+
+def ended(out, jobs, *names):
+    """How each of these ended, what was told of them, and what was noted."""
+    told, noted = [], []
+    found = list(Pool(jobs, task, noted.append).ended(units(out, *names), lambda k, stage: told.append((k, stage))))
+    return dict(found), told, noted
+
+
+def workers_left():
+    """Processes of ours but for the one that Python keeps for all."""
+    return [p for p in psutil.Process().children() if "resource_tracker" not in " ".join(p.cmdline())]
+
+
+def test_all_are_fitted_and_told(tmp_path):
+    found, told, noted = ended(tmp_path, 2, "quick-a", "prints-b", "raises-c", "quick-d")
+    assert {k: e.kind for k, e in found.items()} == {0: Kind.FITTED, 1: Kind.FITTED, 2: Kind.FAILED, 3: Kind.FITTED}
+    assert set(told) == {(k, "reading") for k in range(4)}
+    assert noted == []
+    assert found[3].result.source.material == "quick-d"
+    workers = {(tmp_path / f"{name}.began").read_text() for name in ("quick-a", "prints-b", "raises-c", "quick-d")}
+    assert len(workers) <= 2
+    assert str(os.getpid()) not in workers
+    assert "said by a library" in (tmp_path / "logs" / "prints-b.log").read_text()
+    assert not workers_left()
+
+
+def test_one_that_is_killed_is_tried_again_alone_and_the_others_go_on(tmp_path):
+    found, _, noted = ended(tmp_path, 2, "killed-a", "once-b", "quick-c", "quick-d")
+    assert [found[k].kind for k in range(4)] == [Kind.LOST, Kind.FITTED, Kind.FITTED, Kind.FITTED]
+    assert set(list(found)[-2:]) == {0, 1}  # the last ones
+    assert len(noted) == 2
+    assert "killed-a.binary: its process was killed (SIGKILL, as the system does when memory runs out)" in "".join(
+        noted
+    )
+    assert all(line.endswith("it is tried once more when the others are done, alone") for line in noted)
+
+
+def test_who_is_at_work_when_it_is_stopped_leaves_what_it_has(tmp_path):
+    at_work = Pool(2, task, print)
+    begun = set()
+
+    def tell(k, stage):
+        begun.add(k)
+        if {0, 2} <= begun:
+            raise KeyboardInterrupt
+
+    ended = at_work.ended(units(tmp_path, "slow-a", "quick-b", "slow-c"), tell)
+    with pytest.raises(KeyboardInterrupt):
+        assert [k for k, _ in ended] == [1]
+    stopped = dict(at_work.stop())
+    assert {k: e.kind for k, e in stopped.items()} == {0: Kind.STOPPED, 2: Kind.STOPPED}
+    assert stopped[0].result.source.material == "slow-a"
+    assert not workers_left()
+
+
+def start(out, *words):
+    program = out / "program.py"
+    program.write_text(PROGRAM)
+    command = [sys.executable, str(program), "fit", *words, "-o", str(out)]
+    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
+
+
+def wait_for(*paths):
+    end = time.monotonic() + 60
+    while not all(path.exists() for path in paths):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_ctrl_c_ends_all_workers_and_says_how_to_go_on(tmp_path):
+    running = start(tmp_path, "quick.binary", "slow-a.binary", "slow-b.binary", "quick-c.binary")
+    wait_for(tmp_path / "slow-a.began", tmp_path / "slow-b.began", tmp_path / "quick.json")
+    workers = psutil.Process(running.pid).children(recursive=True)
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal does it: to all
+    printed, said = running.communicate(timeout=60)
+    assert running.returncode == 128 + signal.SIGINT
+    assert said.startswith(f"merlfit: stopped by Ctrl-C: {tmp_path}/slow-a.json holds a fit without a posterior")
+    assert said.endswith("1 of 4 files were not begun; the same command with --resume goes on\n")
+    assert "quick" in printed.split("Fits")[1]
+    assert not psutil.wait_procs(workers, timeout=10)[1]
+    events = list(journal.lines(tmp_path))
+    assert [line.event for line in events] == ["began", "file", "ended"]
+    assert events[-1].stopped
+
+
+def test_workers_do_not_outlive_who_started_them(tmp_path):
+    running = start(tmp_path, "slow-a.binary", "slow-b.binary")
+    wait_for(tmp_path / "slow-a.began", tmp_path / "slow-b.began")
+    workers = psutil.Process(running.pid).children(recursive=True)
+    running.kill()
+    running.communicate()
+    gone, alive = psutil.wait_procs(workers, timeout=10)
+    assert len(gone) >= 2
+    assert not alive
+
+
+@pytest.fixture
+def done(tmp_path):
+    """A unit whose file is there, and the result of it as this program would write it."""
+    path = tmp_path / "nickel.binary"
+    write(path, np.ones((3, *DIMS)))
+    return Unit(path, tmp_path, load(posterior=False))
+
+
+def put(unit, **changed):
+    result = made("nickel", str(unit.path))
+    result.source.sha1 = hashlib.sha1(unit.path.read_bytes()).hexdigest()
+    result.config = unit.settings.model_dump(mode="json")
+    result.versions = versions()
+    for name, value in changed.items():
+        setattr(result, name, value)
+    write_result(unit.target, result)
+
+
+def test_what_is_done_is_known_by_file_settings_and_versions(done):
+    assert _done(done) is None
+    put(done)
+    assert _done(done) is not None
+    put(done, versions={"python": "3"})
+    assert _done(done) is None
+    put(done)
+    assert _done(Unit(done.path, done.out, load(posterior=False, seed=5))) is None
+    assert _done(Unit(done.path, done.out, load(posterior=True))) is None
+    with open(done.path, "r+b") as file:
+        file.seek(5000)
+        file.write(b"\1")
+    assert _done(done) is None
+    put(done)
+    assert _done(done) is not None
+    done.target.write_text(done.target.read_text()[:-200])
+    assert _done(done) is None
+
+
+def test_the_manifest_only_grows_and_survives_a_torn_line(tmp_path):
+    unit = units(tmp_path, "nickel")[0]
+    first = journal.Journal(tmp_path)
+    first.began(Config(), 2, 1, "Here")
+    first.ended(unit, Ended(Kind.FAILED, error="nickel.binary: no such file"))
+    path = tmp_path / journal.NAME
+    path.write_bytes(path.read_bytes() + b'{"at": "2026-')
+    second = journal.Journal(tmp_path)
+    second.ended(unit, Ended(Kind.FITTED, made("nickel")), kept=True)
+    second.closed(False, 1.0)
+    read = list(journal.lines(tmp_path))
+    assert [line.event for line in read] == ["began", "file", "file", "ended"]
+    assert (read[1].error, read[2].ended, read[2].status) == ("nickel.binary: no such file", "kept", "CONVERGED")
+    assert [json.loads(line)["event"] for line in path.read_text().splitlines() if line.endswith("}")] == [
+        line.event for line in read
+    ]
+
+
+def test_no_more_processes_than_files_cores_and_memory(monkeypatch):
+    assert jobs_for(1) == 1
+    assert jobs_for(1000, 1000) == CORES
+    assert jobs_for(1000, 1) == 1
+    monkeypatch.setattr(pool.psutil, "virtual_memory", lambda: type("Memory", (), {"available": 1}))
+    assert jobs_for(1000) == 1
