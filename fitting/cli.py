@@ -317,6 +317,24 @@ def inspect(
         raise typer.Exit(BAD_INPUT)
 
 
+@app.command(epilog="Example: merlfit table fits")
+def table(
+    folder: Annotated[
+        Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", show_default=False, readable=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The CSV file to write \\[default: RUN_DIR/table.csv].")
+    ] = None,
+) -> None:
+    """Write all results of a folder as one table for a spreadsheet: errors, times, parameters, intervals.
+
+    A row a result, and one a file that has none, with the error. Columns: docs/result.md.
+    """
+    from .run_table import write_table
+
+    write_table(folder, out or folder / "table.csv")
+
+
 @app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")
 def effects(
     scene: Annotated[Path, typer.Argument(help="SCENE.toml (docs/scenes.md).", show_default=False, readable=False)],

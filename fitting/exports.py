@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from ..merl_io.atomic import write_atomically
+from ..merl_io.atomic import write_text
 from ..merl_io.binary import MerlError, read, write
 from ..model.reflectance import evaluate
 from ..model.registry import models
@@ -221,5 +221,5 @@ def _write_json(path: Path, what: dict[str, Any]) -> Path:
 
 
 def _write_text(path: Path, text: str) -> Path:
-    write_atomically(path, lambda file: file.write(text.encode()))  # pyright: ignore[reportArgumentType] - a count
+    write_text(path, text)
     return path

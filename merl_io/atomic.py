@@ -25,6 +25,19 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
         raise WriteError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 atomically.
+
+    Raises:
+        WriteError: as of `write_atomically`.
+    """
+
+    def write(file: IO[bytes]) -> None:
+        file.write(text.encode())
+
+    write_atomically(path, write)
+
+
 def _write(path: Path, write: Callable[[IO[bytes]], None]) -> None:
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=UNFINISHED)  # of any length, the name may be as long
     try:

@@ -14,12 +14,12 @@ Seconds are those of one file with nothing left to compile, from reading to the 
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from ...merl_io.atomic import write_atomically
+from ...merl_io.atomic import write_text
 from ..results.export import versions
 from ..settings.choice import POINTS, Choice
 from ..support.compilation import cache_folder
@@ -159,10 +159,6 @@ def pareto(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
 def keep(frontier: Frontier, folder: Path) -> Path:
     """Write a calibration into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    path, text = folder / FILE, frontier.model_dump_json(indent=1) + "\n"
-
-    def write(file: IO[bytes]) -> None:
-        file.write(text.encode())
-
-    write_atomically(path, write)
+    path = folder / FILE
+    write_text(path, frontier.model_dump_json(indent=1) + "\n")
     return path

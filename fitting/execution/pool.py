@@ -66,7 +66,7 @@ class Pool:
         for k, ended in self._all(units, deque(range(len(units))), self.jobs, tell):
             if ended.kind is Kind.LOST:
                 lost.append(k)
-                self.note(f"{units[k].path}: {ended.error}; it is tried once more when the others are done, alone")
+                self.note(f"{ended.error}; it is tried once more when the others are done, alone")
             else:
                 yield k, ended
         for k in lost:
@@ -106,7 +106,7 @@ class Pool:
                     unit, error = worker.unit, _why(worker.process)
                     self._workers[n] = self._worker(worker.cores)
                     if unit is not None:
-                        yield unit, Ended(Kind.LOST, error=error)
+                        yield unit, Ended(Kind.LOST, error=f"{units[unit].path}: {error}")
                     continue
                 if isinstance(message, Ended):
                     unit, worker.unit = worker.unit, None

@@ -5,7 +5,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 
 from ...merl_io.atomic import WriteError
@@ -20,7 +20,7 @@ from ..support.compilation import make_room
 from ..support.terminal import Stopped
 
 
-class Kind(Enum):
+class Kind(StrEnum):
     """How the work on a unit ended."""
 
     FITTED = "fitted"  # a result is written, of a fit that succeeded or did not

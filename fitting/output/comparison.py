@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from markdown_it import MarkdownIt
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich import box
 from rich.table import Table
 
-from ...merl_io.atomic import write_atomically
+from ...merl_io.atomic import write_text
 from ...merl_io.binary import read
 from ...merl_io.grid import merl_grid
 from ...model.reflectance import evaluate
@@ -176,9 +176,9 @@ def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data:
     written = [folder / f"{name}.{ending}" for ending in ("csv", "md", "html", "png")]
     text = markdown(rows, title, data, written[3].name)
     page = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
-    _write(written[0], _csv(rows))
-    _write(written[1], text)
-    _write(written[2], PAGE.format(title=escape(title), page=page))
+    write_text(written[0], _csv(rows))
+    write_text(written[1], text)
+    write_text(written[2], PAGE.format(title=escape(title), page=page))
     save(sorted_errors(rows, title), written[3])
     return written
 
@@ -197,13 +197,6 @@ th:first-child, td:first-child {{ text-align: left }} img {{ max-width: 100% }}
 {page}
 </body></html>
 """
-
-
-def _write(path: Path, text: str) -> None:
-    def write(file: IO[bytes]) -> None:
-        file.write(text.encode())
-
-    write_atomically(path, write)
 
 
 def _csv(rows: Sequence[Row]) -> str:
@@ -382,7 +375,7 @@ def write_metrics(found: Sequence[Judged], folder: Path) -> list[Path]:
         writer = csv.DictWriter(out, list(table[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in line.items()} for line in table)
-        _write(path, out.getvalue())
+        write_text(path, out.getvalue())
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axis = figure.subplots()
     for each in found:

@@ -10,7 +10,7 @@ import re
 from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any, ClassVar, get_origin, get_type_hints
+from typing import Any, ClassVar, get_origin, get_type_hints
 
 from pydantic import (
     BaseModel,
@@ -19,7 +19,7 @@ from pydantic import (
 )
 from pydantic_core import from_json
 
-from ...merl_io.atomic import write_atomically
+from ...merl_io.atomic import write_text
 from ...model.acquisition import Apparatus
 from ...model.registry import models
 from ...model.two_scale import ANY, TwoScale
@@ -53,11 +53,7 @@ def write_result(path: Path, result: Result) -> None:
         merlfit.merl_io.atomic.WriteError: it cannot be written.
     """
     text = json.dumps(result.model_dump(mode="json"), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-
-    def write(file: IO[bytes]) -> None:
-        file.write(text.encode())
-
-    write_atomically(path, write)
+    write_text(path, text)
 
 
 def valid_result(path: Path, sha1: str, config: Config) -> Result | None:

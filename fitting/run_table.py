@@ -1,0 +1,128 @@
+"""A folder of results as one table for a spreadsheet: what `merlfit table` writes."""
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from ..merl_io.atomic import WriteError, write_text
+from .execution.journal import NAME as MANIFEST
+from .execution.journal import FileEnded, lines
+from .execution.unit import Kind
+from .results.export import ResultError, read_result
+from .results.schema import Metrics, Result
+from .support.terminal import console, fail, note
+
+UNREADABLE = "unreadable"
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would compute a cell that begins so
+HEADS = (
+    "material", "status", "model", "variant", "genuine_merl", "cost", *Metrics.model_fields, "seconds", "posterior",
+    "cautions", "error", "result", "file", "sha1",
+)  # fmt: skip
+Row = dict[str, str | float | None]
+
+
+def write_table(folder: Path, path: Path) -> None:
+    """Write the table of a folder and say what it holds; ends with an error line where there is nothing."""
+    if not folder.is_dir():
+        raise fail(f"{folder}: no such folder")
+    rows = rows_of(folder)
+    if not rows:
+        raise fail(f"{folder}: no results in there; `merlfit fit FILE ... -o {folder}` writes some")
+    try:
+        _write(rows, path)
+    except WriteError as error:
+        raise fail(str(error)) from None
+    for row in rows:
+        if row["error"]:
+            note(str(row["error"]))
+    counts = Counter(str(row["status"]) for row in rows)
+    said = ", ".join(f"{count} {status}" for status, count in counts.most_common())
+    console.print(f"wrote {path}: {said}", soft_wrap=True)
+
+
+def rows_of(folder: Path) -> list[Row]:
+    """A row a result in a folder and those in it, and one a file that has none.
+
+    Returns:
+        by material and model: the columns of ``HEADS``, then of each parameter its value, ``_se`` (standard error),
+        ``_q05`` and ``_q95`` (90 % interval of the posterior). What there is not is None.
+    """
+    last = dict(_last(folder))
+    found = [
+        _row(path, folder, last.pop(path, None)) for path in sorted(folder.rglob("*.json")) if _shown(path, folder)
+    ]
+    found += [
+        _blank() | {"material": line.material, "status": str(line.ended), "error": line.error, "file": line.file}
+        for line in last.values()
+        if line.ended not in (Kind.FITTED, "kept")
+    ]
+    found.sort(key=lambda row: (str(row["material"]), str(row["model"]), str(row["result"])))
+    return found
+
+
+def _write(rows: Sequence[Row], path: Path) -> None:
+    """CSV: UTF-8, commas, a decimal point, numbers of six digits, nothing where there is no value."""
+    heads = list(dict.fromkeys([*HEADS, *(head for row in rows for head in row)]))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(heads)
+    writer.writerows([_cell(row.get(head)) for head in heads] for row in rows)
+    write_text(path, out.getvalue())
+
+
+def _last(folder: Path) -> Iterator[tuple[Path, FileEnded]]:
+    """Where the result of a file should be, and how the last work on it ended, by the manifests."""
+    for manifest in sorted(folder.rglob(MANIFEST)):
+        for line in lines(manifest.parent):
+            if isinstance(line, FileEnded):
+                yield manifest.parent / f"{line.material}.json", line
+
+
+def _shown(path: Path, folder: Path) -> bool:
+    return not any(part.startswith(".") for part in path.relative_to(folder).parts)
+
+
+def _blank() -> Row:
+    return dict.fromkeys(HEADS)
+
+
+def _row(path: Path, folder: Path, last: FileEnded | None) -> Row:
+    """Of a result; an error is that of a later run that did not replace it."""
+    row = _blank() | {
+        "material": path.stem,
+        "result": str(path.relative_to(folder)),
+        "error": last.error if last else None,
+    }
+    try:
+        result = read_result(path)
+    except ResultError as error:
+        return row | {"status": UNREADABLE, "error": str(error)}
+    material, posterior = result.model.material if result.model else None, result.posterior
+    return row | {
+        "material": result.source.material, "status": result.fit.status, "model": material and material.name,
+        "variant": material and material.variant, "genuine_merl": result.source.genuine_merl or "no",
+        "cost": result.fit.cost, **result.metrics.model_dump(), "seconds": result.seconds["total"],
+        "posterior": posterior and ("ok" if posterior.sufficient else posterior.message),
+        "cautions": "; ".join(result.fit.cautions), "file": result.source.path, "sha1": result.source.sha1,
+        **_parameters(result),
+    }  # fmt: skip
+
+
+def _parameters(result: Result) -> Mapping[str, float | None]:
+    found: dict[str, float | None] = {}
+    for p in result.parameters:
+        found |= {
+            p.name: p.value, f"{p.name}_se": p.standard_error,
+            f"{p.name}_q05": p.quantiles and p.quantiles.q05, f"{p.name}_q95": p.quantiles and p.quantiles.q95,
+        }  # fmt: skip
+    return found
+
+
+def _cell(value: str | float | None) -> str:
+    if value is None:
+        return ""
+    if not isinstance(value, str):
+        return f"{value:.6g}"
+    return f"'{value}" if value.startswith(FORMULA) else value
