@@ -65,6 +65,18 @@ def _options(
     pass
 
 
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "-j",
+        "--jobs",
+        min=1,
+        help="Files to fit at once \\[default: as cores and memory allow].",
+        show_default=False,
+    ),
+]
+
+
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
 def check(files: Files) -> None:
     """Print what MERL files hold: dims, valid bins, bad numbers, largest values, whether they are the genuine ones."""
@@ -123,16 +135,7 @@ def fit(
         str | None,
         typer.Option("--time", help="Choose the most accurate settings within this time for each file: 20s, 1.5min."),
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "-j",
-            "--jobs",
-            min=1,
-            help="Files to fit at once \\[default: as cores and memory allow].",
-            show_default=False,
-        ),
-    ] = None,
+    jobs: Jobs = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Leave alone what is done, of the same file, settings and versions.")
     ] = False,
@@ -330,9 +333,31 @@ def table(
 
     A row a result, and one a file that has none, with the error. Columns: docs/result.md.
     """
-    from .run_table import write_table
+    from .report.table import write_table
 
     write_table(folder, out or folder / "table.csv")
+
+
+@app.command(epilog="Example: merlfit report fits")
+def report(
+    folder: Annotated[
+        Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", show_default=False, readable=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for the pages \\[default: RUN_DIR/report].")
+    ] = None,
+    files: Annotated[
+        Path | None, typer.Option(help="Folder with the MERL files, if they moved since the fits.", readable=False)
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Write pages that open from disk: an index of all results with pictures, and a page for each one.
+
+    Spheres of file, fit and their difference, lobes, errors over all angles, parameters, posterior. No network is used.
+    """
+    from .report.command import report_on
+
+    report_on(folder, out or folder / "report", files, jobs)
 
 
 @app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..merl_io.atomic import write_text
 from ..merl_io.binary import MerlError, read, write
+from ..merl_io.samples import folded
 from ..model.reflectance import evaluate
 from ..model.registry import models
 from ..scene.description import SceneError
@@ -24,7 +25,7 @@ from .output.synthesis import from_result, tabulate
 from .pipeline.run import fit_file
 from .results.export import ResultError, read_result
 from .results.schema import Result
-from .scenes import folded, of_result
+from .scenes import of_result
 from .settings.config import AcquisitionSection, load
 from .support.compilation import use_persistent_cache
 from .support.terminal import console, fail, progress_display, reporter, writable_folder

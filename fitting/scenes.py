@@ -13,7 +13,8 @@ import typer
 from pydantic import ValidationError
 from rich.table import Table
 
-from ..merl_io.binary import Measurement, MerlError, read
+from ..merl_io.binary import MerlError, read
+from ..merl_io.samples import folded
 from ..model.parameters import WAVELENGTHS_UM
 from ..model.reflectance import Reflectance
 from ..model.registry import made
@@ -47,15 +48,6 @@ STUDIO = Scene(
 )  # fmt: skip
 """A sphere under the studio's windows, in which results are shown."""
 Say = Callable[[str], None]
-
-
-def folded(measured: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Values (3, 90, 90, 90), bins at phi_d and pi - phi_d taken together, equal but for noise; and which are data."""
-    half = measured.valid.shape[-1] // 2
-    valid = measured.valid[..., :half], measured.valid[..., : half - 1 : -1]
-    values = measured.values[..., :half], measured.values[..., : half - 1 : -1]
-    total = np.where(valid[0], values[0], 0.0) + np.where(valid[1], values[1], 0.0)
-    return total / np.maximum(valid[0].astype(int) + valid[1], 1), valid[0] | valid[1]
 
 
 def given_of(name: str, source: Source, folder: Path) -> Given:

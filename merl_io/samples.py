@@ -6,6 +6,7 @@ from functools import reduce
 import numpy as np
 
 from .bands import MERL, Bands
+from .binary import Measurement
 from .grid import MerlGrid
 
 
@@ -54,6 +55,15 @@ def fold(grid: MerlGrid, value: np.ndarray, weight: np.ndarray) -> Samples:
         grid.theta_h, grid.theta_d, grid.phi_d[:half], grid.cos_i[..., :half], grid.cos_o[..., :half],
         (w1 * m1 + w2 * m2) / safe, total, scatter,
     )  # fmt: skip
+
+
+def folded(measured: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Values (3, 90, 90, 90), bins at phi_d and pi - phi_d taken together, equal but for noise; and which are data."""
+    half = measured.valid.shape[-1] // 2
+    valid = measured.valid[..., :half], measured.valid[..., : half - 1 : -1]
+    values = measured.values[..., :half], measured.values[..., : half - 1 : -1]
+    total = np.where(valid[0], values[0], 0.0) + np.where(valid[1], values[1], 0.0)
+    return total / np.maximum(valid[0].astype(int) + valid[1], 1), valid[0] | valid[1]
 
 
 Runs = int | tuple[int, ...]

@@ -345,6 +345,22 @@ def evaluate(
     return assembled(shaped(params, s), s)
 
 
+def contributions(
+    model: Reflectance,
+    params: Mapping[str, ArrayLike],
+    geometry: Geometry,
+    wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
+) -> dict[str, Array]:
+    """What each sharp lobe and the ``body`` add to the BRDF (1/sr): :func:`evaluate` is their sum.
+
+    Args and errors: as of :func:`evaluate`, and so is the shape of each.
+    """
+    s = setting(geometry, model, wavelengths_um)
+    lobes = model.assemble(factor_values(shaped(params, s), s), s)
+    found = {name: Lobes({name: lobe}, lobes.common).brdf(s) for name, lobe in lobes.sharp.items()}
+    return found if lobes.body is None else found | {"body": Lobes({}, body=lobes.body).brdf(s)}
+
+
 def prepared(
     model: Reflectance, params: Mapping[str, ArrayLike], wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM
 ) -> dict[str, Array]:

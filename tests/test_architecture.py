@@ -53,7 +53,7 @@ def test_arrows_of_the_architecture(package):
 
 LINE_OF_WORK = (
     "support", "objective", "solve", "settings", "results", "assess", "posterior", "pipeline", "output",
-    "execution", "cost",
+    "execution", "report", "cost",
 )  # fmt: skip
 
 

@@ -84,6 +84,10 @@ def test_processes_are_watched():
     done = processes.watch(small, large)
     assert done.outputs == [f"{2**20}\n", f"{200 * 2**20}\n"]
     assert 195 < done.peaks_mib[1] - done.peaks_mib[0] < 205
+    started = "import subprocess, sys; subprocess.run([sys.executable, '-c', sys.argv[1]])"
+    of_child = processes.watch([sys.executable, "-c", started, large[-1]])
+    assert abs(of_child.peaks_mib[0] - done.peaks_mib[1]) < 5
+    assert of_child.sums_mib[0] > of_child.peaks_mib[0] + 2
     assert 0.3 < done.seconds < 20
     with pytest.raises(RuntimeError, match="exit code 3: said"):
         processes.watch([sys.executable, "-c", "print('said'); raise SystemExit(3)"])

@@ -18,9 +18,10 @@ from multiprocessing.context import SpawnProcess
 
 import psutil
 
+from ..support.affinity import begun_on, cores_of, spread
 from ..support.clock import Stage
 from ..support.terminal import Stopped, stoppable
-from ..support.threads import CORES, cores_of
+from ..support.threads import CORES
 from .unit import Ended, Kind, Task, Unit, fit_unit
 
 NEED = 3 * 2**30  # bytes of a worker, its programs compiled anew
@@ -131,7 +132,7 @@ class Pool:
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs, self.task, cores_of()), daemon=True)
-        with _on(cores):  # libraries see these alone, and have a thread for each
+        with begun_on(cores):  # libraries see these alone, and have a thread for each
             process.start()
         theirs.close()
         return _Worker(process, ours, cores)
@@ -158,29 +159,6 @@ def _why(process: SpawnProcess) -> str:
     return f"its process was killed ({name}{memory})"
 
 
-@contextmanager
-def _on(cores: list[int]) -> Iterator[None]:
-    """Processes that are started in here begin on these cores."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, cores)
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
-def _spread(cores: list[int]) -> None:
-    """Let this process's threads, as many as it began with cores, run on all of these."""
-    if not hasattr(os, "sched_setaffinity"):
-        return
-    for thread in os.listdir("/proc/self/task"):
-        with suppress(OSError):
-            os.sched_setaffinity(int(thread), cores)
-
-
 @dataclass(frozen=True)
 class _Note:
     """What a worker says that is not of one unit."""
@@ -197,7 +175,7 @@ def _work(pipe: Connection, task: Task, cores: list[int]) -> None:
     from ..support.compilation import use_persistent_cache
 
     jax.devices()  # makes its threads
-    _spread(cores)
+    spread(cores)
     use_persistent_cache(lambda text: pipe.send(_Note(text)))
 
     def tell(stage: str) -> None:

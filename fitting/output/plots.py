@@ -76,10 +76,11 @@ def measured_lobe(
 
 def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
     """BRDF of the fitted material, (3, N): as the apparatus would have measured it, or without its loss."""
-    return _brdf(model, values, Geometry.from_vectors(i, o), loss)
+    return brdf_of(model, values, Geometry.from_vectors(i, o), loss)
 
 
-def _brdf(model: Model, values: dict, geometry: Geometry, loss: bool) -> np.ndarray:
+def brdf_of(model: Model, values: dict, geometry: Geometry, loss: bool = True) -> np.ndarray:
+    """BRDF of the fitted material, (C, ...): as the apparatus would have measured it, or without its loss."""
     seen = model.measured if loss else model.material
     return np.asarray(_compiled(seen, values, geometry, jnp.asarray(model.wavelengths_um)))
 
@@ -120,6 +121,19 @@ def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     if found["values"].shape != (count, size) or not all(np.isfinite(found[k]).all() for k in ("values", "weights")):
         raise NoPicture(f"{path}: is damaged: its draws are not {size} finite numbers each")
     return found
+
+
+def states(result: Result, path: Path) -> np.ndarray | None:
+    """All states of the walkers in free coordinates, (steps, walkers, P); None if the chain cannot be read."""
+    assert result.posterior is not None
+    try:
+        with (
+            (path.parent / result.posterior.chain_file).open("rb") as opened,
+            np.load(opened, allow_pickle=False) as chain,
+        ):
+            return chain["chain_free"]
+    except UNSOUND:
+        return None
 
 
 def band(result: Result, chain: dict[str, np.ndarray], i: np.ndarray, o: np.ndarray) -> np.ndarray:
@@ -208,17 +222,19 @@ def _lobes(
     cubic[0].legend(fontsize=8.5)
 
 
-def viewers(incidence_deg: float, theta_h_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def viewers(incidence_deg: float, theta_h_deg: np.ndarray, between: int = 357) -> tuple[np.ndarray, np.ndarray]:
     """Angles of viewers in the plane of incidence (deg), sorted, and which of them see a row of theta_h.
+
+    Args:
+        between: number of others, evenly spread.
 
     Their number is the same for every incidence: one compiled program does for all.
     """
     rows = incidence_deg + 2 * np.concatenate([-theta_h_deg, theta_h_deg])
     seen = np.abs(rows) < WIDEST_DEG
-    between = np.linspace(-WIDEST_DEG, WIDEST_DEG, 357)
-    angles = np.concatenate([between, np.where(seen, rows, WIDEST_DEG)])
+    angles = np.concatenate([np.linspace(-WIDEST_DEG, WIDEST_DEG, between), np.where(seen, rows, WIDEST_DEG)])
     order = np.argsort(angles, kind="stable")
-    return angles[order], np.concatenate([np.zeros(len(between), bool), seen])[order]
+    return angles[order], np.concatenate([np.zeros(between, bool), seen])[order]
 
 
 def shown(measured: np.ndarray, turn: np.ndarray) -> np.ndarray:
@@ -256,7 +272,7 @@ def _predicted(
 ) -> np.ndarray:
     """The fit's BRDF by half and difference angles, (3, ...)."""
     geometry = Geometry.from_half_difference(jnp.asarray(theta_h), jnp.asarray(theta_d), jnp.asarray(phi_d))
-    return _brdf(model, values, geometry, loss)
+    return brdf_of(model, values, geometry, loss)
 
 
 def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Measurement) -> None:

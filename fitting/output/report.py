@@ -126,7 +126,7 @@ def parameter_table(result: Result, width: int) -> Table:
     return table
 
 
-def _fitted_line(m: Model) -> str:
+def fitted_line(m: Model) -> str:
     """What was fitted: model, what of its settings matters, and the loss of the apparatus."""
     a, said = m.acquisition, [m.material.words, *m.material.details]
     if m.measured.loses:
@@ -143,7 +143,7 @@ def print_result(console: Console, result: Result) -> None:
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
         return
-    console.print(_fitted_line(result.model))
+    console.print(fitted_line(result.model))
     console.print(parameter_table(result, console.width))
     console.print(f"{f.status}: {f.message}")
     console.print(

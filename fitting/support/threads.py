@@ -1,6 +1,5 @@
 """Work on all cores: NumPy and XLA let go of Python's lock while they compute, and a call of either uses one core."""
 
-import os
 import platform
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -10,15 +9,10 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from .affinity import cores_of
+
 S = TypeVar("S")
 T = TypeVar("T")
-
-
-def cores_of() -> list[int]:
-    """Numbers of the cores that this process may use."""
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-
-
 CORES = len(cores_of())
 SHARES = 8  # that work is divided into at the most: what a sum comes to does not depend on the number of cores
 # Ours are the threads: those that BLAS adds of its own wait for each other busily, on busy cores for seconds a product.

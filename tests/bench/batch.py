@@ -1,68 +1,97 @@
-"""Many files: one `merlfit fit` call of N files, one and two processes, all 100."""
+"""Many files: `merlfit fit` of N files with one and two jobs, a plain loop and a Dask cluster beside it, all 100."""
 
 import tempfile
+import time
 from pathlib import Path
+
+from merlfit.fitting.execution.unit import Kind, Unit, fit_unit
+from merlfit.fitting.settings.config import load
 
 from .materials import TWELVE, file
 from .materials import every as every_material
-from .processes import MERLFIT, watch
+from .processes import MERLFIT, watch, worker
 from .record import RECONSTRUCTIONS, Record, Target, exponent
 
 COUNTS = (1, 2, 4, 8)
 FILES = 100
+REPEATS = 3
+LOOP, POOL = "plain loop", "merlfit fit"
 
 
-def fit_all(shares):
-    """One `merlfit fit` process a share of files, side by side: seconds and peaks."""
-    with tempfile.TemporaryDirectory() as scratch:
-        done = watch(
-            *([MERLFIT, "fit", *map(str, share), "-o", str(Path(scratch) / str(k)), "--no-posterior"]
-              for k, share in enumerate(shares)), codes=(0, 1),
-        )  # fmt: skip
-        written = len(list(Path(scratch).glob("*/*.json")))
-    if written != sum(map(len, shares)):
-        raise RuntimeError(f"{written} results of {sum(map(len, shares))} files: {done.outputs}")
-    return done
+def measure(out, *files):
+    """Of a process of its own: seconds of a plain loop over files, one after the other with all cores."""
+    settings, start = load(posterior=False), time.perf_counter()
+    ended = [fit_unit(Unit(Path(path), Path(out), settings)) for path in files]
+    if any(each.kind is not Kind.FITTED for each in ended):
+        raise RuntimeError(f"not all are fitted: {[each.error for each in ended]}")
+    return time.perf_counter() - start
 
 
-def row(files, processes, done):
-    """A row of the table; an exit code of 1 says that a fit ended at its step limit."""
+def fitted(files, jobs=None):
+    """A row: the files in a process of its own, by a plain loop or by `merlfit fit --jobs`.
+
+    An exit code of 1 says that a fit ended at its step limit.
+    """
+    with tempfile.TemporaryDirectory() as out:
+        if jobs is None:
+            start = time.monotonic()
+            _, peak = worker("batch", out, *files)
+            seconds, peaks = time.monotonic() - start, (peak, peak)
+        else:
+            done = watch([MERLFIT, "fit", *map(str, files), "-o", out, "--no-posterior", "-j", jobs], codes=(0, 1))
+            seconds, peaks = done.seconds, (done.peaks_mib[0], done.sums_mib[0])
+        written = len(list(Path(out).glob("*.json")))
+    if written != len(files):
+        raise RuntimeError(f"{written} results of {len(files)} files")
     return {
-        "files": files, "processes": processes, "seconds": done.seconds, "s a file": done.seconds / files,
-        "largest peak GiB": max(done.peaks_mib) / 1024, "sum of peaks GiB": sum(done.peaks_mib) / 1024,
+        "files": len(files), "by": LOOP if jobs is None else POOL, "jobs": jobs or "1", "seconds": seconds,
+        "s a file": seconds / len(files), "largest process GiB": peaks[0] / 1024, "all processes GiB": peaks[1] / 1024,
     }  # fmt: skip
 
 
+def median_of(files, jobs=None):
+    """The row of the median time of some runs."""
+    rows = sorted((fitted(files, jobs) for _ in range(REPEATS)), key=lambda row: row["seconds"])
+    return rows[REPEATS // 2]
+
+
 def run(folder, out, every):
-    """Rows by number of files, then of processes; with ``every`` all 100."""
+    """Rows by number of files, then of the ways to fit them; with ``every`` all 100."""
     record = Record(
         "batch", "Many files in one call", RECONSTRUCTIONS,
-        ["`merlfit fit FILE ... --no-posterior`, body `auto` (five kinds of interface and body on the coarse grid, the "
-         "best on all bins), "
-         "wall time of the whole process, compiled programs in the cache. Two processes: half of the files "
-         "each, together."],
-        {"files": Target(f"all {FILES} materials in one call, no posterior", 10, "minutes")},
+        ["`merlfit fit FILE ... --no-posterior --jobs N`, five kinds of interface and body on the coarse grid, the "
+         "best on all bins; wall time of the whole call with the start of its processes, compiled programs in the "
+         "cache. The plain loop: one process of Python that fits one file after the other. Up to "
+         f"{max(COUNTS)} files: the median of {REPEATS} runs."],
+        {"files": Target(f"all {FILES} materials in one call, no posterior", 10, "minutes"),
+         "overhead": Target(f"a file of {max(COUNTS)}: one job against the plain loop", 10, "%"),
+         "two": Target(f"a file of {max(COUNTS)}: two jobs against the plain loop", 10, "%")},
         folder=out,
     )  # fmt: skip
     mixed = [
         m for pair in zip(list(TWELVE)[:6], list(TWELVE)[6:], strict=True) for m in pair
     ]  # conductor, plastic, ...
     files = [file(folder, material) for material in mixed[: max(COUNTS)]]
-    fit_all([files])  # every body that they choose is compiled
+    fitted(files, "1")  # every body that they choose is compiled
     for count in COUNTS:
-        record.add(row(count, 1, fit_all([files[:count]])))
+        record.add(median_of(files[:count], "1"))
     counts, seconds = record.column("files"), record.column("seconds")
     further = (seconds[-1] - seconds[0]) / (counts[-1] - counts[0])
     record.notes.append(
         f"Time grows as files^{exponent(counts, seconds):.2f}: {seconds[0]:.3g} s for the first, {further:.3g} s for "
-        f"each further one; peak memory as files^{exponent(counts, record.column('largest peak GiB')):.2f}."
+        f"each further one; peak memory as files^{exponent(counts, record.column('largest process GiB')):.2f}."
     )
-    record.add(row(max(COUNTS), 2, fit_all([files[::2], files[1::2]])))
+    one = seconds[-1]
+    loop, two = median_of(files), median_of(files, "2")
+    record.add(loop)
+    record.add(two)
+    record.set("overhead", 100 * (one / loop["seconds"] - 1))
+    record.set("two", 100 * (two["seconds"] / loop["seconds"] - 1))
     if every:
         hundred = [file(folder, material) for material in every_material()]
-        record.add(row(len(hundred), 1, fit_all([hundred])))
-        record.add(row(len(hundred), 2, fit_all([hundred[::2], hundred[1::2]])))
-        record.set("files", record.column("seconds", files=FILES, processes=1)[0] / 60)
+        for jobs in ("1", "2"):
+            record.add(fitted(hundred, jobs))
+        record.set("files", min(record.column("seconds", files=FILES)) / 60)
     else:
         record.notes.append(f"All {FILES} files were left out (`--few`).")
     record.finish()

@@ -6,10 +6,12 @@ import re
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
+
+import psutil
 
 MERLFIT = str(Path(sys.executable).with_name("merlfit"))
 ROOT = Path(__file__).parents[2]
@@ -21,12 +23,14 @@ class Watched:
     """Processes that ran side by side.
 
     Attributes:
-        seconds: from the start of the first to the end of the last. peaks_mib: largest resident set of each.
+        seconds: from the start of the first to the end of the last. peaks_mib: largest resident set of each, or of one
+        that it started. sums_mib: largest sum over each and all that it started, at one moment.
         outputs: what each printed.
     """
 
     seconds: float
     peaks_mib: list[float]
+    sums_mib: list[float]
     outputs: list[str]
 
 
@@ -39,7 +43,7 @@ def watch(*commands, codes=(0,), blas=1):
     Raises:
         RuntimeError: a command failed; the message ends with what it said.
     """
-    peaks = [0.0] * len(commands)
+    peaks, sums = [0.0] * len(commands), [0.0] * len(commands)
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": str(blas)}
     with ExitStack() as files:
         said = [files.enter_context(TemporaryFile("w+")) for _ in commands]  # a pipe would fill
@@ -48,14 +52,18 @@ def watch(*commands, codes=(0,), blas=1):
             subprocess.Popen(c, cwd=ROOT, stdout=file, env=environment) for c, file in zip(commands, said, strict=True)
         ]
         while any(process.poll() is None for process in running):
-            peaks = [max(peak, resident_peak(process.pid)) for peak, process in zip(peaks, running, strict=True)]
+            for k, process in enumerate(running):
+                with suppress(psutil.NoSuchProcess):
+                    all_of = [process.pid, *(p.pid for p in psutil.Process(process.pid).children(recursive=True))]
+                    peaks[k] = max(peaks[k], *map(resident_peak, all_of))
+                    sums[k] = max(sums[k], sum(resident(pid) for pid in all_of))
             time.sleep(PERIOD)
         seconds = time.monotonic() - start
         outputs = [read_back(file) for file in said]
     for command, process, output in zip(commands, running, outputs, strict=True):
         if process.returncode not in codes:
             raise RuntimeError(f"{' '.join(command)}: exit code {process.returncode}: {output[-2000:]}")
-    return Watched(seconds, peaks, outputs)
+    return Watched(seconds, peaks, sums, outputs)
 
 
 def read_back(file):
@@ -66,11 +74,20 @@ def read_back(file):
 
 def resident_peak(pid="self"):
     """Largest resident set of a process so far (MiB); 0 of one that has ended."""
+    return _status(pid, "VmHWM")
+
+
+def resident(pid="self"):
+    """Resident set of a process now (MiB); 0 of one that has ended."""
+    return _status(pid, "VmRSS")
+
+
+def _status(pid, key):
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except (FileNotFoundError, ProcessLookupError):
         return 0.0
-    found = re.search(r"VmHWM:\s+(\d+) kB", status)
+    found = re.search(rf"{key}:\s+(\d+) kB", status)
     return int(found[1]) / 1024 if found else 0.0
 
 

@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from ..merl_io.atomic import WriteError, write_text
-from .execution.journal import NAME as MANIFEST
-from .execution.journal import FileEnded, lines
-from .execution.unit import Kind
-from .results.export import ResultError, read_result
-from .results.schema import Metrics, Result
-from .support.terminal import console, fail, note
+from ...merl_io.atomic import WriteError, write_text
+from ..execution.journal import NAME as MANIFEST
+from ..execution.journal import FileEnded, lines
+from ..execution.unit import Kind
+from ..results.export import ResultError, read_result
+from ..results.schema import Metrics, Result
+from ..support.terminal import console, fail, note
 
 UNREADABLE = "unreadable"
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would compute a cell that begins so
@@ -25,13 +25,9 @@ Row = dict[str, str | float | None]
 
 def write_table(folder: Path, path: Path) -> None:
     """Write the table of a folder and say what it holds; ends with an error line where there is nothing."""
-    if not folder.is_dir():
-        raise fail(f"{folder}: no such folder")
-    rows = rows_of(folder)
-    if not rows:
-        raise fail(f"{folder}: no results in there; `merlfit fit FILE ... -o {folder}` writes some")
+    rows = results_in(folder)
     try:
-        _write(rows, path)
+        write_csv(rows, path)
     except WriteError as error:
         raise fail(str(error)) from None
     for row in rows:
@@ -40,6 +36,16 @@ def write_table(folder: Path, path: Path) -> None:
     counts = Counter(str(row["status"]) for row in rows)
     said = ", ".join(f"{count} {status}" for status, count in counts.most_common())
     console.print(f"wrote {path}: {said}", soft_wrap=True)
+
+
+def results_in(folder: Path) -> list[Row]:
+    """As `rows_of`; ends with an error line where there is nothing."""
+    if not folder.is_dir():
+        raise fail(f"{folder}: no such folder")
+    rows = rows_of(folder)
+    if not rows:
+        raise fail(f"{folder}: no results in there; `merlfit fit FILE ... -o {folder}` writes some")
+    return rows
 
 
 def rows_of(folder: Path) -> list[Row]:
@@ -62,7 +68,7 @@ def rows_of(folder: Path) -> list[Row]:
     return found
 
 
-def _write(rows: Sequence[Row], path: Path) -> None:
+def write_csv(rows: Sequence[Row], path: Path) -> None:
     """CSV: UTF-8, commas, a decimal point, numbers of six digits, nothing where there is no value."""
     heads = list(dict.fromkeys([*HEADS, *(head for row in rows for head in row)]))
     out = io.StringIO()

@@ -7,8 +7,8 @@ from made_results import made
 from merlfit.fitting import cli
 from merlfit.fitting.execution.journal import NAME, Journal
 from merlfit.fitting.execution.unit import Ended, Kind, Unit
+from merlfit.fitting.report.table import HEADS
 from merlfit.fitting.results.export import write_result
-from merlfit.fitting.run_table import HEADS
 from merlfit.fitting.settings.config import Config
 from merlfit.model.rivals.ggx import GGX
 from typer.testing import CliRunner

@@ -1,0 +1,1 @@
+"""A folder of results for people: one table, and pages with pictures."""

@@ -1,0 +1,29 @@
+"""`merlfit report` in a terminal: its progress, and what it says."""
+
+from pathlib import Path
+
+from ...merl_io.atomic import WriteError
+from ..support.terminal import Stopped, console, fail, note, progress_display, reporter, writable_folder
+from .site import write_site
+from .table import results_in
+
+
+def report_on(folder: Path, out: Path, files: Path | None, jobs: int | None) -> None:
+    """Write the pages and say where they begin; ends with an error line where there is nothing."""
+    rows = results_in(folder)
+    if files is not None and not files.is_dir():
+        raise fail(f"--files {files}: no such folder")
+    writable_folder(out)
+    try:
+        with progress_display() as progress:
+            task = progress.add_task("pages", total=None)
+            lacks = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"))
+    except WriteError as error:
+        raise fail(str(error)) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}: {out} is not whole; the same command writes it anew")
+        raise SystemExit(stop.code) from None
+    for name, said in lacks.items():
+        for line in said:
+            note(f"{name}: {line}")
+    console.print(f"wrote {out / 'index.html'}: {len(lacks)} pages; open it in a browser", soft_wrap=True)

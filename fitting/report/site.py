@@ -1,0 +1,321 @@
+"""`merlfit report`: a folder of results as pages that open from disk, without a network."""
+
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files as files_of
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from PIL import Image
+
+from ...merl_io.atomic import write_text
+from ...merl_io.binary import Measurement, MerlError, read
+from ..assess.identifiability import in_words
+from ..execution.pool import jobs_for
+from ..output import plots
+from ..output.comparison import group_of
+from ..output.inspection import file_of
+from ..output.report import accuracy_line, fitted_line, interval, number
+from ..results.export import read_result
+from ..results.schema import Result
+from ..support.clock import Report, silent
+from ..support.compilation import use_persistent_cache
+from . import charts, figures
+from .table import UNREADABLE, Row, write_csv
+
+FIGURES = {
+    "rmse": "RMSE (1/sr)", "smape": "sMAPE", "picture": "CIELAB distance of spheres", "cube_root": "cube-root error",
+    "log": "log error",
+}  # fmt: skip
+"""Errors by their name in the table, in words."""
+SHOWN = ("material", "status", "model", "variant", "seconds", "highlight", "error")
+Page = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A page to make.
+
+    Attributes:
+        path: of the result. name: of the page, in ``materials/`` of ``out``. file: of the measurement, if it moved.
+        before, after: pages beside it.
+    """
+
+    path: Path
+    out: Path
+    name: str
+    file: Path | None
+    before: str | None
+    after: str | None
+
+
+def write_site(
+    rows: Sequence[Row], folder: Path, out: Path, files: Path | None = None, jobs: int | None = None,
+    say: Report = silent,
+) -> dict[str, list[str]]:  # fmt: skip
+    """Pages of all results of a folder.
+
+    Args:
+        rows: of the folder's table. files: folder with the measurements, if they are not where the results say.
+        jobs: processes; None for as many as cores and memory allow. say: told which page is done.
+
+    Returns:
+        what each page lacks, by its name.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: something cannot be written.
+    """
+    names = _page_names(rows)
+    pages = [name for name in names if name is not None]
+    work = {}
+    for row, name in zip(rows, names, strict=True):
+        if name is not None:
+            k = pages.index(name)
+            beside = (pages[k - 1] if k else None), (pages[k + 1] if k + 1 < len(pages) else None)
+            file = None if files is None else files / Path(str(row["file"])).name
+            work[name] = Job(folder / str(row["result"]), out, name, file, *beside)
+    for place in ("materials", "pictures", "assets"):
+        (out / place).mkdir(parents=True, exist_ok=True)
+    lacks: dict[str, list[str]] = {}
+    for k, (name, said) in enumerate(_made(list(work.values()), jobs_for(len(work), jobs)), 1):
+        lacks[name] = said
+        say(f"{k} of {len(work)} pages")
+    shown = [_index_row(row, name, out) for row, name in zip(rows, names, strict=True)]
+    write_text(out / "assets" / "vega.js", charts.script())
+    for asset in ("style.css", "charts.js", "index.js", "compare.js"):
+        write_text(
+            out / "assets" / asset, (files_of("merlfit.fitting.report") / "templates" / asset).read_text("utf-8")
+        )
+    write_csv(rows, out / "table.csv")
+    write_text(out / "index.html", _index(folder, shown))
+    write_text(out / "compare.html", _templates().get_template("compare.html").render(rows=_with_page(shown)))
+    return lacks
+
+
+def _made(jobs: list[Job], count: int) -> Iterator[tuple[str, list[str]]]:
+    """Names of pages as they are done, and what each lacks."""
+    if count <= 1:
+        yield from ((job.name, make_page(job)) for job in jobs)
+        return
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+        running = {pool.submit(make_page, job): job for job in jobs}
+        for done in as_completed(running):
+            yield running[done].name, done.result()
+
+
+def make_page(job: Job) -> list[str]:
+    """Write the page of a result, and its pictures.
+
+    Returns:
+        what it lacks, and why.
+    """
+    use_persistent_cache()
+    result = read_result(job.path)
+    lacks: list[str] = []
+    page = _page_of(job, result)
+    if result.model is not None:
+        measurement = _measurement(job, result, lacks)
+        chain = _chain(job, result, lacks)
+        page |= _charts(result, measurement, chain) | {"pictures": _pictures(job, result, measurement, chain)}
+    page["lacks"] = lacks
+    write_text(job.out / "materials" / f"{job.name}.html", _templates().get_template("material.html").render(page))
+    return lacks
+
+
+def _measurement(job: Job, result: Result, lacks: list[str]) -> Measurement | None:
+    path = job.file or file_of(job.path, result)
+    try:
+        return read(path, result.source.sha1)
+    except MerlError as error:
+        lacks.append(f"the measurement is not shown: {error}")
+        return None
+
+
+def _chain(job: Job, result: Result, lacks: list[str]) -> dict[str, np.ndarray] | None:
+    if result.posterior is None:
+        return None
+    try:
+        return plots.chain_file(result, job.path)
+    except plots.NoPicture as error:
+        lacks.append(f"the posterior is not shown: {error}")
+        return None
+
+
+def _page_of(job: Job, result: Result) -> Page:
+    """What is said of a result."""
+    m, f, run = result.model, result.fit, result.run
+    command = " ".join(_quoted(word) for word in run.command) if run is not None else ""
+    return {
+        "result": result, "name": job.name, "before": job.before, "after": job.after, "json": os.path.relpath(
+            job.path, job.out / "materials"), "fitted": None if m is None else fitted_line(m), "number": number,
+        "interval": interval, "symbol": _symbol, "spec": {}, "svg": {}, "pictures": {}, "widths": [],
+        "words": [] if result.identifiability is None else in_words(result.identifiability),
+        "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
+        "at_bound": [q.name for q in result.parameters if q.at_bound != "no"], "command": command,
+        "genuine": result.source.genuine_merl, "group": group_of(result.source.material), "errors": FIGURES,
+        "left_out": _left_out(result), "candidates": sorted(
+            f.candidates, key=lambda c: np.inf if c.score is None else c.score),
+    }  # fmt: skip
+
+
+def _left_out(result: Result) -> list[str]:
+    """What the fitted model does not simulate."""
+    if result.model is None:
+        return []
+    said = ["interreflection between samples, polarisation, fluorescence: no model here has them"]
+    said.append("light that the surface scatters more than once, where the model does not say otherwise")
+    fit = result.config["fit"]
+    if (limit := fit.get("theta_max")) is not None:
+        said.append(f"directions past {np.degrees(limit):.0f} degrees from the normal: not fitted, not judged")
+    return said
+
+
+def _charts(result: Result, measurement: Measurement | None, chain: dict[str, np.ndarray] | None) -> Page:
+    """Charts of a result, as specifications and as they are drawn."""
+    m = result.model
+    assert m is not None
+    trusted = chain if result.posterior is not None and result.posterior.sufficient else None
+    found = figures.lobes(result, measurement, trusted)
+    specs = {
+        "lobes": charts.lobes(found.plane, found.parts, m.channels),
+        "peak": charts.peak(found.peak, m.channels, plots.PEAK_DIFFERENCE_DEG),
+    }
+    return _embedded(specs) | {"widths": found.widths}
+
+
+def _pictures(
+    job: Job, result: Result, measurement: Measurement | None, chain: dict[str, np.ndarray] | None
+) -> dict[str, str]:
+    """Pictures by what they show: their files, seen from the page."""
+    m, found = result.model, {}
+    assert m is not None
+    predicted, limit = figures.all_bins(m, result.values()), figures.limit_of(result)
+
+    def place(what: str) -> Path:
+        found[what] = f"../pictures/{quote(job.name)}.{what}.webp"
+        return job.out / "pictures" / f"{job.name}.{what}.webp"
+
+    for name, picture in figures.spheres(measurement, predicted, limit).items():
+        figures.save_picture(picture, place(name))
+        if name in ("environment-file", "environment-fit"):
+            small = picture.resize((figures.THUMBNAIL, figures.THUMBNAIL), Image.Resampling.LANCZOS)
+            figures.save_picture(small, place(f"small-{name}"))
+    figures.save_figure(figures.isolines(result, measurement), place("isolines"))
+    if measurement is not None:
+        figures.save_figure(figures.error_map(measurement, predicted, limit), place("errors"))
+    if chain is not None:
+        figures.save_figure(plots.corner_figure(result, chain), place("corner"), dpi=70)
+        free = plots.states(result, job.path)
+        if free is not None and result.posterior is not None:
+            figures.save_figure(figures.trace(free, result.posterior.coordinates), place("trace"))
+    return found
+
+
+def _page_names(rows: Sequence[Row]) -> list[str | None]:
+    """Of each row's page: its result's path without the ending; None where there is nothing to show."""
+    return [
+        None if row["result"] is None or row["status"] == UNREADABLE else
+        "--".join(Path(str(row["result"])).with_suffix("").parts)
+        for row in rows
+    ]  # fmt: skip
+
+
+def _index_row(row: Row, name: str | None, out: Path) -> Page:
+    """What the index shows of a result, and what its charts need."""
+    small = {kind: f"pictures/{name}.small-environment-{kind}.webp" for kind in ("file", "fit")}
+    parameters: Page = {}
+    for key in [str(k)[:-3] for k in row if str(k).endswith("_se")]:
+        value, error = row[key], row[f"{key}_se"]
+        low, high = row[f"{key}_q05"], row[f"{key}_q95"]
+        if value is None:
+            continue
+        if low is None and isinstance(error, float) and isinstance(value, float):
+            low, high = value - 1.645 * error, value + 1.645 * error
+        parameters[key] = value, low, high
+    return {
+        **{key: row[key] for key in (*SHOWN, *FIGURES)},
+        "group": group_of(str(row["material"])), "cautions": str(row["cautions"] or ""), "genuine": row["genuine_merl"],
+        "page": None if name is None else f"materials/{quote(name)}.html", "name": name,
+        "small": {kind: quote(path) for kind, path in small.items() if (out / path).exists()}, "parameters": parameters,
+    }  # fmt: skip
+
+
+def _with_page(rows: Sequence[Page]) -> list[Page]:
+    return [row for row in rows if row["page"] is not None]
+
+
+def _index(folder: Path, rows: Sequence[Page]) -> str:
+    shown = _with_page(rows)
+    charted = [
+        {**{key: row[key] for key in ("material", "model", "page", "seconds", *FIGURES)},
+         **{f"{name}{ending}": x for name, values in row["parameters"].items()
+            for ending, x in zip(("", "_low", "_high"), values, strict=True)}}
+        for row in shown if row["model"] is not None
+    ]  # fmt: skip
+    counts = Counter(name for row in shown for name in row["parameters"])
+    specs = {}
+    if charted:
+        known = {n: said for n, said in FIGURES.items() if any(row[n] is not None for row in charted)}
+        specs = {"sorted": charts.sorted_errors(charted, known), "time": charts.time_against_error(charted, known)}
+        if counts:
+            specs["parameters"] = charts.parameters(charted, [name for name, _ in counts.most_common()])
+    genuine = all(row["genuine"] not in (None, "no") for row in shown)
+    return _templates().get_template("index.html").render(
+        rows=rows, folder=folder.resolve().name, number=number, errors=FIGURES, genuine=genuine,
+        statuses=Counter(str(row["status"]) for row in rows).most_common(),
+        groups=sorted({row["group"] for row in rows}),
+        models=sorted({str(row["model"]) for row in shown if row["model"]}),
+        **_embedded(specs),
+        medians={n: _median([row[n] for row in shown]) for n in (*FIGURES, "seconds")},
+    )  # fmt: skip
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [x for x in values if x is not None]
+    return float(np.median(known)) if known else None
+
+
+def _embedded(specs: Mapping[str, charts.Spec]) -> Page:
+    """Specifications as JSON that no text in them can end the script of, and the charts as they are drawn."""
+    compact = {name: json.dumps(spec, separators=(",", ":")).replace("<", "\\u003c") for name, spec in specs.items()}
+    return {
+        "spec": {name: Markup(text) for name, text in compact.items()},
+        "svg": {name: Markup(charts.svg(spec)) for name, spec in specs.items()},
+    }
+
+
+def _symbol(tex: str) -> str:
+    """TeX of a parameter in letters, as far as that goes."""
+    found = tex
+    for name, letter in GREEK.items():
+        found = found.replace(f"\\{name}", letter)
+    return re.sub(r"[{}\\$]|mathrm|text|rm ", "", found)
+
+
+GREEK = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "eta": "η", "theta": "θ", "kappa": "κ", "lambda": "λ", "mu": "μ",
+    "rho": "ρ", "sigma": "σ", "tau": "τ",
+}  # fmt: skip
+
+
+def _quoted(word: str) -> str:
+    return word if re.fullmatch(r"[\w@%+=:,./-]+", word) else "'" + word.replace("'", "'\"'\"'") + "'"
+
+
+@cache
+def _templates() -> Environment:
+    return Environment(
+        loader=PackageLoader("merlfit.fitting.report", "templates"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip

@@ -1,0 +1,265 @@
+"""The report of a folder: its pages as files, and as a browser shows them."""
+
+import hashlib
+import json
+import os
+import re
+from html.parser import HTMLParser
+from urllib.parse import unquote
+
+import chromium
+import numpy as np
+import pytest
+from made_results import made
+from merlfit.fitting import cli
+from merlfit.fitting.execution.journal import Journal
+from merlfit.fitting.execution.unit import Ended, Kind, Unit
+from merlfit.fitting.output.synthesis import tabulate
+from merlfit.fitting.pipeline.run import chain_of
+from merlfit.fitting.report import charts, figures
+from merlfit.fitting.report.figures import lobes
+from merlfit.fitting.results.export import write_result
+from merlfit.fitting.settings.config import Config
+from merlfit.merl_io.binary import read, write
+from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
+from merlfit.model.reflectance import contributions, evaluate
+from merlfit.model.rivals.ggx import GGX
+from merlfit.model.two_scale import TwoScale
+from playwright.sync_api import expect, sync_playwright
+from typer.testing import CliRunner
+
+NICKEL = {"alpha": 0.1, "F0": np.array([0.6, 0.5, 0.4]), "albedo": np.array([0.05, 0.04, 0.03])}
+EVIL = "</script><script>document.title='owned'</script>"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, compiled_quickly):
+    """A folder of five: fits of their file, one with a posterior, one without its file; one that failed."""
+    folder = tmp_path_factory.mktemp("run")
+    write(folder / "nickel.binary", tabulate(lambda g: evaluate(GGX(), NICKEL, g)))
+    sha1 = hashlib.sha1((folder / "nickel.binary").read_bytes()).hexdigest()
+
+    def put(name, path="nickel.binary", **options):
+        result = made(name, str(folder / path), model=GGX(), sha1=sha1, **options)
+        for q in result.parameters:
+            value = NICKEL[q.parameter]
+            q.value = float(value if q.channel is None else value["RGB".index(q.channel)])
+        write_result(folder / f"{name}.json", result)
+        return result
+
+    put("nickel").fit.cautions.append(EVIL)
+    told = put("red-plastic", posterior=True)
+    chain(folder / "red-plastic.json", told)
+    moved = put("white-fabric", "gone.binary")
+    moved.fit.cautions, moved.metrics.rmse = [EVIL], 0.001
+    write_result(folder / "white-fabric.json", moved)
+    failed = Unit(folder / "brass.binary", folder, Config())
+    Journal(folder).ended(failed, Ended(Kind.BAD_INPUT, error="brass.binary: too short"))
+    (folder / "sub").mkdir()
+    write_result(folder / "sub" / "a name.json", made("a name", str(folder / "nickel.binary"), model=GGX(), sha1=sha1))
+    return folder
+
+
+def chain(path, result):
+    """Draws around the fit, as the sampler keeps them."""
+    rng, count = np.random.default_rng(1), len(result.parameters)
+    values = np.array([q.value for q in result.parameters]) * (1 + 0.03 * rng.normal(size=(300, count)))
+    np.savez(
+        chain_of(path), names=[q.name for q in result.parameters], values=values, weights=np.full(300, 1 / 300),
+        chain_free=rng.normal(size=(50, 32, count)),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def site(run):
+    done = CliRunner().invoke(cli.app, ["report", str(run), "-o", str(run / "report"), "-j", "1"])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.endswith(f"wrote {run}/report/index.html: 4 pages; open it in a browser\n")
+    assert f"white-fabric: the measurement is not shown: {run}/gone.binary: " in done.stderr
+    return run / "report"
+
+
+class Links(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.found, self.scripts = [], 0
+
+    def handle_starttag(self, tag, attributes):
+        self.scripts += tag == "script"
+        self.found += [value for name, value in attributes if name in ("href", "src") and value]
+
+
+def links(page):
+    parser = Links()
+    parser.feed(page.read_text())
+    return parser
+
+
+def test_every_link_leads_to_a_file_of_the_site(site):
+    pages = [*site.glob("*.html"), *site.glob("materials/*.html")]
+    assert len(pages) == 6
+    for page in pages:
+        for link in links(page).found:
+            assert not re.match(r"(https?:)?//", link), link
+            if not link.startswith(("#", "data:")):
+                assert (page.parent / unquote(link.split("?")[0])).resolve().is_file(), f"{page}: {link}"
+
+
+def test_text_from_results_is_text(site):
+    plain, edited = (links(site / "materials" / f"{name}.html").scripts for name in ("nickel", "white-fabric"))
+    assert plain == edited
+    assert "owned" in (site / "materials" / "white-fabric.html").read_text()
+
+
+def test_what_a_page_says_without_a_script(site):
+    page = (site / "materials" / "red-plastic.html").read_text()
+    for said in (
+        "The file is not a genuine MERL measurement", "width of the distribution of microfacet normals",
+        "90 % interval", "merlfit fit", "Walter", "Corner plot", "<svg",
+    ):  # fmt: skip
+        assert said in page, said
+    assert "was not sampled" in (site / "materials" / "nickel.html").read_text()
+    assert "brass.binary: too short" in (site / "index.html").read_text()
+    assert not (site / "pictures" / "white-fabric.errors.webp").exists()
+
+
+def test_index_and_pages_are_small(site):
+    thumbnails = [p for p in (site / "pictures").iterdir() if ".small-" in p.name]
+    assert len(thumbnails) == 7
+    size = sum(p.stat().st_size for p in [*thumbnails, site / "index.html", *(site / "assets").iterdir()])
+    assert size < 1.5e6
+    assert (site / "materials" / "nickel.html").stat().st_size < 8e5
+
+
+def test_the_lobes_of_a_fit_that_is_the_file(run):
+    result = made("nickel", model=GGX())
+    for q in result.parameters:
+        value = NICKEL[q.parameter]
+        q.value = float(value if q.channel is None else value["RGB".index(q.channel)])
+    found = lobes(result, read(run / "nickel.binary"), None)
+    seen = [row for row in found.plane if row["file"] is not None]
+    assert len(seen) > 1000
+    ratio = np.array([row["fit"] / row["file"] for row in seen])
+    assert np.abs(np.median(ratio) - 1) < 0.01
+    at = {(row["i"], row["o"], row["channel"]): row["fit"] for row in found.plane}
+    parts = {}
+    for row in found.parts:
+        parts[row["i"], row["o"]] = parts.get((row["i"], row["o"]), 0) + row["value"]
+    assert all(abs(total / at[i, o, "G"] - 1) < 2e-3 for (i, o), total in parts.items())
+    assert [row["file"] for row in found.widths] == pytest.approx([row["fit"] for row in found.widths], rel=0.05)
+
+
+@pytest.mark.parametrize("model", [TwoScale("none"), TwoScale("plastic", index="real"), Measured(TwoScale("lambert"))])
+def test_contributions_add_up(model, compiled_quickly):
+    geometry = Geometry.from_half_difference(
+        np.array([0.02, 0.4, 1.5]), np.array([0.3, 0.6, 0.5]), np.array([1.0, 2, 0])
+    )
+    values = {q.name: np.full(3, q.default) if q.per_channel else q.default for q in model.parameters}
+    found = contributions(model, values, geometry)
+    assert set(found) >= {"specular", "diffracted"}
+    np.testing.assert_allclose(sum(found.values()), evaluate(model, values, geometry), rtol=1e-12, atol=1e-15)
+
+
+def test_half_width_of_a_known_peak():
+    degrees = np.linspace(0.1, 10, 90)
+    assert figures._half(degrees, np.exp(-((degrees - 0.1) ** 2))) == pytest.approx(0.1 + np.sqrt(np.log(2)), abs=0.01)
+    assert figures._half(degrees, np.ones(90)) is None
+
+
+def test_a_chart_is_drawn_without_a_browser():
+    rows = [{"material": "a", "model": "ggx", "page": "p", "seconds": 2.0, "rmse": 0.1}]
+    drawn = charts.svg(charts.time_against_error(rows, {"rmse": "RMSE"}))
+    assert drawn.startswith("<svg")
+    assert "seconds a file" in drawn
+
+
+@pytest.fixture(scope="module")
+def browser():
+    path = chromium.found()
+    if path is None:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(chromium.ABSENT)
+    with sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=path, args=list(chromium.OPTIONS))
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def opened(browser, site):
+    """Opens a page of the site; in the end nothing may have been complained of, and nothing asked of a network."""
+    complaints, asked, context = [], [], browser.new_context()
+
+    def open_page(name, width=1280):
+        page = context.new_page()
+        page.set_viewport_size({"width": width, "height": 900})
+        page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto((site / name).as_uri())
+        return page
+
+    yield open_page
+    context.close()
+    assert complaints == []
+    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
+def drawn(page):
+    page.wait_for_function("document.documentElement.dataset.charts === 'drawn'")
+    return page
+
+
+def names(page):
+    return page.locator("#results tbody tr:visible th").evaluate_all(
+        "heads => heads.map(h => h.firstChild.textContent.trim())"
+    )
+
+
+def test_index_sorts_and_filters(opened):
+    page = drawn(opened("index.html"))
+    assert len(names(page)) == 5
+    page.get_by_role("button", name="RMSE").click()
+    assert names(page)[0] == "white-fabric"
+    assert names(page)[-1] == "brass"  # has none
+    page.get_by_role("button", name="RMSE").press("Enter")  # by the keyboard, the other way
+    assert names(page)[-2:] == ["white-fabric", "brass"]
+    expect(page.locator("th[aria-sort=descending]")).to_have_text("RMSE (1/sr)")
+    page.get_by_role("searchbox").fill("NICK")
+    assert names(page) == ["nickel"]
+    expect(page.locator("#shown")).to_have_text("1 of 5 shown")
+    page.get_by_role("searchbox").fill("")
+    page.locator("[name=status]").select_option("bad input")
+    assert names(page) == ["brass"]
+    page.locator("[name=status]").select_option("")
+    page.locator("[name=group]").select_option("fabrics")
+    assert names(page) == ["white-fabric"]
+
+
+def test_the_slider_of_a_page_changes_its_plot(opened):
+    page = drawn(opened("materials/nickel.html"))
+    before = page.locator("#chart-lobes svg").first.inner_html()
+    slider = page.locator("#chart-lobes input[type=range]")
+    slider.focus()
+    slider.press("ArrowRight")
+    page.wait_for_function("before => document.querySelector('#chart-lobes svg').innerHTML !== before", arg=before)
+    turned = page.locator("#chart-lobes svg").first.inner_html()
+    page.locator("#chart-lobes select").select_option("logarithmic")
+    page.wait_for_function("before => document.querySelector('#chart-lobes svg').innerHTML !== before", arg=turned)
+    assert page.title() == "nickel - merlfit"
+
+
+def test_two_results_side_by_side(opened):
+    page = opened("compare.html")
+    expect(page.frame_locator("#left-page").locator("h1")).to_have_text("a name")
+    page.locator("#right").select_option("white-fabric")
+    expect(page.frame_locator("#right-page").locator("h1")).to_have_text("white-fabric")
+
+
+def test_a_click_from_the_index_opens_a_page_and_no_page_is_wider_than_a_phone(opened):
+    page = drawn(opened("index.html", width=390))
+    page.get_by_role("link", name="white-fabric", exact=True).click()
+    drawn(page)
+    assert page.title() == "white-fabric - merlfit"
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert json.loads(page.locator("script.spec").first.text_content())["vconcat"]
