@@ -74,7 +74,7 @@ def refuse_same_names(files: list[Path]) -> None:
 
 
 class Executor(Protocol):
-    """What fits units: `Here`, a `Pool`, or a cluster."""
+    """What fits units: `Here`, or a `Pool`."""
 
     def ended(self, units: Sequence[Unit], tell: Callable[[int, str], None]) -> Iterator[tuple[int, Ended]]:
         """Number of a unit and what came of it, as they end."""
