@@ -1,35 +1,41 @@
-"""Stand-ins for a fit that worker processes can import: what they do is in the name of the file."""
+"""Stand-ins of which everything is known, for the tests of the sampler: residuals in closed form."""
 
-import os
-import signal
-import time
+import numpy as np
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.posterior.emulator import Emulator, coordinates_of
+from merlfit.fitting.posterior.likelihood import StandIn
+from merlfit.model.two_scale import TwoScale
 
-from made_results import made
-from merlfit.fitting.execution.unit import Ended, Kind
-from merlfit.fitting.results.export import write_result
-from merlfit.fitting.support.terminal import Stopped
-
-FOREVER = 60.0
+LAYOUT = layout_of(TwoScale("lambert", "off"))
+OWN = coordinates_of(LAYOUT, np.zeros(LAYOUT.size))
+ROWS = 6  # residuals of a channel
 
 
-def task(unit, report):
-    """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``raises``, ``prints``."""
-    kind = unit.name.split("-")[0]
-    try:
-        began = unit.out / f"{unit.name}.began"
-        first = not began.exists()
-        began.write_text(str(os.getpid()))
-        report("reading")
-        if kind == "killed" or (kind == "once" and first):
-            os.kill(os.getpid(), signal.SIGKILL)
-        if kind == "raises":
-            return Ended(Kind.FAILED, error=f"{unit.path}: it raises")
-        if kind == "prints":
-            os.write(1, b"said by a library\n")
-        if kind == "slow":
-            time.sleep(FOREVER)
-    except Stopped as stop:
-        write_result(unit.target, made(unit.name))
-        return Ended(Kind.STOPPED, made(unit.name), code=stop.code)
-    write_result(unit.target, made(unit.name))
-    return Ended(Kind.FITTED, made(unit.name))
+def gentle(seed=0):
+    """Three channels of smooth residuals of the coordinates of `LAYOUT`."""
+    rng = np.random.default_rng(seed)
+    slopes = [rng.normal(size=(len(own), ROWS)) for own in OWN]
+    bends = [0.3 * rng.normal(size=(len(own), ROWS)) for own in OWN]
+
+    def weighed(points):
+        each = zip(OWN, slopes, bends, strict=True)
+        return np.concatenate([points[:, own] @ a + np.sin(points[:, own]) ** 2 @ b for own, a, b in each], 1)
+
+    return StandIn(weighed, 0.3 * rng.normal(size=3 * ROWS), 2.0)
+
+
+def banana():
+    """One channel in two coordinates: a valley along a parabola, which the prior ends."""
+
+    def weighed(points):
+        x, y = points.T
+        return np.stack([0.4 * x, y - x**2 + 1], 1)
+
+    return StandIn(weighed, np.zeros(2), 3.0)
+
+
+def taught(few, own, points):
+    """An emulator of a stand-in, from its values at ``points``."""
+    return Emulator(points[:0], np.empty((0, len(own), len(few.target) // len(own))), own, few.scale).with_points(
+        few, points
+    )

@@ -137,11 +137,9 @@ def test_errors_stand_clear_of_the_progress_display(monkeypatch):
 
 
 @pytest.fixture
-def told(monkeypatch):
-    found = []
-    monkeypatch.setattr(compilation, "note", found.append)
+def told():
     compilation._mend.cache_clear()
-    yield found
+    yield []
     compilation._mend.cache_clear()
 
 
@@ -150,7 +148,7 @@ def test_a_damaged_program_is_deleted_and_told_once(tmp_path, told, monkeypatch)
     names = [f"jit_{name}-0123abc-cache" for name in ("first", "second", "other")]
     for name in names:
         (tmp_path / name).write_bytes(b"damaged")
-    compilation._mend(tmp_path)
+    compilation._mend(tmp_path, told.append)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         for name in ("jit_first", "jit_second"):

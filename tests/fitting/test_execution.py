@@ -21,13 +21,13 @@ from merlfit.fitting.results.export import versions, write_result
 from merlfit.fitting.settings.config import Config, load
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import DIMS, write
-from stand_ins import task
+from worker_tasks import task
 
 TESTS = Path(__file__).parents[1]
 PROGRAM = f"""
 import sys
 sys.path.insert(0, {str(TESTS)!r})
-from stand_ins import task
+from worker_tasks import task
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution.pool import Pool
 files.executor_of = lambda units, jobs: (Pool(2, task, note=files.note), 2)

@@ -1,0 +1,35 @@
+"""Stand-ins for a fit that worker processes can import: what they do is in the name of the file."""
+
+import os
+import signal
+import time
+
+from made_results import made
+from merlfit.fitting.execution.unit import Ended, Kind
+from merlfit.fitting.results.export import write_result
+from merlfit.fitting.support.terminal import Stopped
+
+FOREVER = 60.0
+
+
+def task(unit, report):
+    """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``raises``, ``prints``."""
+    kind = unit.name.split("-")[0]
+    try:
+        began = unit.out / f"{unit.name}.began"
+        first = not began.exists()
+        began.write_text(str(os.getpid()))
+        report("reading")
+        if kind == "killed" or (kind == "once" and first):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if kind == "raises":
+            return Ended(Kind.FAILED, error=f"{unit.path}: it raises")
+        if kind == "prints":
+            os.write(1, b"said by a library\n")
+        if kind == "slow":
+            time.sleep(FOREVER)
+    except Stopped as stop:
+        write_result(unit.target, made(unit.name))
+        return Ended(Kind.STOPPED, made(unit.name), code=stop.code)
+    write_result(unit.target, made(unit.name))
+    return Ended(Kind.FITTED, made(unit.name))
