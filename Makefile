@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost hard-cases tables lint types install schema clean
+.PHONY: demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults hard-cases tables lint types install schema clean
 
 install: $(READY)
 
@@ -59,6 +59,10 @@ bench-gpu: install
 cost: install
 	$(BIN)/merlfit cost -o results/bench/cost
 	mv results/bench/cost/frontier.json fitting/cost/frontier.json
+
+# Ten minutes: thousands of damaged files through the loaders; results/faults.md.
+faults: install
+	$(BIN)/python -m tests.faults
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases

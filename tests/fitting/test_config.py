@@ -223,3 +223,10 @@ def test_keys_that_would_have_no_effect_are_refused(data, words):
     with pytest.raises(ConfigError, match=words) as error:
         parse(data, "here")
     assert "Value error" not in str(error.value)
+
+
+def test_lists_in_lists_without_end_are_refused(tmp_path):
+    path = tmp_path / "deep.toml"
+    path.write_text(f"seed = {'[' * 5000}{']' * 5000}")
+    with pytest.raises(ConfigError, match=r"deep\.toml: its lists or tables lie in each other too deeply"):
+        load(path)
