@@ -14,7 +14,8 @@ from ...model import chebyshev, convolution, numerics, quadrature, scaled
 from ...model.ndf import epd
 
 MAKERS = (scaled, convolution, chebyshev, epd, numerics, quadrature)
-UNSOUND = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, zlib.error)  # what reading a broken file raises
+# What reading a broken file raises.
+UNSOUND = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, zlib.error)
 
 
 def keep_in(folder: Path | None) -> None:
