@@ -214,7 +214,12 @@ def sample(
     result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
     file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
     max_steps: Annotated[
-        int | None, typer.Option(min=1, help="Most steps to add \\[default: as the fit was told].", show_default=False)
+        int | None,
+        typer.Option(
+            min=1,
+            help="Most steps, beside those of a finished chain \\[default: as the fit was told].",
+            show_default=False,
+        ),
     ] = None,
 ) -> None:
     """Sample the posterior of a fit, or continue the chain that lies beside it, and update both files."""

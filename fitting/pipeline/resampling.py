@@ -21,7 +21,8 @@ def resample(
     """Sample the posterior of a result, or go on with the chain that lies beside it; the result is written anew.
 
     Args:
-        path: of the result. file: the MERL file that it is of. max_steps: more, at the most; None for its own.
+        path: of the result. file: the MERL file that it is of. max_steps: at the most, beside those
+            of a finished chain; None for its own.
 
     Raises:
         merlfit.merl_io.binary.MerlError: the file is not the one that was fitted.

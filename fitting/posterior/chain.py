@@ -148,6 +148,7 @@ class Chain:
         root, leap: of `Hamiltonian`, as tuned. taught: points that the emulator learnt, (N, P).
         random: keys, position, whether there is a cached normal number, and that.
         fit: free coordinates of the fit that it belongs to, (P,).
+        lessons: how often the emulator may still learn, and the chain begin anew.
     """
 
     states: np.ndarray
@@ -158,6 +159,7 @@ class Chain:
     taught: np.ndarray
     random: tuple[np.ndarray, int, int, float]
     fit: np.ndarray
+    lessons: int = 0
 
     @property
     def acceptance(self) -> float:
@@ -171,6 +173,7 @@ class Chain:
             "chain_free": self.states, "log_prob": self.log_prob, "accepted": np.array(self.accepted),
             "root": self.root, "leap": np.array(self.leap), "taught_free": self.taught, "fit_free": self.fit,
             "random_keys": keys, "random_state": np.array([position, cached, normal]),
+            "lessons": np.array(self.lessons),
         }  # fmt: skip
 
 
@@ -244,7 +247,7 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
             random = (file["random_keys"], int(position), int(cached), float(normal))
             chain = Chain(
                 file["chain_free"], file["log_prob"], float(file["accepted"]), file["root"], float(file["leap"]),
-                file["taught_free"], random, file["fit_free"],
+                file["taught_free"], random, file["fit_free"], int(file["lessons"]) if "lessons" in file else 0,
             )  # fmt: skip
     except UNSOUND as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no chain"
@@ -340,8 +343,11 @@ def begin(
         leap = lead.fitting_leap(way.now.coords, seed)
         # also where walkers are: one where the emulator is too low would not be let go
         emulator = emulator.with_points(few, np.concatenate([recorder.asked(MORE), way.now.coords]))
-    random = tuple(way.now.random_state[1:])
-    return Chain(way.states[-1:], way.log_prob[-1:], 0.0, _root(seen), leap, emulator.points, random, fit), emulator
+    chain = Chain(
+        way.states[-1:], way.log_prob[-1:], 0.0, _root(seen), leap, emulator.points, tuple(way.now.random_state[1:]),
+        fit, LESSONS,
+    )  # fmt: skip
+    return chain, Emulator.of(few, layout, chain.taught)  # to the last bit what `extend` has from a file
 
 
 def _ignored(emulator: Emulator, way: _Way) -> tuple[float, np.ndarray]:
@@ -364,16 +370,17 @@ def _root(states: np.ndarray) -> np.ndarray:
 
 
 def extend(
-    chain: Chain, few: StandIn, emulator: Emulator, max_steps: int, progress: Progress, keep: Callable[[Chain], None]
-) -> Chain:
+    chain: Chain, few: StandIn, layout: Layout, emulator: Emulator, max_steps: int, progress: Progress,
+    keep: Callable[[Chain], None],
+) -> Chain:  # fmt: skip
     """Go on until the chain is good enough (`diagnose`), or to ``max_steps``.
 
-    Where walkers come to a tail of which the emulator knows nothing, it learns of it, and the chain begins anew.
+    Where walkers come to a tail of which the emulator knows nothing, it learns of it, and the chain begins anew. A
+    chain that is kept, read from its file and extended is the same to the last bit as one that goes on at once.
 
     Args:
         progress: called with (steps done, steps at the most). keep: called with the chain at every look.
     """
-    lessons = LESSONS if len(chain.states) == 1 else 0  # a chain that was long once is not given up
     while len(chain.states) < max_steps and diagnose(chain).failures():
         done = len(chain.states)
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
@@ -381,14 +388,16 @@ def extend(
         steps = min(CHECK_EVERY, max_steps - done)
         way = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
         random = tuple(way.now.random_state[1:])
-        low, where = _ignored(emulator, way) if lessons else (0.0, now.coords)
+        low, where = _ignored(emulator, way) if chain.lessons else (0.0, now.coords)
         if low > TOO_LOW:
-            lessons -= 1
-            emulator = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER)
+            lessons = chain.lessons - 1
+            taught = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER).points
+            emulator = Emulator.of(few, layout, taught)
             flat = way.states.reshape(-1, way.states.shape[-1])
             chain = replace(
                 chain, states=way.states[-1:], log_prob=way.log_prob[-1:], accepted=0.0, root=_root(flat),
-                leap=lead.fitting_leap(way.now.coords, lessons), taught=emulator.points, random=random,
+                leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, random=random,
+                lessons=lessons,
             )  # fmt: skip
         else:
             chain = replace(

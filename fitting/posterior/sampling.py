@@ -68,7 +68,8 @@ def draw(
     """Sample until the chain is long enough, and correct it; the chain is in ``path`` at every look at it.
 
     Args:
-        samples: those that were fitted. max_steps: more, at the most. seed: of walkers and moves.
+        samples: those that were fitted. max_steps: at the most; of a finished chain that goes on, those to add.
+        seed: of walkers and moves.
         path: .npz with the chain. resume: go on with the chain in it.
 
     Raises:
@@ -84,7 +85,9 @@ def draw(
     drawn: dict[str, np.ndarray] = {}
     if resume:
         chain = read_chain(path, solution.z)
-        drawn = _drawn(path)  # those that the result names, until there are new ones
+        if drawn := _drawn(path):  # those that the result names, until there are new ones
+            chain = replace(chain, lessons=0)  # one that was long enough once is not given up
+            max_steps += len(chain.states)
         emulator = Emulator.of(few, layout, chain.taught)
     else:
         covariance = laplace_covariance(solution.normal, fitted.count)
@@ -94,7 +97,7 @@ def draw(
         if said := _unwritten(path, {**_names(layout), **drawn, **chain.arrays()}):
             report(f"posterior: {said}")
 
-    chain = extend(chain, few, emulator, max_steps + (len(chain.states) if resume else 0), say, keep)
+    chain = extend(chain, few, layout, emulator, max_steps, say, keep)
     problem, lowest = make_problem(samples, precision="float32"), solution.cost  # 1e-6 of S is 1e-6 N of log L
 
     def say_draw(done: int, most: int) -> None:

@@ -4,16 +4,16 @@ import sys
 
 import typer
 
-from .tried import TITLES, Tried
+from .tried import RESULTS, TITLES, Tried
 
 
 def main(sections: list[str] = typer.Argument(None), few: bool = False) -> None:
     """Try the faults of the sections, all of them without a name."""
-    from . import loaders
+    from . import folders, kills, loaders
 
-    tried = Tried()
+    tried = Tried(None if few else RESULTS)
     for section in sections or TITLES:
-        {"loaders": loaders}[section].run(tried, few)
+        {"loaders": loaders, "folders": folders, "kills": kills}[section].run(tried, few)
     sys.exit(1 if tried.wrong else 0)
 
 

@@ -21,16 +21,13 @@ from merlfit.merl_io import binary
 sys.path.append(str(Path(__file__).parents[1]))
 from made_results import made
 
+from .stand_in import CHAIN
+
 ROOT = Path(__file__).parents[2]
 SMALL = (3, 4, 6)
 FORBIDDEN = ("exec", "compile", "pickle.find_class", "subprocess.Popen", "os.system", "os.exec", "socket.connect")
-ALLOWANCE = 2**20  # bytes, beside three times the file
+ALLOWANCE = 2**21  # bytes, beside three times the file
 HOSTILE = [0.0, -0.0, -1.0, 1e-320, 1e300, -1e300, np.inf, -np.inf, np.nan]
-CHAIN = {
-    "chain_free": np.ones((4, 8, 3)), "log_prob": np.ones((4, 8)), "accepted": np.array(0.5), "root": np.eye(3),
-    "leap": np.array(0.1), "taught_free": np.ones((9, 3)), "random_state": np.array([624.0, 0, 0]),
-    "random_keys": np.arange(624, dtype=np.uint32), "fit_free": np.ones(3),
-}  # fmt: skip
 
 _watched: list[str] = []
 _watching = [False]

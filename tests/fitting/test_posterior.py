@@ -202,7 +202,7 @@ def test_a_chain_begun_has_its_walkers_where_the_posterior_is(monkeypatch):
     lowest = few.log_posterior(fit[None])[0]
     assert np.all(chain.log_prob[0] > lowest - 25)
     monkeypatch.setattr(sampler, "ENOUGH", 10)
-    done = extend(chain, few, emulator, 1001, silent, silent)
+    done = extend(chain, few, LAYOUT, emulator, 1001, silent, silent)
     assert diagnose(done).failures() == []
     assert 0.2 < done.acceptance < 1
 
@@ -211,30 +211,41 @@ def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_pa
     monkeypatch.setattr(sampler, "ENOUGH", np.inf)
     few, fit, chain, emulator = begun()
     kept = []
-    whole = extend(chain, few, emulator, 201, silent, kept.append)
+    whole = extend(chain, few, LAYOUT, emulator, 201, silent, kept.append)
     assert [len(c.states) for c in kept] == [101, 201]
-    half = extend(chain, few, emulator, 101, silent, silent)
+    half = extend(chain, few, LAYOUT, emulator, 101, silent, silent)
     write_chain(tmp_path / "x.npz", half.arrays())
     again = read_chain(tmp_path / "x.npz", fit)
     assert again.random[1:] == half.random[1:]
     for name, array in again.arrays().items():
         np.testing.assert_array_equal(array, half.arrays()[name])
-    other = extend(again, few, Emulator.of(few, LAYOUT, again.taught), 201, silent, silent)
+    other = extend(again, few, LAYOUT, Emulator.of(few, LAYOUT, again.taught), 201, silent, silent)
     np.testing.assert_array_equal(other.states, whole.states)
     np.testing.assert_array_equal(other.log_prob, whole.log_prob)
     assert other.accepted == pytest.approx(whole.accepted)
 
 
-def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(monkeypatch):
+def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_path, monkeypatch):
     monkeypatch.setattr(sampler, "ENOUGH", np.inf)
     monkeypatch.setattr(sampler, "TOO_LOW", 1.0)
-    few, _, chain, emulator = begun()
-    sharp, kept = dataclasses.replace(emulator, scale=3 * emulator.scale), []  # tails too low, whatever it learns
-    done = extend(chain, few, sharp, 301, silent, kept.append)
+    few, fit, chain, emulator = begun()
+    of, kept = Emulator.of, []
+
+    def sharp(*arguments):  # tails too low, whatever it learns
+        return dataclasses.replace(of(*arguments), scale=3 * few.scale)
+
+    def go_on(chain, steps, keep=silent):
+        return extend(chain, few, LAYOUT, sharp(few, LAYOUT, chain.taught), steps, silent, keep)
+
+    monkeypatch.setattr(sampler.Emulator, "of", sharp)
+    done = go_on(chain, 301, kept.append)
     assert [len(c.states) for c in kept] == [1] * sampler.LESSONS + [101, 201, 301]
     assert not set(map(tuple, emulator.points)) >= set(map(tuple, done.taught))
     np.testing.assert_array_equal(done.taught, kept[sampler.LESSONS - 1].taught)
-    longer = extend(done, few, sharp, 401, silent, silent)  # a chain that is long is not given up
+    write_chain(tmp_path / "x.npz", kept[1].arrays())  # interrupted between two lessons
+    again = go_on(read_chain(tmp_path / "x.npz", fit), 301)
+    np.testing.assert_array_equal(again.states, done.states)
+    longer = go_on(done, 401)
     np.testing.assert_array_equal(longer.states[:301], done.states)
 
 
@@ -252,7 +263,7 @@ def test_the_chain_of_another_fit_and_files_that_are_none_are_refused(tmp_path):
         path.write_bytes(bad)
         with pytest.raises(ChainError, match=r"x\.npz: cannot be continued \(.*\); delete it to start a new chain"):
             read_chain(path, chain.fit)
-    for name in chain.arrays():
+    for name in chain.arrays().keys() - {"lessons"}:  # missing in files of earlier versions
         write_chain(path, {k: x for k, x in chain.arrays().items() if k != name})
         with pytest.raises(ChainError, match="cannot be continued"):
             read_chain(path, chain.fit)
