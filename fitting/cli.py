@@ -139,6 +139,12 @@ def fit(
     resume: Annotated[
         bool, typer.Option("--resume", help="Leave alone what is done, of the same file, settings and versions.")
     ] = False,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            help="Fit on a cluster, dask://HOST:PORT or dask-slurm; see docs/clusters.md.", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Fit each file and write OUT/NAME.json, OUT/logs/NAME.log and a line of OUT/manifest.jsonl.
 
@@ -149,7 +155,7 @@ def fit(
     settings = settings_of(
         config, model=model, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
     )
-    outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume)
+    outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
     summarise(outcomes)
 
 

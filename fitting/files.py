@@ -16,6 +16,7 @@ from ..merl_io.binary import Measurement, MerlError
 from ..model.registry import made, models
 from .cost.accuracy import Aim, aim
 from .cost.request import request
+from .execution.cluster import Cluster, ClusterError
 from .execution.here import Here
 from .execution.journal import Journal
 from .execution.pool import Pool, jobs_for
@@ -74,7 +75,7 @@ def refuse_same_names(files: list[Path]) -> None:
 
 
 class Executor(Protocol):
-    """What fits units: `Here`, or a `Pool`."""
+    """What fits units: `Here`, a `Pool`, or a `Cluster`."""
 
     def ended(self, units: Sequence[Unit], tell: Callable[[int, str], None]) -> Iterator[tuple[int, Ended]]:
         """Number of a unit and what came of it, as they end."""
@@ -85,21 +86,32 @@ class Executor(Protocol):
         ...
 
 
-def executor_of(units: int, jobs: int | None = None) -> tuple[Executor, int]:
-    """What fits so many units, and how many at once; a single one needs no process of its own."""
+def executor_of(units: int, jobs: int | None = None, where: str | None = None) -> tuple[Executor, int]:
+    """What fits so many units, and how many at once; a single one needs no process of its own.
+
+    Args:
+        where: of a cluster, as `execution.cluster.Cluster` takes it; None for this machine.
+
+    Raises:
+        merlfit.fitting.execution.cluster.ClusterError: the cluster cannot be used.
+    """
+    if where is not None and units:
+        cluster = Cluster(where, jobs, note=note)
+        return cluster, cluster.room()
     count = jobs_for(units, jobs)
     return (Here(), 1) if units <= 1 else (Pool(count, note=note), count)
 
 
 def fit_files(
     files: list[Path], out: Path, settings: Config, aim: Aim | None = None, jobs: int | None = None,
-    resume: bool = False,
+    resume: bool = False, where: str | None = None,
 ) -> list[Outcome]:  # fmt: skip
     """Fit files, and write each result when it is done; whatever one runs into, the others are fitted.
 
     Args:
         jobs: processes at the same time; None for as many as cores and memory allow.
         resume: leave alone what has a result of the same file, settings and versions.
+        where: of a cluster, as `executor_of` takes it.
 
     Returns:
         what came of each file, in their order.
@@ -116,7 +128,7 @@ def fit_files(
                 if result is not None:
                     found[k] = Outcome(files[k], result)
             left = [k for k in range(len(units)) if k not in found]
-            executor, count = executor_of(len(left), jobs)
+            executor, count = executor_of(len(left), jobs, where)
             journal = Journal(out)
             journal.began(chosen, len(files), count, type(executor).__name__)
             for k, outcome in found.items():
@@ -135,7 +147,13 @@ def fit_files(
                 journal.closed(True, time.perf_counter() - start)
                 _say_stopped(stop, run, [found[k] for k in sorted(found)])
                 raise typer.Exit(stop.code) from None
+            except ClusterError as error:
+                journal.closed(True, time.perf_counter() - start)
+                fail(str(error))
+                raise typer.Exit(FAILED_FIT) from None
             journal.closed(False, time.perf_counter() - start)
+    except ClusterError as error:
+        raise fail(str(error)) from None
     except WriteError as error:  # of the folder itself, or of its manifest
         raise fail(str(error)) from None
     return [found[k] for k in sorted(found)]

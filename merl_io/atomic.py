@@ -25,17 +25,26 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
         raise WriteError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 atomically.
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write what is there atomically.
 
     Raises:
         WriteError: as of `write_atomically`.
     """
 
     def write(file: IO[bytes]) -> None:
-        file.write(text.encode())
+        file.write(data)
 
     write_atomically(path, write)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 atomically.
+
+    Raises:
+        WriteError: as of `write_atomically`.
+    """
+    write_bytes(path, text.encode())
 
 
 def _write(path: Path, write: Callable[[IO[bytes]], None]) -> None:

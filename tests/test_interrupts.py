@@ -33,7 +33,7 @@ def fit(path, out, settings, report, finish):
 
 unit.fit_file = fit
 here.use_persistent_cache = lambda: None
-files.executor_of = lambda units, jobs: (here.Here(), 1)
+files.executor_of = lambda units, jobs, where: (here.Here(), 1)
 # whoever started the tests may have had Ctrl-C ignored, and children inherit that
 signal.signal(signal.SIGINT, signal.SIG_IGN if "DEAF" in os.environ else signal.default_int_handler)
 cli.main()

@@ -13,7 +13,8 @@ FOREVER = 60.0
 
 
 def task(unit, report):
-    """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``raises``, ``prints``."""
+    """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``raises``, ``prints``; of a cluster:
+    ``waits`` (says which process it is, at first long enough to be killed), ``patient`` (until it is stopped)."""
     kind = unit.name.split("-")[0]
     try:
         began = unit.out / f"{unit.name}.began"
@@ -26,6 +27,15 @@ def task(unit, report):
             return Ended(Kind.FAILED, error=f"{unit.path}: it raises")
         if kind == "prints":
             os.write(1, b"said by a library\n")
+        if kind == "waits":
+            told = unit.path.with_suffix(".told")
+            if not told.exists():
+                told.touch()
+                report(str(os.getpid()))
+                time.sleep(FOREVER)
+        while kind == "patient":
+            report("reading")
+            time.sleep(0.1)
         if kind == "slow":
             time.sleep(FOREVER)
     except Stopped as stop:

@@ -66,7 +66,7 @@ def task(unit, report):
         return units.fit_unit(unit, report)
 
 
-def executor_of(count, jobs=None):
+def executor_of(count, jobs=None, where=None):
     """As `files.executor_of`, always with processes."""
     jobs = jobs_for(count, jobs)
     return Pool(jobs, task, note=files.note), jobs

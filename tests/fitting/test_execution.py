@@ -30,7 +30,7 @@ sys.path.insert(0, {str(TESTS)!r})
 from worker_tasks import task
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution.pool import Pool
-files.executor_of = lambda units, jobs: (Pool(2, task, note=files.note), 2)
+files.executor_of = lambda units, jobs, where: (Pool(2, task, note=files.note), 2)
 if __name__ == "__main__":
     cli.main()
 """

@@ -43,7 +43,7 @@ def stand_in(monkeypatch):
     def put(fit):
         monkeypatch.setattr(unit, "fit_file", lambda path, out, *_: fit(path, out))
         monkeypatch.setattr(here, "use_persistent_cache", lambda: None)
-        monkeypatch.setattr(files, "executor_of", lambda units, jobs: (here.Here(), 1))
+        monkeypatch.setattr(files, "executor_of", lambda units, jobs, where: (here.Here(), 1))
 
     return put
 

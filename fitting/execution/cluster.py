@@ -1,0 +1,313 @@
+"""Units on a Dask cluster, as many at once as there are workers; this process writes what comes back.
+
+Dask gives the unit of a worker that is lost to another one, and gives it up when several were lost with it
+(``distributed.scheduler.allowed-failures``). A worker takes a file from where it sees it under the same path with the
+same SHA-1; otherwise the file is sent. Results come back as values and bytes: folder, manifest and logs belong to this
+process alone, and nothing need be shared.
+"""
+
+from __future__ import annotations
+
+import pickle
+import queue
+import re
+import shutil
+import time
+import uuid
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...merl_io.atomic import WriteError, write_bytes
+from ..output.keeping import place_of
+from ..pipeline.run import chain_of
+from ..results.export import versions, write_result
+from ..results.schema import this_run
+from ..support.clock import Stage
+from .pool import PATIENCE, Note, Tell
+from .unit import Ended, Kind, Task, Unit, fit_unit, log
+
+if TYPE_CHECKING:
+    from distributed import Future
+
+    from .slot import Brought
+
+SCHEMES = {"dask": "tcp", "dask+tls": "tls"}
+SLURM = "dask-slurm"
+CONNECT = 5.0  # seconds for a scheduler to answer
+LOOK = 0.5  # seconds between two looks at the connection
+LARGEST = 2**30  # bytes of a file that is sent
+
+
+class ClusterError(ValueError):
+    """A cluster that cannot be used; the message is one line with the mend."""
+
+
+class Cluster:
+    """As `pool.Pool`, on the workers of a Dask scheduler, as many as there are and as join while it works.
+
+    Attributes:
+        jobs: units at once, at the most; None for one a worker. note: told what concerns the run and not one unit.
+    """
+
+    def __init__(self, where: str, jobs: int | None = None, task: Task = fit_unit, note: Note = print) -> None:
+        """Connect.
+
+        Args:
+            where: ``dask://HOST:PORT``, ``dask+tls://HOST:PORT`` or ``dask-slurm``.
+            jobs: of ``dask-slurm`` the workers that are asked for, too.
+
+        Raises:
+            ClusterError: no scheduler answers, a library is missing, or no worker has the versions of this process.
+        """
+        _library("distributed", where, "dask")
+        from distributed import Client
+        from distributed.versions import VersionMismatchWarning
+
+        from .slot import TOPIC, Admission
+
+        self.where, self.jobs, self.task, self.note = where, jobs, task, note
+        self._run = uuid.uuid4().hex
+        self._inbox: queue.SimpleQueue[tuple[int | None, Any]] = queue.SimpleQueue()
+        self._given: dict[int, Future] = {}
+        self._unseen: set[Path] = set()  # folders that workers do not see
+        self._said: set[str] = set()
+        self._units: Sequence[Unit] = ()
+        self._workers, self._looked = 0, -LOOK
+        self._queue = _slurm(where, jobs) if where == SLURM else None
+        warnings.simplefilter("ignore", VersionMismatchWarning)  # a table; what matters is said in a line of ours
+        warnings.filterwarnings("ignore", "Sending large graph")  # a file, where workers do not see it
+        security = self._queue.security if self._queue is not None else None
+        address = self._queue.scheduler_address if self._queue is not None else _address(where)
+        try:
+            self._client = Client(address, timeout=CONNECT, set_as_default=False, security=security)
+        except (OSError, TimeoutError, ImportError, ValueError, RuntimeError, TypeError) as error:
+            why = str(error).splitlines()[0] if isinstance(error, ImportError | ValueError | TypeError) else ""
+            raise ClusterError(
+                f"{where}: no scheduler answers there within {CONNECT:g} s{why and f' ({why})'}; start one with "
+                "`dask scheduler`, or check host, port, firewall and TLS"
+            ) from None
+        self._client.subscribe_topic(TOPIC, self._told)
+        self._client.subscribe_topic("all", self._changed)
+        admission = Admission(self._run, versions())
+        self._resource = admission.name
+        self._client.register_plugin(admission)
+
+    def ended(self, units: Sequence[Unit], tell: Tell) -> Iterator[tuple[int, Ended]]:
+        """Number of a unit and what came of it, as they end.
+
+        Raises:
+            ClusterError: the scheduler is gone.
+        """
+        self._units, waiting, begun = units, list(reversed(range(len(units)))), time.monotonic()
+        try:
+            while waiting or self._given:
+                room = self.room()
+                while waiting and len(self._given) < room:
+                    yield from self._give(waiting.pop(), tell)
+                if not room and time.monotonic() > begun + CONNECT:
+                    self._once(f"{self.where}: no worker is there with the versions of this process; waiting for one")
+                with suppress(queue.Empty):
+                    yield from self._heard(self._inbox.get(timeout=LOOK), tell)
+        except OSError:  # how Dask says it
+            self._end()
+            raise ClusterError(
+                f"{self.where}: the scheduler is gone; what came back is written, go on with --resume"
+            ) from None
+        self._end()
+
+    def stop(self) -> list[tuple[int, Ended]]:
+        """Begin nothing more, and end what goes on at its next report: what there is then of each."""
+        from .slot import halt
+
+        end, found, working = time.monotonic() + PATIENCE, {}, sorted(self._given)
+        with suppress(OSError):  # a scheduler that is gone: nothing comes
+            self._client.run(halt, self._run, on_error="ignore")
+            while self._given and (left := end - time.monotonic()) > 0:
+                with suppress(queue.Empty):
+                    found |= dict(self._heard(self._inbox.get(timeout=left), _silent))
+        self._end()
+        return [(k, found.get(k, Ended(Kind.STOPPED))) for k in working]
+
+    def room(self) -> int:
+        """Units that may be on the cluster at once."""
+        if time.monotonic() > self._looked + LOOK:
+            if self._client.status != "running":
+                raise OSError
+            workers = self._client.scheduler_info()["workers"].values()
+            self._workers = sum(self._resource in worker["resources"] for worker in workers)
+            self._looked = time.monotonic()
+        return self._workers if self.jobs is None else min(self._workers, self.jobs)
+
+    def _give(self, k: int, tell: Tell, send: bool = False) -> Iterator[tuple[int, Ended]]:
+        """Hand a unit to the scheduler; of a file that cannot be read, what came of that.
+
+        Args:
+            send: the file with it, since the worker does not see it.
+        """
+        from .slot import Order, fit, sha1_of
+
+        unit = self._units[k]
+        path = unit.path.absolute()
+        sha1 = sha1_of(path) if _regular(path) else None
+        send = send or path.parent in self._unseen
+        try:
+            data = path.read_bytes() if send and sha1 and path.stat().st_size <= LARGEST else None
+        except OSError:
+            sha1 = data = None
+        if sha1 is None:  # said as it would be said without a cluster
+            yield k, self.task(unit, lambda stage: tell(k, stage))
+            return
+        if send and data is None:
+            yield k, Ended(Kind.BAD_INPUT, error=f"{unit.path}: is too large to be sent to the workers")
+            return
+        order = pickle.dumps(Order(unit, self.task, self._run, k, path, sha1, this_run()))
+        future = self._client.submit(
+            fit, order, data, key=f"{self._resource}-{k}-{uuid.uuid4().hex[:8]}", resources={self._resource: 1},
+            pure=False,
+        )  # fmt: skip
+        self._given[k] = future
+        future.add_done_callback(lambda future: self._inbox.put((k, future)))
+
+    def _heard(self, message: tuple[int | None, Any], tell: Tell) -> Iterator[tuple[int, Ended]]:
+        """Act on a message of Dask's threads; a unit that ended."""
+        k, what = message
+        if k is None:
+            self._once(what)
+        elif isinstance(what, Stage):
+            if k in self._given:
+                tell(k, what)
+        elif self._given.get(k) is what:
+            del self._given[k]
+            brought = self._brought(k, what)
+            if brought is None:
+                self._unseen.add(self._units[k].path.absolute().parent)
+                yield from self._give(k, tell, send=True)
+            else:
+                yield k, written(self._units[k], brought)
+
+    def _brought(self, k: int, future: Future) -> Brought | None:
+        """What a worker returned.
+
+        Raises:
+            OSError: the scheduler is gone.
+        """
+        from distributed import CancelledError, KilledWorker
+
+        from .slot import Brought
+
+        path = self._units[k].path
+        try:
+            return future.result()
+        except CancelledError:
+            raise OSError from None
+        except KilledWorker as error:
+            return Brought(Ended(Kind.LOST, error=f"{path}: its worker was lost, at last {error.last_worker.address}"))
+        except Exception as error:  # of any kind: said with its name, and the next file has its turn
+            said = (str(error).splitlines() or [""])[0]
+            return Brought(Ended(Kind.FAILED, error=f"{path}: failed unexpectedly: {type(error).__name__}: {said}"))
+
+    # Called in a thread of Dask's.
+
+    def _told(self, event: tuple[float, Any]) -> None:
+        """Of a worker: what it is doing."""
+        told = event[1]
+        if "note" in told:
+            self._inbox.put((None, told["note"]))
+        elif told["run"] == self._run:
+            if "refused" in told:
+                self._inbox.put((None, f"worker {told['refused']}; it gets no files: install there what is here"))
+            else:
+                self._inbox.put((told["unit"], Stage(told["stage"], told["share"])))
+
+    def _changed(self, event: tuple[float, Any]) -> None:
+        """Of the scheduler: a worker came or went."""
+        told = event[1]
+        if isinstance(told, dict) and told.get("action") == "remove-worker" and not told.get("expected"):
+            self._inbox.put((None, f"worker {told['worker']} was lost; what it fitted is begun anew by another"))
+
+    # And in that of the caller.
+
+    def _once(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self.note(text)
+
+    def _end(self) -> None:
+        """Leave the cluster; workers that came from a queue are given back."""
+        with suppress(OSError, TimeoutError):
+            if self._client.status == "running":
+                self._client.unregister_worker_plugin(self._resource)
+        self._client.close(timeout=CONNECT)
+        if self._queue is not None:
+            self._queue.close()
+
+
+def written(unit: Unit, brought: Brought) -> Ended:
+    """Write what a worker brought; the result last, so that one that is there is whole."""
+    if brought.log:
+        log(unit, brought.log)
+    ended = brought.ended
+    if ended.error:
+        log(unit, ended.error)
+    if ended.result is None:
+        return ended
+    try:
+        with place_of(unit.out, unit.name) as place:
+            if brought.chain is not None:
+                write_bytes(chain_of(place.path), brought.chain)
+            write_result(place.path, ended.result)
+    except WriteError as error:
+        return Ended(Kind.FAILED, error=str(error), code=ended.code)
+    kept = ended.result if ended.kind in (Kind.FITTED, Kind.STOPPED) else None
+    return replace(ended, result=kept, said=place.said)
+
+
+def _silent(k: int, stage: str) -> None:
+    """What nobody is told any more."""
+
+
+def _regular(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _library(name: str, where: str, extra: str) -> Any:  # noqa: ANN401 - a module
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        raise ClusterError(
+            f"--executor {where} needs {name}, which is not installed: pip install 'merlfit[{extra}]'"
+        ) from None
+
+
+def _address(where: str) -> str:
+    """As Dask writes it."""
+    scheme, _, rest = where.partition("://")
+    if scheme not in SCHEMES or not re.fullmatch(r".+:\d+", rest):
+        raise ClusterError(f"--executor {where!r} should be dask://HOST:PORT, dask+tls://HOST:PORT or {SLURM}")
+    return f"{SCHEMES[scheme]}://{rest}"
+
+
+def _slurm(where: str, jobs: int | None) -> Any:  # noqa: ANN401 - dask_jobqueue.SLURMCluster, which has no types
+    """A scheduler in this process, and workers asked of SLURM as Dask's own files say."""
+    made = _library("dask_jobqueue", where, SLURM)
+    if jobs is None:
+        raise ClusterError(f"--executor {where} needs --jobs N: how many workers SLURM is asked for")
+    if shutil.which("sbatch") is None:
+        raise ClusterError(f"--executor {where} needs sbatch, which is not found: run merlfit where jobs are submitted")
+    try:
+        cluster = made.SLURMCluster()
+    except (ValueError, TypeError, OSError, RuntimeError) as error:
+        why = (str(error).splitlines() or [""])[0]
+        raise ClusterError(
+            f"--executor {where}: {why}; see docs/clusters.md for ~/.config/dask/jobqueue.yaml"
+        ) from None
+    cluster.adapt(minimum=jobs, maximum=jobs)  # those that are lost are asked for again
+    return cluster

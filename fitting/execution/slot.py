@@ -1,0 +1,186 @@
+"""What is done in a worker of a Dask cluster: one unit at a time, in a folder of its own that goes with it.
+
+Scheduler and workers import this file, so it imports little: orders come as bytes, which the scheduler does not read,
+and JAX is imported when the first unit is there, on the worker's cores alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import platform
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from distributed import Status, Worker, WorkerPlugin, get_worker
+
+from ..support.affinity import begun_on, cores_of, spread
+
+if TYPE_CHECKING:
+    from ..results.schema import Run
+    from .unit import Ended, Task, Unit
+
+TOPIC = "merlfit"  # of what workers tell while they work
+PERIOD = 2.0  # seconds between two steps of one stage that are told: all of them pass through the scheduler
+_halted: set[str] = set()  # runs that are to end
+
+
+@dataclass(frozen=True)
+class Order:
+    """A unit for a worker.
+
+    Attributes:
+        run: name of the run. number: of the unit in it. path: of the file, absolute. sha1: that it must have.
+        origin: what the result says of how it was computed.
+    """
+
+    unit: Unit
+    task: Task
+    run: str
+    number: int
+    path: Path
+    sha1: str
+    origin: Run
+
+
+@dataclass(frozen=True)
+class Brought:
+    """What comes back.
+
+    Attributes:
+        ended: its ``result`` is what was written, whatever the kind. chain: bytes of the file. log: text.
+    """
+
+    ended: Ended
+    chain: bytes | None = None
+    log: str = ""
+
+
+class Admission(WorkerPlugin):
+    """Gives a worker the resource that orders ask for, one at a time, if it computes as the client would."""
+
+    def __init__(self, run: str, packages: dict[str, str]) -> None:
+        self.run, self.name, self.packages = run, f"merlfit-{run}", packages
+
+    async def setup(self, worker: Worker) -> None:
+        """In a worker, when it joins."""
+        found = {name: _version(name) for name in self.packages}
+        differ = [
+            f"{name} {found[name]} instead of {ours}" for name, ours in self.packages.items() if found[name] != ours
+        ]
+        if differ:
+            worker.log_event(TOPIC, {"run": self.run, "refused": f"{worker.address} has {', '.join(differ)}"})
+            return
+        await worker.set_resources(**{self.name: 1})
+        # A scheduler looks for units that wait for a worker when one begins to run, not when it gets a resource.
+        if worker.status is Status.running:
+            worker.status = Status.paused
+            worker.status = Status.running
+
+
+def halt(run: str) -> None:
+    """In a worker: the unit of this run ends at its next report."""
+    _halted.add(run)
+
+
+def fit(order: bytes, data: bytes | None) -> Brought | None:
+    """In a worker: fit a unit.
+
+    Args:
+        order: a pickled `Order`. data: of the file, if it is sent.
+
+    Returns:
+        None if the file is not here, or another of that name.
+    """
+    worker = get_worker()
+    _begin(worker.state.nthreads)
+    given: Order = pickle.loads(order)
+    with TemporaryDirectory(prefix="merlfit-", dir=worker.local_directory, ignore_cleanup_errors=True) as scratch:
+        path, out = given.path, Path(scratch) / "out"
+        if data is not None:
+            path = Path(scratch) / "in" / given.path.name
+            path.parent.mkdir()
+            path.write_bytes(data)
+        elif sha1_of(path) != given.sha1:
+            return None
+        out.mkdir()
+        unit = replace(given.unit, path=path, out=out)
+        return _brought(given, unit, given.task(unit, _told(worker, given)))
+
+
+def sha1_of(path: Path) -> str | None:
+    """Of a file; None where there is none that can be read."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha1").hexdigest()
+    except OSError:
+        return None
+
+
+@cache
+def _begin(cores: int) -> None:
+    """Once a process: libraries, with a thread for each of the worker's cores."""
+    every, worker = cores_of(), get_worker()
+    with begun_on(every[:cores]):
+        import jax
+
+        from ..support.compilation import use_persistent_cache
+
+        jax.devices()  # makes its threads
+    spread(every)
+    use_persistent_cache(lambda text: worker.log_event(TOPIC, {"note": f"{platform.node()}: {text}"}))
+
+
+def _version(package: str) -> str:
+    if package == "python":
+        return platform.python_version()
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "missing"
+
+
+def _told(worker: Worker, order: Order) -> Callable[[str], None]:
+    """Reports that the client hears, and that end the unit where its run is to end."""
+    from ..support.terminal import Stopped
+
+    last = ["", 0.0]
+
+    def report(stage: str) -> None:
+        if order.run in _halted:
+            raise Stopped
+        begun, now = stage.split(":")[0], time.monotonic()
+        if begun != last[0] or now > last[1] + PERIOD:
+            last[:] = begun, now
+            told = {"run": order.run, "unit": order.number, "stage": str(stage), "share": getattr(stage, "share", None)}
+            worker.log_event(TOPIC, told)
+
+    return report
+
+
+def _brought(order: Order, unit: Unit, ended: Ended) -> Brought:
+    """What a unit left in the worker's folder, with the client's names for files."""
+    from ..pipeline.run import chain_of
+    from ..results.export import ResultError, read_result
+
+    def said(text: str) -> str:
+        return text.replace(str(unit.out), str(order.unit.out)).replace(str(unit.path), str(order.unit.path))
+
+    result, chain, log = ended.result, None, ""
+    with suppress(ResultError, OSError):
+        result = read_result(unit.target)
+    if result is not None:
+        result.source.path = str(order.unit.path)
+        result.run = order.origin.model_copy(update={"finished": result.run.finished} if result.run else {})
+    with suppress(OSError):
+        chain = chain_of(unit.target).read_bytes()
+    with suppress(OSError):
+        log = unit.log.read_text(encoding="utf-8", errors="replace")
+    return Brought(replace(ended, result=result, error=said(ended.error), said=said(ended.said)), chain, said(log))
