@@ -150,7 +150,7 @@ class Fit:
                 chain = plots.chain_file(self.result, self.path)
             except plots.NoPicture as error:
                 warnings.warn(f"no bands: {error}", stacklevel=2)
-        measurement = read(file_of(self.path, self.result), self.result.source.sha1)
+        measurement = self.result.source.read(file_of(self.path, self.result))
         return _kept(plots.lobe_figure(self.result, measurement, chain), path)
 
     def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -224,8 +224,9 @@ def fit(
         file: its path, or what :func:`read` made of it.
         out: folder for the result; without it, the result lasts as long as the object: :meth:`Fit.save` keeps it.
         settings: a TOML file like configs/default.toml, or the same as a mapping.
-        replaced: model, preset, index, body, weights, posterior or seed, as the options of `merlfit fit`; they replace
-            those of ``settings``. The posterior is sampled where one of them asks for it, or by :meth:`Fit.sample`.
+        replaced: dims, model, preset, index, body, weights, posterior or seed, as the options of `merlfit fit`; they
+            replace those of ``settings``. The posterior is sampled where one of them asks for it, or by
+            :meth:`Fit.sample`.
         report: told in a few words what is being done, ``print`` for instance.
 
     Raises:
@@ -237,7 +238,7 @@ def fit(
     if "enabled" not in config.posterior.model_fields_set:
         config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
     _use_cache()
-    measurement = file if isinstance(file, Measurement) else read(Path(file).absolute())
+    measurement = file if isinstance(file, Measurement) else read(Path(file).absolute(), dims=config.input.allowed)
     folder = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out)
     try:
         with claimed(folder, alone=False), place_of(folder, measurement.name) as place:

@@ -41,6 +41,12 @@ Weights = Annotated[
     str | None,
     typer.Option(help="compressive (dark bins count, too), log, none (least RMSE) or adaptive (nearest picture)."),
 ]
+Dims = Annotated[
+    str | None,
+    typer.Option(
+        help="Bins that MERL-like files may have, if they are not MERL's 90x90x180: 45x45x90.", show_default=False
+    ),
+]
 Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False)]
 
 
@@ -78,16 +84,18 @@ Jobs = Annotated[
 
 
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
-def check(files: Files) -> None:
+def check(files: Files, dims: Dims = None) -> None:
     """Print what MERL files hold: dims, valid bins, bad numbers, largest values, whether they are the genuine ones."""
     from ..merl_io.binary import MerlError
     from ..merl_io.check import inspect_file
+    from .files import settings_of
     from .output.report import check_table
 
+    allowed = settings_of(dims=dims).input.allowed
     reports, bad = [], 0
     for path in files:
         try:
-            reports.append(inspect_file(path))
+            reports.append(inspect_file(path, allowed))
         except MerlError as error:
             bad += 1
             fail(str(error))
@@ -104,6 +112,7 @@ def fit(
     config: Annotated[
         Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
     ] = None,
+    dims: Dims = None,
     model: Annotated[
         list[str] | None,
         typer.Option(
@@ -153,8 +162,9 @@ def fit(
     from .files import aim_of, fit_files, settings_of, summarise
 
     settings = settings_of(
-        config, model=model, preset=preset, index=index, body=body, weights=weights, posterior=posterior, seed=seed
-    )
+        config, dims=dims, model=model, preset=preset, index=index, body=body, weights=weights, posterior=posterior,
+        seed=seed,
+    )  # fmt: skip
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
     summarise(outcomes)
 

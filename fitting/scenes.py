@@ -421,6 +421,6 @@ def _render_result(path: Path, out: Path, vary: Sequence[str], scene: Scene, say
     say("fit")
     fitted = sphere_of(of_result(path.stem, result, path, as_measured=True), scene)
     say("file")
-    measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(read(file, result.source.sha1))))
+    measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(result.source.read(file))))
     images.write_png(target, beside(sphere_of(measured, scene), fitted))
     return target

@@ -2,10 +2,12 @@
 
 Matusik et al. 2003: dims (90, 90, 180) are theta_h (square-root scale), theta_d and phi_d, the last one fastest; planes
 are red, green, blue; stored numbers times (1, 1.15, 1.66)/1500 are a BRDF in 1/sr. A negative number means no datum.
+Files with other numbers of bins are read where that is asked for; their axes are divided as MERL's are.
 """
 
 import hashlib
 import os
+import re
 import stat
 import struct
 from dataclasses import dataclass
@@ -19,13 +21,13 @@ import numpy as np
 from .atomic import WriteError, write_atomically
 from .bands import MERL, Bands
 
-DIMS = (90, 90, 180)
+Dims = tuple[int, int, int]
+DIMS: Dims = (90, 90, 180)
+FEWEST, MOST = 6, 1000  # bins of an axis
 CHANNELS = 3
 SCALES = np.array([1.0 / 1500, 1.15 / 1500, 1.66 / 1500])
 HEADER = struct.Struct("<3i")
 COLOURS = ("red", "green", "blue")
-PLANE_BYTES = int(np.prod(DIMS)) * 8
-FILE_BYTES = HEADER.size + CHANNELS * PLANE_BYTES
 NO_DATUM = -1.0
 BRIGHTEST = 1e15  # 1/sr: beyond any mirror in a 1 degree bin by 11 orders; such a number is no measurement
 OUTLIER = 1e4  # times the median over phi_d at the same theta_h and theta_d: masking and 1/cos alone vary along it
@@ -46,13 +48,45 @@ class MerlError(ValueError):
     """A file that cannot be read or written as MERL; the message is one line that names the file and the mend."""
 
 
+def dims_of(text: str) -> Dims:
+    """Numbers of bins of theta_h, theta_d and phi_d, as in "45x45x90".
+
+    Raises:
+        ValueError: it is no such thing.
+    """
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})x(\d{1,5})", text)
+    h, d, p = (int(x) for x in found.groups()) if found else (0, 0, 0)
+    if not all(FEWEST <= n <= MOST for n in (h, d, p)) or p % 2:
+        raise ValueError(
+            f"dims {text!r} should be three numbers of bins like 45x45x90, of theta_h, theta_d and phi_d, each "
+            f"{FEWEST} to {MOST}, the last one even"
+        )
+    return h, d, p
+
+
+def said(dims: Dims) -> str:
+    """As they are written."""
+    return "x".join(map(str, dims))
+
+
+def plane_bytes(dims: Dims) -> int:
+    """Length of one channel in a file."""
+    return int(np.prod(dims)) * 8
+
+
+def file_bytes(dims: Dims) -> int:
+    """Length of a file."""
+    return HEADER.size + CHANNELS * plane_bytes(dims)
+
+
 @dataclass(frozen=True)
 class Measurement:
     """One measured material.
 
     Attributes:
-        path: where it was read. values: BRDF (1/sr), shape (3, 90, 90, 180), NaN where there is no datum.
-        valid: shape (90, 90, 180), False where any channel is negative, not finite or absurdly bright (`BRIGHTEST`).
+        path: where it was read. values: BRDF (1/sr), shape (3, 90, 90, 180), or of other dims (3, H, D, P), NaN where
+            there is no datum.
+        valid: shape (H, D, P), False where any channel is negative, not finite or absurdly bright (`BRIGHTEST`).
         negative, nan, inf: how many stored numbers were so; the last with those that are absurdly bright.
         sha1: of the whole file. blob_sha1: the same as git names its blob, by which genuine files are known.
     """
@@ -70,6 +104,12 @@ class Measurement:
     def name(self) -> str:
         """Name of the material: that of the file without ``.binary``."""
         return self.path.stem
+
+    @property
+    def dims(self) -> Dims:
+        """Numbers of bins."""
+        h, d, p = self.valid.shape
+        return h, d, p
 
     @property
     def bands(self) -> Bands:
@@ -98,11 +138,12 @@ def genuine_names() -> dict[str, str]:
     return {row[0]: Path(row[-1]).stem for row in rows}
 
 
-def read(path: str | os.PathLike[str], fitted_sha1: str | None = None) -> Measurement:
+def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dims | None = None) -> Measurement:
     """Read a MERL file; holds one float64 copy of its numbers.
 
     Args:
         fitted_sha1: of the file that was fitted, if it must be that one.
+        dims: other numbers of bins than MERL's, which the file may have, too.
 
     Raises:
         MerlError: missing, a directory, no permission, truncated, too long, other dims, another format, no valid bin,
@@ -115,7 +156,7 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None) -> Measur
             kind = "a directory; name the .binary files in it" if path.is_dir() else "not a regular file"
             raise MerlError(f"{path}: is {kind}")
         with open(path, "rb") as file:
-            return _read(path, file, info.st_size, fitted_sha1)
+            return _read(path, file, info.st_size, fitted_sha1, (DIMS, dims or DIMS))
     except FileNotFoundError:
         raise MerlError(f"{path}: no such file") from None
     except PermissionError:
@@ -128,20 +169,20 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None) -> Measur
         raise MerlError(f"{str(path)!r}: is not the name of a file") from None
 
 
-def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None) -> Measurement:
+def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None, allowed: tuple[Dims, ...]) -> Measurement:
     """Plane by plane, never mapped into memory: a file that another program cuts short is an error, not a crash."""
     head = file.read(HEADER.size)
-    _check_header(path, head, size)
-    sha1, blob = hashlib.sha1(head), hashlib.sha1(b"blob %d\0" % FILE_BYTES + head)
-    values, bad = np.empty((CHANNELS, *DIMS)), np.zeros((CHANNELS, *DIMS), bool)
+    dims = _dims_in(path, head, size, allowed)
+    sha1, blob = hashlib.sha1(head), hashlib.sha1(b"blob %d\0" % file_bytes(dims) + head)
+    values, bad = np.empty((CHANNELS, *dims)), np.zeros((CHANNELS, *dims), bool)
     counts = np.zeros(3, int)
     for plane, scale in enumerate(SCALES):
-        raw = file.read(PLANE_BYTES)
-        if len(raw) < PLANE_BYTES:
+        raw = file.read(plane_bytes(dims))
+        if len(raw) < plane_bytes(dims):
             raise MerlError(f"{path}: became shorter while it was read; copy it again, or wait until it is written")
         sha1.update(raw)
         blob.update(raw)
-        numbers = np.frombuffer(raw, "<f8").reshape(DIMS)
+        numbers = np.frombuffer(raw, "<f8").reshape(dims)
         with np.errstate(invalid="ignore"):  # signalling NaNs, which are counted as any others
             kinds = numbers < 0, np.isnan(numbers), numbers * scale >= BRIGHTEST
             np.multiply(numbers, scale, out=values[plane])
@@ -161,33 +202,44 @@ def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None) -> Me
     return Measurement(path, values, ~invalid, negative, nan, inf, sha1.hexdigest(), blob.hexdigest())
 
 
-def _check_header(path: Path, head: bytes, size: int) -> None:
-    """Refuse a header or a length that is not MERL's."""
+def _dims_in(path: Path, head: bytes, size: int, allowed: tuple[Dims, ...]) -> Dims:
+    """Refuse a header or a length that is not MERL's, or of one of the dims that are allowed."""
     for magic, what in MAGIC.items():
         if head.startswith(magic):
             raise MerlError(f"{path}: is {what}, not a MERL .binary file")
     if len(head) < HEADER.size:
-        raise MerlError(f"{path}: truncated: {size} of {FILE_BYTES} bytes; download or copy it again")
+        raise MerlError(f"{path}: truncated: {size} of {file_bytes(DIMS)} bytes; download or copy it again")
     dims = HEADER.unpack(head)
-    if dims != DIMS:
-        if struct.unpack(">3i", head) == DIMS:
+    if dims not in allowed:
+        if struct.unpack(">3i", head) in allowed:
             raise MerlError(f"{path}: is big-endian; MERL files are little-endian, convert it first")
         if any(not 0 < n < 100_000 for n in dims):
             raise MerlError(f"{path}: not a MERL .binary file: its first 12 bytes are not three dimensions")
-        found, expected = ("x".join(map(str, d)) for d in (dims, DIMS))
-        raise MerlError(f"{path}: its dimensions are {found}, those of MERL {expected}")
-    if size < FILE_BYTES:
-        raise MerlError(f"{path}: truncated: {size} of {FILE_BYTES} bytes; download or copy it again")
-    if size > FILE_BYTES:
-        raise MerlError(f"{path}: too long: {size} bytes where MERL has {FILE_BYTES}; it was altered or joined")
+        mend = f"; --dims {said(dims)} allows them" if size == file_bytes(dims) and _usable(dims) else ""
+        raise MerlError(f"{path}: its dimensions are {said(dims)}, those of MERL {said(DIMS)}{mend}")
+    expected = file_bytes(dims)
+    if size < expected:
+        raise MerlError(f"{path}: truncated: {size} of {expected} bytes; download or copy it again")
+    if size > expected:
+        whose = "MERL has" if dims == DIMS else f"{said(dims)} bins are"
+        raise MerlError(f"{path}: too long: {size} bytes where {whose} {expected}; it was altered or joined")
+    return dims
 
 
-def write(path: str | os.PathLike[str], values: np.ndarray, valid: np.ndarray | None = None) -> None:
+def _usable(dims: Dims) -> bool:
+    try:
+        return dims_of(said(dims)) == dims
+    except ValueError:
+        return False
+
+
+def write(path: str | os.PathLike[str], values: np.ndarray, valid: np.ndarray | None = None, dims: Dims = DIMS) -> None:
     """Write a BRDF as a MERL file, atomically: a reader sees the old file or the whole new one.
 
     Args:
         values: BRDF (1/sr), shape (3, 90, 90, 180). valid: shape (90, 90, 180); bins outside it, and bins in which any
             channel is negative or not finite, are stored as -1, MERL's mark for no datum.
+        dims: numbers of bins, if they are not MERL's.
 
     A value comes back from :func:`read` to within one unit in the last place, because of the scale factors.
 
@@ -195,14 +247,14 @@ def write(path: str | os.PathLike[str], values: np.ndarray, valid: np.ndarray | 
         MerlError: wrong shape, or the file cannot be written.
     """
     path = Path(path)
-    if values.shape != (CHANNELS, *DIMS):
-        raise MerlError(f"{path}: a MERL file holds values of shape {(CHANNELS, *DIMS)}, not {values.shape}")
+    if values.shape != (CHANNELS, *dims):
+        raise MerlError(f"{path}: a MERL file holds values of shape {(CHANNELS, *dims)}, not {values.shape}")
     kept = np.isfinite(values).all(0) & (np.nan_to_num(values, nan=-1.0) >= 0).all(0)
     if valid is not None:
         kept &= valid
 
     def fill(file: IO[bytes]) -> None:
-        file.write(HEADER.pack(*DIMS))
+        file.write(HEADER.pack(*dims))
         for plane, scale in zip(values, SCALES, strict=True):
             file.write(np.where(kept, plane / scale, NO_DATUM).astype("<f8").tobytes())
 

@@ -1,4 +1,4 @@
-"""The angles of MERL's bins and the exact weight of each bin in the fitting measure.
+"""The angles of the bins of MERL, or of other dims, and the exact weight of each bin in the fitting measure.
 
 HP17 Eq. 56 integrates over domega_o cos_i dtheta_i. For an isotropic material dtheta_i = domega_i / (2 pi sin_i), and
 domega_i domega_o = 4 cos_d sin_d sin_h dtheta_h dtheta_d dphi_d dphi_h with phi_h running over 2 pi, so a bin weighs
@@ -14,21 +14,21 @@ from functools import cache
 
 import numpy as np
 
-from .binary import DIMS
+from .binary import DIMS, Dims
 
 # Where the centre does not speak for its bin, Gauss nodes inside it do: 5 an axis within 0.08 rad of theta_i = 0, where
-# 1/sin_i is singular, 2 up to 0.25 rad and along the horizon.
+# 1/sin_i is singular, 2 up to 0.25 rad and along the horizon; of larger bins than MERL's further away in proportion.
 NEAR_NORMAL = (0.08, 0.25)
 NEAR_HORIZON_COS = 0.025
 
 
 @dataclass(frozen=True)
 class MerlGrid:
-    """MERL's grid.
+    """MERL's grid, or one of other dims (H, D, P) that is divided alike.
 
     Attributes:
-        theta_h, theta_d, phi_d: bin centres (rad), shapes (90,), (90,), (180,); theta_h on its square-root scale.
-        edges: bin edges of the three axes (rad). cos_i, cos_o: at bin centres, (90, 90, 180).
+        theta_h, theta_d, phi_d: bin centres (rad), shapes (H,), (D,), (P,); theta_h on its square-root scale.
+        edges: bin edges of the three axes (rad). cos_i, cos_o: at bin centres, (H, D, P).
         above: both directions above the surface at the centre. weight: of each bin in the fitting measure (sr).
     """
 
@@ -66,26 +66,28 @@ def _cotangent(cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
     return np.where(above, cos_i / sin_i, 0.0)
 
 
-@cache
-def merl_grid() -> MerlGrid:
+def merl_grid(dims: Dims = DIMS) -> MerlGrid:
     """The grid, made once a process (0.2 s).
 
     Weights: median error 2e-4, worst 1e-2 where both cosines exceed 0.1, their sum 1e-4; slivers of bins cut by the
     horizon, which weigh next to nothing, may be off by half (``tests/merl_io/test_binary.py``).
     """
-    steps = [np.arange(n + 1) for n in DIMS]
-    edges = ((steps[0] / DIMS[0]) ** 2 * np.pi / 2, steps[1] / DIMS[1] * np.pi / 2, steps[2] / DIMS[2] * np.pi)
-    theta_h = ((steps[0][:-1] + 0.5) / DIMS[0]) ** 2 * np.pi / 2
+    return _grid(dims)
+
+
+@cache
+def _grid(dims: Dims) -> MerlGrid:
+    steps = [np.arange(n + 1) for n in dims]
+    edges = ((steps[0] / dims[0]) ** 2 * np.pi / 2, steps[1] / dims[1] * np.pi / 2, steps[2] / dims[2] * np.pi)
+    theta_h = ((steps[0][:-1] + 0.5) / dims[0]) ** 2 * np.pi / 2
     theta_d, phi_d = ((s[:-1] + 0.5) * (e[1] - e[0]) for s, e in zip(steps[1:], edges[1:], strict=True))
     axes = np.ix_(theta_h, theta_d, phi_d)
     cos_i, cos_o = cosines(*axes)
     volume = bin_volume(edges)
     weight = volume * _cotangent(cos_i, cos_o)
-    lower = np.minimum(cos_i, cos_o)
-    for hard, nodes in (
-        ((np.abs(lower) < NEAR_HORIZON_COS) | (cos_i > np.cos(NEAR_NORMAL[1])), 2),
-        (cos_i > np.cos(NEAR_NORMAL[0]), 5),
-    ):
+    lower, larger = np.minimum(cos_i, cos_o), max(1.0, *(m / n for m, n in zip(DIMS, dims, strict=True)))
+    near, nearer = (np.cos(min(angle * larger, np.pi / 2)) for angle in (NEAR_NORMAL[1], NEAR_NORMAL[0]))
+    for hard, nodes in (((np.abs(lower) < NEAR_HORIZON_COS * larger) | (cos_i > near), 2), (cos_i > nearer, 5)):
         weight[hard] = _integrate(edges, np.argwhere(hard), nodes)
     return MerlGrid(theta_h, theta_d, phi_d, edges, cos_i, cos_o, (cos_i > 0) & (cos_o > 0), weight)
 

@@ -6,7 +6,7 @@ from functools import reduce
 import numpy as np
 
 from .bands import MERL, Bands
-from .binary import Measurement
+from .binary import DIMS, Measurement
 from .grid import MerlGrid
 
 
@@ -41,8 +41,8 @@ def fold(grid: MerlGrid, value: np.ndarray, weight: np.ndarray) -> Samples:
     (w1+w2) (m-p)^2 + w1 w2/(w1+w2) (m1-m2)^2 with m the weighted mean. Nothing is resampled.
 
     Args:
-        value: BRDF (1/sr), shape (C, 90, 90, 180); anything where the weight is 0.
-        weight: shape (C, 90, 90, 180), 0 where there is no datum.
+        value: BRDF (1/sr), shape (C, H, D, P); anything where the weight is 0.
+        weight: shape (C, H, D, P), 0 where there is no datum.
     """
     half = len(grid.phi_d) // 2
     value = np.where(weight > 0, value, 0.0)
@@ -58,7 +58,7 @@ def fold(grid: MerlGrid, value: np.ndarray, weight: np.ndarray) -> Samples:
 
 
 def folded(measured: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Values (3, 90, 90, 90), bins at phi_d and pi - phi_d taken together, equal but for noise; and which are data."""
+    """Values (3, H, D, P/2), bins at phi_d and pi - phi_d taken together, equal but for noise; and which are data."""
     half = measured.valid.shape[-1] // 2
     valid = measured.valid[..., :half], measured.valid[..., : half - 1 : -1]
     values = measured.values[..., :half], measured.values[..., : half - 1 : -1]
@@ -67,6 +67,25 @@ def folded(measured: Measurement) -> tuple[np.ndarray, np.ndarray]:
 
 
 Runs = int | tuple[int, ...]
+
+
+def runs_for(samples: Samples, runs: tuple[Runs, Runs, Runs]) -> tuple[Runs, Runs, Runs]:
+    """Runs for MERL's 90 x 90 x 90 folded bins, where there are others: runs of single rows stay, others scale."""
+    h, d, p = (_scaled(r, n) for r, n in zip(runs, samples.cos_i.shape, strict=True))
+    return h, d, p
+
+
+def _scaled(runs: Runs, count: int) -> Runs:
+    folded = DIMS[0]
+    if count == folded:
+        return runs
+    lengths = (runs,) * (folded // runs) if isinstance(runs, int) else runs
+    if isinstance(runs, int) and runs == 1:
+        return 1
+    single = min(next((k for k, length in enumerate(lengths) if length > 1), len(lengths)), count)
+    edges = np.round(np.cumsum(lengths) * (count / folded)).astype(int)
+    kept = np.unique(np.concatenate([np.arange(single + 1), edges[edges > single], [count]]))
+    return tuple(np.diff(kept).tolist())
 
 
 def thin(samples: Samples, runs: tuple[Runs, Runs, Runs]) -> Samples:

@@ -5,6 +5,7 @@ from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.settings.config import Config
 from merlfit.merl_io.bands import MERL
+from merlfit.merl_io.binary import DIMS
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
@@ -30,8 +31,8 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
     ]  # fmt: skip
     return schema.Result(
         source=schema.Source(
-            path=path, material=material, sha1=sha1, git_blob_sha1="0" * 40, genuine_merl=None, fraction_valid=0.9,
-            outliers=0,
+            path=path, material=material, sha1=sha1, git_blob_sha1="0" * 40, genuine_merl=None, dims=DIMS,
+            fraction_valid=0.9, outliers=0,
         ),
         model=schema.Model.of(
             model if isinstance(model, Measured) else Measured(model, "off"),

@@ -2,7 +2,7 @@
 
 A pixel's radiance is a weighted sum of BRDF values, so a picture is a table of bins and weights that is made once: to
 render is to look up and add, some milliseconds. Under the lamp a pixel averages over the lamp's disc; under the
-environment it is integrated over half vectors on MERL's own rows of theta_h, which resolve every lobe that the file
+environment it is integrated over half vectors on the file's own rows of theta_h, which resolve every lobe that the file
 does: domega_i = 4 cos_d domega_h. Bins without datum are left out of both pictures that are compared.
 
 The difference is the mean distance in CIELAB (D65, CIE 1976), in which about 1 is just noticeable; white is what a
@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from ...merl_io.binary import DIMS, Dims
 from ...merl_io.grid import merl_grid
 from ...scene.colour import cielab
 from ...scene.lights import studio
@@ -24,7 +25,7 @@ Lighting = Literal["lamp", "environment"]
 LAMP = np.array([0.45, 0.55, 0.7]) / np.linalg.norm([0.45, 0.55, 0.7])  # camera along z, up along y
 LAMP_RADIUS_RAD = np.radians(1.5)
 LAMP_NODES = 3  # radii of its disc, with 6 azimuths each
-AZIMUTHS = 24  # of half vectors, on each of 90 rows
+AZIMUTHS = 24  # of half vectors, on each row of theta_h
 GOLDEN = (np.sqrt(5) - 1) / 2
 PIXELS = {"lamp": 900, "environment": 220}  # of the comparison, spread evenly over the disc of the sphere
 
@@ -34,14 +35,14 @@ class View:
     """Pixels of a lit sphere as sums over folded bins.
 
     Attributes:
-        bins: flat indices into (90, 90, 90), (pixels, samples). weights: of them, radiance over BRDF.
+        bins: flat indices into the folded bins (H, D, P/2), (pixels, samples). weights: of them, radiance over BRDF.
     """
 
     bins: np.ndarray
     weights: np.ndarray
 
     def render(self, brdf: np.ndarray) -> np.ndarray:
-        """Radiance over that of a white surface, (pixels, C), of folded values (C, 90, 90, 90)."""
+        """Radiance over that of a white surface, (pixels, C), of folded values (C, H, D, P/2)."""
         return np.stack([np.sum(self.weights * plane.reshape(-1)[self.bins], 1) for plane in brdf], -1)
 
 
@@ -53,22 +54,22 @@ def disc(count: int) -> np.ndarray:
 
 
 @cache
-def comparison(lighting: Lighting) -> View:
+def comparison(lighting: Lighting, dims: Dims = DIMS) -> View:
     """The pixels in which pictures are compared."""
-    return view(lighting, disc(PIXELS[lighting]))
+    return view(lighting, disc(PIXELS[lighting]), dims)
 
 
-def view(lighting: Lighting, positions: np.ndarray) -> View:
+def view(lighting: Lighting, positions: np.ndarray, dims: Dims = DIMS) -> View:
     """A sphere seen from far along z.
 
     Args:
-        positions: of the pixels, (N, 2), in radii of the sphere and inside it.
+        positions: of the pixels, (N, 2), in radii of the sphere and inside it. dims: of the bins.
     """
     normal = np.concatenate([positions, np.sqrt(np.maximum(1 - np.sum(positions**2, -1, keepdims=True), 0.0))], -1)
-    return _lamp_view(normal) if lighting == "lamp" else _environment_view(normal)
+    return _lamp_view(normal, dims) if lighting == "lamp" else _environment_view(normal, dims)
 
 
-def _lamp_view(normal: np.ndarray) -> View:
+def _lamp_view(normal: np.ndarray, dims: Dims) -> View:
     radius, turn = np.sqrt((np.arange(LAMP_NODES) + 0.5) / LAMP_NODES), np.arange(6) * np.pi / 3
     across, up = _frame(LAMP[None])
     radius, turn = (x.reshape(-1, 1) for x in np.meshgrid(np.tan(LAMP_RADIUS_RAD) * radius, turn, indexing="ij"))
@@ -76,12 +77,12 @@ def _lamp_view(normal: np.ndarray) -> View:
     light = light / np.linalg.norm(light, axis=-1, keepdims=True)
     i = np.broadcast_to(light, (len(normal), *light.shape))
     cos_i = np.maximum(np.einsum("pk,lk->pl", normal, light), 0.0)
-    bins = _bins(i, np.broadcast_to([0.0, 0.0, 1.0], i.shape), normal[:, None])
+    bins = _bins(i, np.broadcast_to([0.0, 0.0, 1.0], i.shape), normal[:, None], dims)
     return View(bins, np.pi * cos_i / len(light))
 
 
-def _environment_view(normal: np.ndarray) -> View:
-    grid = merl_grid()
+def _environment_view(normal: np.ndarray, dims: Dims) -> View:
+    grid = merl_grid(dims)
     rows = np.arange(len(grid.theta_h))
     # every row of theta_h is turned against the one before it, so that the environment is sampled evenly
     turn = 2 * np.pi * ((np.arange(AZIMUTHS) + GOLDEN * rows[:, None]) % AZIMUTHS) / AZIMUTHS
@@ -96,7 +97,7 @@ def _environment_view(normal: np.ndarray) -> View:
     cos_i = np.einsum("psk,pk->ps", i, normal)
     lit = (cos_i > 0) & (cos_d[..., 0] > 0)
     weight = np.where(lit, _radiance(i) * cos_i * 4 * cos_d[..., 0] * solid_angle, 0.0)
-    return View(_bins(i, o, normal[:, None]), weight / (_irradiance() / np.pi))
+    return View(_bins(i, o, normal[:, None], dims), weight / (_irradiance() / np.pi))
 
 
 def _radiance(direction: np.ndarray) -> np.ndarray:
@@ -120,7 +121,7 @@ def _frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, np.cross(normal, across)
 
 
-def _bins(i: np.ndarray, o: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _bins(i: np.ndarray, o: np.ndarray, normal: np.ndarray, dims: Dims = DIMS) -> np.ndarray:
     """Flat index of the folded bin that holds each pair of directions."""
     h = i + o
     h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
@@ -129,21 +130,22 @@ def _bins(i: np.ndarray, o: np.ndarray, normal: np.ndarray) -> np.ndarray:
     apart = np.sum((o - i) * normal, -1)  # cos_o - cos_i = 2 sin_h sin_d cos(phi_d)
     cos_phi = apart / np.maximum(2 * np.sin(theta_h) * np.sin(theta_d), 1e-12)
     phi_d = np.arccos(np.clip(np.abs(cos_phi), 0, 1))
-    row = np.sqrt(np.clip(theta_h / (np.pi / 2), 0, 1)) * 90
-    places = (row, theta_d / (np.pi / 2) * 90, phi_d / (np.pi / 2) * 90)
-    h, d, p = (np.clip(x.astype(np.int32), 0, 89) for x in places)
-    return (h * 90 + d) * 90 + p
+    folded = dims[0], dims[1], dims[2] // 2
+    places = np.sqrt(np.clip(theta_h / (np.pi / 2), 0, 1)), theta_d / (np.pi / 2), phi_d / (np.pi / 2)
+    h, d, p = (np.clip((x * n).astype(np.int32), 0, n - 1) for x, n in zip(places, folded, strict=True))
+    return (h * folded[1] + d) * folded[2] + p
 
 
 def difference(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> float:
     """Mean CIELAB distance of two spheres, over lamp and environment alike.
 
     Args:
-        measured, predicted: folded (3, 90, 90, 90), 1/sr. used: bins that both are seen in, (90, 90, 90).
+        measured, predicted: folded (3, H, D, P/2), 1/sr. used: bins that both are seen in, (H, D, P/2).
     """
     planes = [np.where(used, x, 0.0) for x in (measured, predicted)]
+    dims = used.shape[0], used.shape[1], 2 * used.shape[2]
     found = []
     for lighting in PIXELS:
-        ours, theirs = (cielab(comparison(lighting).render(x)) for x in planes)
+        ours, theirs = (cielab(comparison(lighting, dims).render(x)) for x in planes)
         found.append(np.linalg.norm(ours - theirs, axis=-1).mean())
     return float(np.mean(found))

@@ -34,5 +34,5 @@ def judge(
 ) -> tuple[metrics.Errors, np.ndarray]:
     """Errors of a prediction on folded bins, (C, H, D, P), and its cost per channel, relative to the energy."""
     unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
-    found = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid(), theta_max)
+    found = metrics.errors(measurement.values, unfolded, measurement.valid, merl_grid(measurement.dims), theta_max)
     return found, np.sum(samples.weight * (samples.value - predicted) ** 2, (1, 2, 3)) / energy(samples)

@@ -19,13 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.binary import Measurement
-from ...merl_io.samples import Samples, thin
+from ...merl_io.samples import Samples
 from ...model.two_scale import TwoScale
 from ..assess.outcome import Fitted
 from ..objective.problem import Problem, make_problem
 from ..objective.residuals import Objective, predict
 from ..objective.transforms import Layout
-from ..pipeline.run import GRIDS, assess
+from ..pipeline.run import GRIDS, assess, thinned
 from ..results import export, schema
 from ..settings.choice import FITTED, POINTS, REFERENCE, Choice, default_choice
 from ..settings.config import Config, ConfigError
@@ -88,7 +88,7 @@ def reference_problem(samples: Samples) -> Problem:
 def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
     layout = same_variant(settings, model[0])
-    problem = make_problem(thin(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
+    problem = make_problem(thinned(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
     return layout, solve(Objective(layout, problem), model[1], settings.fit.max_steps, backend=settings.fit.backend)
 
 

@@ -50,7 +50,7 @@ def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
 
 
 def within(grid: MerlGrid, theta_max: float) -> np.ndarray:
-    """Bins with both directions above the horizon and not beyond ``theta_max``, (90, 90, 180)."""
+    """Bins with both directions above the horizon and not beyond ``theta_max``, (H, D, P)."""
     return grid.above & (np.minimum(grid.cos_i, grid.cos_o) > np.cos(theta_max))
 
 
@@ -62,7 +62,7 @@ def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: flo
     Args:
         bend: exponent of the compressive weight, or ``log``. theta_max: of light and viewer (rad).
     """
-    grid = merl_grid()
+    grid = merl_grid(measurement.dims)
     used = measurement.valid & within(grid, theta_max) & (grid.weight > 0)
     bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
     weigh = _logarithmic if bend == "log" else _compressive(float(bend))

@@ -341,9 +341,9 @@ def judged_result(path: Path, result: Result, against: Path, theta_max: float = 
     """
     if (model := result.model) is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
-    measurement = read(against)
-    values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um))
-    grid, valid = merl_grid(), measurement.valid
+    measurement = read(against, dims=result.source.dims)
+    values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
+    grid, valid = merl_grid(measurement.dims), measurement.valid
     found = errors(measurement.values, values, valid, grid, theta_max)
     curve = by_incidence(measurement.values, values, valid, grid, theta_max)
     return Judged(path, replace(row_of(result), errors=found), *curve)

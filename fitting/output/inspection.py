@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ...merl_io.atomic import WriteError
-from ...merl_io.binary import MerlError, read
+from ...merl_io.binary import MerlError
 from ..results.schema import Result
 from ..support.compilation import use_persistent_cache
 from ..support.terminal import console, fail, note, writable_folder
@@ -66,7 +66,7 @@ def show(path: Path, result: Result, file: Path, out: Path, needs_file: bool = F
     except plots.NoPicture as error:
         note(f"no corner plot: {error}")
     try:
-        save("lobes", plots.lobe_figure(result, read(file, result.source.sha1), chain))
+        save("lobes", plots.lobe_figure(result, result.source.read(file), chain))
     except MerlError as error:
         note(f"no lobe plot: {error}; name the file with --file")
     if not drawn:

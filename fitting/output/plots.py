@@ -182,7 +182,7 @@ def _lobes(
 ) -> None:  # fmt: skip
     """File and fit in the plane of incidence, on two scales."""
     assert result.model is not None
-    grid, values, loses = merl_grid(), result.values(), result.model.measured.loses
+    grid, values, loses = merl_grid(measurement.dims), result.values(), result.model.measured.loses
     brightest, darkest = 0.0, np.inf
     for k, degrees in enumerate(INCIDENCES_DEG):
         degrees_o, is_datum = viewers(degrees, np.degrees(grid.theta_h))
@@ -249,7 +249,7 @@ def shown(measured: np.ndarray, turn: np.ndarray) -> np.ndarray:
 def _peak(axis: Axes, result: Result, measurement: Measurement) -> None:
     """Every datum of the highlight, at one theta_d and phi_d, against theta_h on a logarithmic scale."""
     assert result.model is not None
-    grid = merl_grid()
+    grid = merl_grid(measurement.dims)
     d, p = int(np.argmin(np.abs(np.degrees(grid.theta_d) - PEAK_DIFFERENCE_DEG))), len(grid.phi_d) // 2
     seen = grid.theta_h < np.pi / 2 - grid.theta_d[d]
     theta_h = np.geomspace(grid.theta_h[0] / 1.5, grid.theta_h[seen][-1], 200)
@@ -278,7 +278,7 @@ def _predicted(
 def _ratios(by_half: Axes, by_difference: Axes, result: Result, measurement: Measurement) -> None:
     """Fit over file: median over the other angles, with the middle 80 % shaded; dashed without the grazing loss."""
     assert result.model is not None
-    grid = merl_grid()
+    grid = merl_grid(measurement.dims)
     d, p = np.arange(0, len(grid.theta_d), 2), np.linspace(0, len(grid.phi_d) - 1, RATIO_AZIMUTHS).astype(int)
     where = grid.theta_h[:, None, None], grid.theta_d[d][None, :, None], grid.phi_d[p][None, None, :]
     here = np.ix_(np.arange(len(grid.theta_h)), d, p)

@@ -9,7 +9,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from ...merl_io.binary import BRIGHTEST, DIMS, OUTLIER
+from ...merl_io.binary import BRIGHTEST, OUTLIER, said
 from ...merl_io.check import FileReport
 from ...model.registry import models
 from ..assess.identifiability import in_words
@@ -37,21 +37,20 @@ def number(x: float | None, digits: int = 4) -> str:
 
 def check_table(reports: Sequence[FileReport]) -> Table:
     """What `merlfit check` prints."""
-    bins = "x".join(map(str, DIMS))
     table = Table(
-        title=f"MERL files of {bins} bins (inf: infinite, or above {BRIGHTEST:g}/sr; outliers: over {OUTLIER:g} times "
-        "as bright as their neighbours; max: largest value, 1/sr; genuine: by SHA-1)",
+        title=f"MERL files (bins: of theta_h, theta_d and phi_d; inf: infinite, or above {BRIGHTEST:g}/sr; "
+        f"outliers: over {OUTLIER:g} times as bright as their neighbours; max: largest value, 1/sr; genuine: by SHA-1)",
         title_justify="left",
     )
     left = ("file", "genuine MERL")
     numbers = ("valid", "negative", "NaN", "inf", "outliers", "max R", "max G", "max B")
-    for head in ("file", *numbers, "genuine MERL"):
+    for head in ("file", "bins", *numbers, "genuine MERL"):
         table.add_column(
             head, justify="left" if head in left else "right", overflow="fold" if head in left else "ellipsis"
         )
     for r in reports:
         table.add_row(
-            str(r.path), f"{r.fraction_valid:.1%}",
+            str(r.path), said(r.dims), f"{r.fraction_valid:.1%}",
             str(r.negative), str(r.nan), str(r.inf), str(r.outliers),
             *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no",
         )  # fmt: skip

@@ -5,6 +5,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from ...merl_io.binary import DIMS, Dims
 from ...merl_io.grid import merl_grid
 from ...model import published
 from ...model.geometry import Geometry
@@ -15,14 +16,14 @@ ROWS = 10  # of theta_h evaluated at a time
 WITHOUT_SURFACE = "index printed as 1.00, so that the Fresnel term and with it all specular light are 0"
 
 
-def tabulate(evaluate: object) -> np.ndarray:
-    """BRDF on MERL's grid, (3, 90, 90, 180), 1/sr; NaN below the horizon."""
-    grid = merl_grid()
+def tabulate(evaluate: object, dims: Dims = DIMS) -> np.ndarray:
+    """BRDF on MERL's grid (3, 90, 90, 180), or on one of other dims, 1/sr; NaN below the horizon."""
+    grid = merl_grid(dims)
     compiled = jax.jit(evaluate)  # type: ignore[arg-type]
     parts = [
         np.asarray(compiled(Geometry.from_half_difference(
             grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])))
-        for rows in np.split(np.arange(len(grid.theta_h)), len(grid.theta_h) // ROWS)
+        for rows in np.array_split(np.arange(len(grid.theta_h)), -(-len(grid.theta_h) // ROWS))
     ]  # fmt: skip
     return np.where(grid.above, np.concatenate(parts, 1), np.nan)
 

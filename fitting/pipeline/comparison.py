@@ -102,7 +102,7 @@ def compare_file(
     """
     settings = [config_of(config, name) for name in names]
     report("reading")
-    measurement = path if isinstance(path, Measurement) else read(path)
+    measurement = path if isinstance(path, Measurement) else read(path, dims=config.input.allowed)
     results: dict[str, Result] = {}
     for k, name in enumerate(names):
         report(Stage(f"{name} ({k + 1} of {len(names)} models)", k / len(names)))

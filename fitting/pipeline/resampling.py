@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from ...merl_io.binary import read
 from ..objective.problem import make_problem
 from ..objective.residuals import Objective
 from ..objective.weights import weighted_samples
@@ -37,7 +36,7 @@ def resample(
         )
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
-    measurement = read(file, result.source.sha1)
+    measurement = result.source.read(file)
     samples = weighted_samples(
         measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
     )

@@ -34,7 +34,7 @@ def make_result(
     source = schema.Source(
         path=str(measurement.path), material=measurement.name, sha1=measurement.sha1,
         git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
-        fraction_valid=float(measurement.valid.mean()), outliers=measurement.outliers,
+        dims=measurement.dims, fraction_valid=float(measurement.valid.mean()), outliers=measurement.outliers,
     )  # fmt: skip
     bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.binary import Measurement, read
-from ...merl_io.samples import Samples, thin
+from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...model.reflectance import Clues
 from ..assess import metrics
 from ..assess.outcome import Fitted
@@ -62,7 +62,7 @@ def fit_file(
     clock = Clock()
     with clock.stage("read"):
         report("reading")
-        measurement = path if isinstance(path, Measurement) else read(path)
+        measurement = path if isinstance(path, Measurement) else read(path, dims=config.input.allowed)
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
     if fitted is not None and fitted.bend != config.rungs[0]:
@@ -106,7 +106,7 @@ def fit(
         first: shared parameters to start from instead of those read off the data.
     """
     clock = clock or Clock()
-    sets = [samples, *(thin(samples, runs) for runs in (COARSE, CANDIDATES))]
+    sets = [samples, *(thinned(samples, runs) for runs in (COARSE, CANDIDATES))]
     if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
@@ -116,7 +116,7 @@ def fit(
         sought = [cheaper(replace(layout, model=layout.model.sought), COARSE_ORDER) for layout in layouts]
         problem, roughly = make_coarse(samples)
         found = fit_coarse(sought, clues_of(samples), problem, roughly, config, first)
-        candidates, chosen = compare(sought, found, thin(samples, COARSE))
+        candidates, chosen = compare(sought, found, thinned(samples, COARSE))
         z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
         if last != sought[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
             z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
@@ -141,7 +141,7 @@ def descend(
     for k, bend in enumerate(config.rungs):
         with clock.stage("full"):
             own = samples if k == 0 else weighted_samples(measurement, bend, settings.theta_max)
-            problem = make_problem(thin(own, GRIDS[settings.grid]), settings.azimuths, settings.precision)
+            problem = make_problem(thinned(own, GRIDS[settings.grid]), settings.azimuths, settings.precision)
             solution = solve(Objective(layout, problem), z, settings.max_steps, backend=settings.backend)
             z = solution.z
         if settings.weights == "adaptive" or k == len(config.rungs) - 1:
@@ -155,10 +155,15 @@ def chain_of(result: Path) -> Path:
     return result.with_name(f"{result.stem}.chain.npz")
 
 
+def thinned(samples: Samples, runs: tuple[Runs, Runs, Runs]) -> Samples:
+    """`thin` by runs of MERL's bins, or by what corresponds to them on another grid."""
+    return thin(samples, runs_for(samples, runs))
+
+
 def make_coarse(samples: Samples) -> tuple[Problem, Problem]:
     """Problems of the race and of the candidates for its starting points."""
-    few = thin(samples, CANDIDATES)
-    return make_problem(thin(samples, COARSE), COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS)
+    few = thinned(samples, CANDIDATES)
+    return make_problem(thinned(samples, COARSE), COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS)
 
 
 def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> tuple[list[schema.Candidate], int]:

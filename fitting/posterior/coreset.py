@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ...merl_io.samples import Runs, Samples, thin
+from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ..objective.problem import Part, energy, make_problem
 from ..objective.residuals import weighted_prediction
 from ..objective.transforms import Layout
@@ -80,7 +80,8 @@ def few_rows(layout: Layout, samples: Samples, z: np.ndarray, least: float) -> R
     Args:
         z: free coordinates of the fit, (P,). least: S_0/N, curvature that stands for the prior.
     """
-    every = Rows.of(layout, samples, (1, COLUMNS, 1))
+    columns = runs_for(samples, (1, COLUMNS, 1))[1]
+    every = Rows.of(layout, samples, (1, columns, 1))
     _, jacobian = every.tangent(z)
     inverse = np.linalg.inv(jacobian.T @ jacobian + least * np.eye(len(z)))
     leverage = np.sum(jacobian @ inverse * jacobian, 1).reshape(every.part.target.shape)  # (N, C, h, D, K)
@@ -88,7 +89,7 @@ def few_rows(layout: Layout, samples: Samples, z: np.ndarray, least: float) -> R
     # also without leverage rows near the mirror direction are kept: a lobe narrower than the first one is invisible
     otherwise = 1 / np.arange(1, len(by_row) + 1)
     held = (1 - FIRST) * by_row / by_row.sum() + FIRST * otherwise / otherwise.sum()
-    return Rows.of(layout, samples, (runs(held, ROWS), COLUMNS, 1))
+    return Rows.of(layout, samples, (runs(held, min(ROWS, len(held))), columns, 1))
 
 
 def runs(shares: np.ndarray, count: int) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ from matplotlib.patches import Circle
 from PIL import Image
 
 from ...merl_io.atomic import write_atomically
-from ...merl_io.binary import Measurement
+from ...merl_io.binary import DIMS, Dims, Measurement
 from ...merl_io.grid import merl_grid
 from ...merl_io.samples import folded
 from ...model.geometry import Geometry
@@ -65,7 +65,7 @@ def lobes(result: Result, measurement: Measurement | None, chain: dict[str, np.n
     """Lobes in the plane of incidence, what they consist of, and the peak."""
     m, values = result.model, result.values()
     assert m is not None
-    grid = merl_grid()
+    grid = merl_grid(_dims(measurement))
     rows_deg, parts_of = np.degrees(grid.theta_h), len(m.channels) // 2
     plane: Rows = []
     parts: Rows = []
@@ -108,7 +108,7 @@ def _short(x: float, digits: int = 4) -> float | None:
 
 def _peak(result: Result, measurement: Measurement | None) -> tuple[Rows, Rows]:
     """Of file and fit at one theta_d and phi_d, over theta_h; as HP17 Fig. 15, also over their values at the origin."""
-    m, grid = result.model, merl_grid()
+    m, grid = result.model, merl_grid(_dims(measurement))
     assert m is not None
     d = int(np.argmin(np.abs(np.degrees(grid.theta_d) - plots.PEAK_DIFFERENCE_DEG)))
     p = len(grid.phi_d) // 2
@@ -146,9 +146,9 @@ def _half(degrees: np.ndarray, values: np.ndarray) -> float | None:
     return _short(degrees[k - 1] + share * (degrees[k] - degrees[k - 1]))
 
 
-@partial(jax.jit, static_argnums=0)
-def _all_bins(model: Reflectance, values: dict, wavelengths_um: Array) -> Array:
-    grid = merl_grid()
+@partial(jax.jit, static_argnums=(0, 3))
+def _all_bins(model: Reflectance, values: dict, wavelengths_um: Array, dims: Dims) -> Array:
+    grid = merl_grid(dims)
     half = len(grid.phi_d) // 2
     geometry = Geometry.from_half_difference(
         jnp.asarray(grid.theta_h)[:, None, None], jnp.asarray(grid.theta_d)[:, None], jnp.asarray(grid.phi_d[:half])
@@ -156,18 +156,22 @@ def _all_bins(model: Reflectance, values: dict, wavelengths_um: Array) -> Array:
     return evaluate(model, values, geometry, wavelengths_um)
 
 
-def all_bins(m: Model, values: dict) -> np.ndarray:
-    """The fit as the apparatus would have measured it, on folded bins, (C, 90, 90, 90)."""
-    return np.asarray(_all_bins(m.measured, values, jnp.asarray(m.wavelengths_um)))
+def all_bins(m: Model, values: dict, measurement: Measurement | None) -> np.ndarray:
+    """The fit as the apparatus would have measured it, on the file's folded bins (C, H, D, P/2), or on MERL's."""
+    return np.asarray(_all_bins(m.measured, values, jnp.asarray(m.wavelengths_um), _dims(measurement)))
+
+
+def _dims(measurement: Measurement | None) -> Dims:
+    return DIMS if measurement is None else measurement.dims
 
 
 @cache
-def _sphere(lighting: str, side: int) -> tuple[np.ndarray, View]:
+def _sphere(lighting: str, side: int, dims: Dims) -> tuple[np.ndarray, View]:
     """Pixels of a square that are inside the sphere's disc, and how to light them."""
     axis = (np.arange(side) + 0.5) / side * 2 - 1
     positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
     inside = np.sum(positions**2, -1) < 0.99
-    return inside, view(lighting, positions[inside])  # pyright: ignore[reportArgumentType] - one of its two
+    return inside, view(lighting, positions[inside], dims)  # pyright: ignore[reportArgumentType] - one of its two
 
 
 def spheres(measurement: Measurement | None, predicted: np.ndarray, theta_max: float) -> dict[str, Image.Image]:
@@ -175,8 +179,8 @@ def spheres(measurement: Measurement | None, predicted: np.ndarray, theta_max: f
 
     The two are compared where the file has data below ``theta_max`` (rad); without a file the fit is shown everywhere.
     """
-    grid = merl_grid()
-    half = len(grid.phi_d) // 2
+    dims = _dims(measurement)
+    grid, half = merl_grid(dims), dims[2] // 2
     if measurement is None:
         planes = {"fit": np.where(grid.above[..., :half], predicted, 0.0)}
     else:
@@ -185,7 +189,7 @@ def spheres(measurement: Measurement | None, predicted: np.ndarray, theta_max: f
         planes = {"file": np.where(used, values, 0.0), "fit": np.where(used, predicted, 0.0)}
     found = {}
     for lighting, side in SIDE.items():
-        inside, lit = _sphere(lighting, side)
+        inside, lit = _sphere(lighting, side, dims)
         radiance = {name: lit.render(brdf) for name, brdf in planes.items()}
         for name, pixels in radiance.items():
             found[f"{lighting}-{name}"] = _round(displayed(pixels), inside, side)
@@ -203,7 +207,7 @@ def _round(colours: np.ndarray, inside: np.ndarray, side: int) -> Image.Image:
 
 def error_map(measurement: Measurement, predicted: np.ndarray, theta_max: float) -> Figure:
     """Fit over file by theta_h and theta_d: the mean of the logarithm over phi_d and channels."""
-    grid = merl_grid()
+    grid = merl_grid(measurement.dims)
     values, valid = folded(measurement)
     used = valid & within(grid, theta_max)[..., : valid.shape[-1]] & np.all((values > 0) & (predicted > 0), 0)
     ratio = np.where(used, np.log2(np.where(used, predicted, 1) / np.where(used, values, 1)).mean(0), 0.0)
@@ -229,7 +233,7 @@ def isolines(result: Result, measurement: Measurement | None) -> Figure:
     """Isolines of the middle channel over all viewers, on the projected hemisphere (HP17 Fig. 14)."""
     m, values = result.model, result.values()
     assert m is not None
-    middle, grid = len(m.channels) // 2, merl_grid()
+    middle, grid = len(m.channels) // 2, merl_grid(_dims(measurement))
     axis = np.linspace(-1, 1, ISOLINE_PIXELS)
     x, y = np.meshgrid(axis, axis)
     seen = x**2 + y**2 < np.sin(np.radians(plots.WIDEST_DEG)) ** 2

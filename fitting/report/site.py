@@ -20,7 +20,7 @@ from markupsafe import Markup
 from PIL import Image
 
 from ...merl_io.atomic import write_text
-from ...merl_io.binary import Measurement, MerlError, read
+from ...merl_io.binary import Measurement, MerlError
 from ..assess.identifiability import in_words
 from ..execution.pool import jobs_for
 from ..output import plots
@@ -136,7 +136,7 @@ def make_page(job: Job) -> list[str]:
 def _measurement(job: Job, result: Result, lacks: list[str]) -> Measurement | None:
     path = job.file or file_of(job.path, result)
     try:
-        return read(path, result.source.sha1)
+        return result.source.read(path)
     except MerlError as error:
         lacks.append(f"the measurement is not shown: {error}")
         return None
@@ -200,7 +200,7 @@ def _pictures(
     """Pictures by what they show: their files, seen from the page."""
     m, found = result.model, {}
     assert m is not None
-    predicted, limit = figures.all_bins(m, result.values()), figures.limit_of(result)
+    predicted, limit = figures.all_bins(m, result.values(), measurement), figures.limit_of(result)
 
     def place(what: str) -> Path:
         found[what] = f"../pictures/{quote(job.name)}.{what}.webp"

@@ -7,7 +7,7 @@ from collections.abc import Sized
 from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import cached_property
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -21,14 +21,15 @@ from pydantic import (
 )
 
 from ...merl_io.bands import Bands
+from ...merl_io.binary import Measurement, read
 from ...model.acquisition import APPARATUS, Apparatus
 from ...model.measured import GrazingLoss, Measured
 from ...model.reflectance import Reflectance, Values
 from ...model.registry import made
 from ..settings.choice import Choice
 
-SCHEMA_VERSION = "2.1"
-OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0")  # versions that are read, too: `upgraded` makes them this one
+SCHEMA_VERSION = "2.2"
+OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1")  # versions that are read, too: `upgraded` makes them this one
 
 
 PLAUSIBLE_UM = 0.1, 10.0  # wavelengths: a decade around what is visible
@@ -74,10 +75,20 @@ class Source(_Part):
     """SHA-1 of the file as git computes it for a blob."""
     genuine_merl: str | None
     """Name of the MERL material whose published file this is, bit by bit; null for any other file."""
+    dims: tuple[int, int, int] | None
+    """Numbers of bins of theta_h, theta_d and phi_d in the file."""
     fraction_valid: float
     """Share of the bins that hold a datum in every channel."""
     outliers: int
     """Number of valid bins that are very much brighter than their neighbours."""
+
+    def read(self, file: Path) -> Measurement:
+        """The data again, from a file that has to be the one that was fitted.
+
+        Raises:
+            merlfit.merl_io.binary.MerlError: it cannot be used, or is another one.
+        """
+        return read(file, self.sha1, self.dims)
 
 
 class Acquisition(_Part):
@@ -477,10 +488,11 @@ def _here() -> str | None:
 class Result(_Part):
     """What merlfit found out about one material."""
 
-    schema_version: Literal["2.1"] = SCHEMA_VERSION
+    schema_version: Literal["2.2"] = SCHEMA_VERSION
     """Version of this format. Older ones are read as this one: 1.0 had no `accuracy`; 1.1 no `identifiability` and no
     `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
-    and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`."""
+    and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`;
+    2.1 no `source.dims`."""
     run: Run | None = Field(default_factory=this_run)
     """When and how it was computed; null before version 1.4."""
     source: Source

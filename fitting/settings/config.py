@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import ErrorDetails
 
 from ...merl_io.bands import MERL, Bands
+from ...merl_io.binary import Dims, dims_of
 from ...model.acquisition import Apparatus
 from ...model.measured import GrazingLoss, Measured
 from ...model.parameters import PRIORS, LogNormal, Priors
@@ -37,6 +38,29 @@ class ConfigError(ValueError):
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class InputSection(_Section):
+    """[input]: what files may hold.
+
+    Attributes:
+        dims: numbers of bins of theta_h, theta_d and phi_d, as in "45x45x90", that MERL-like files may have beside
+            MERL's own 90x90x180; empty for no others.
+    """
+
+    dims: str = ""
+
+    @field_validator("dims")
+    @classmethod
+    def _read(cls, dims: str) -> str:
+        if dims:
+            dims_of(dims)
+        return dims
+
+    @property
+    def allowed(self) -> Dims | None:
+        """As numbers."""
+        return dims_of(self.dims) if self.dims else None
 
 
 class ModelSection(_Section):
@@ -200,6 +224,7 @@ class Config(_Section):
     """All settings. ``seed`` fixes the sampler's random numbers; fits use none."""
 
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    input: InputSection = InputSection()
     model: ModelSection = ModelSection()
     effects: EffectsSection = EffectsSection()
     acquisition: AcquisitionSection = AcquisitionSection()
@@ -300,6 +325,7 @@ def _numbers(material: Reflectance) -> int:
 class Replaced(TypedDict, total=False):
     """What the command line, or a call from Python, gives beside a file of settings; None for nothing."""
 
+    dims: str | None
     model: str | list[str] | None
     preset: str | None
     index: str | None
@@ -325,7 +351,8 @@ def load(
     if unknown := replaced.keys() - Replaced.__annotations__.keys():
         raise TypeError(f"no setting is called {', '.join(sorted(unknown))}: {', '.join(Replaced.__annotations__)}")
     places = {
-        "model": ("model", "name"), "preset": ("effects", "preset"), "index": ("effects", "index"),
+        "dims": ("input", "dims"), "model": ("model", "name"), "preset": ("effects", "preset"),
+        "index": ("effects", "index"),
         "body": ("effects", "body"), "weights": ("fit", "weights"), "posterior": ("posterior", "enabled"),
     }  # fmt: skip
     for name, (section, key) in places.items():

@@ -70,7 +70,7 @@ def test_default_toml_is_the_defaults():
     assert parse(tomllib.loads(text), "default.toml") == Config()
     data = tomllib.loads(re.sub(r"^# (?=\w+ = )", "", text, flags=re.M))  # with the keys that presets set
     assert parse(data, "default.toml") == Config()
-    sections = ("model", "effects", "acquisition", "apparatus", "priors", "fit", "posterior")
+    sections = ("input", "model", "effects", "acquisition", "apparatus", "priors", "fit", "posterior")
     assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", *sections} == set(known_keys())
 
 

@@ -114,7 +114,7 @@ def test_a_chain_too_short_for_intervals_is_drawn_and_gives_the_lobes_no_band(tm
     result, seen = made(posterior=False), []
     np.savez(tmp_path / result.posterior.chain_file, **chain(result))
     monkeypatch.setattr(inspection, "use_persistent_cache", lambda: None)
-    monkeypatch.setattr(inspection, "read", lambda *_: measurement)
+    monkeypatch.setattr(type(result.source), "read", lambda *_: measurement)
     monkeypatch.setattr(plots, "lobe_figure", lambda *words: seen.append(words[2]) or corner_figure(result, drawn))
     drawn = chain(result)
     assert inspection.show(tmp_path / "nickel.json", result, Path("nickel.binary"), tmp_path)

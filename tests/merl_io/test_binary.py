@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from merlfit.merl_io import binary, check, grid
-from merlfit.merl_io.binary import DIMS, FILE_BYTES, MerlError, read, write
-from merlfit.merl_io.samples import fold, thin
+from merlfit.merl_io.binary import DIMS, MerlError, dims_of, file_bytes, read, write
+from merlfit.merl_io.samples import fold, runs_for, thin
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def path(values, tmp_path_factory):
 
 def test_numbers_stand_where_matusik_puts_them(path, values):
     raw = path.read_bytes()
-    assert len(raw) == FILE_BYTES == 34992012
+    assert len(raw) == file_bytes(DIMS) == 34992012
     assert struct.unpack_from("<3i", raw) == DIMS
     for channel, scale in enumerate((1 / 1500, 1.15 / 1500, 1.66 / 1500)):
         for h, d, p in ((0, 0, 0), (3, 80, 179), (89, 1, 7)):
@@ -138,7 +138,72 @@ def test_no_permission_is_said(path, monkeypatch):
 def test_no_other_header_is_accepted(header):
     if struct.unpack("<3i", header) != DIMS:
         with pytest.raises(MerlError):
-            binary._check_header(Path("x"), header, FILE_BYTES)
+            binary._dims_in(Path("x"), header, file_bytes(DIMS), (DIMS,))
+
+
+# --- other numbers of bins
+
+OTHER = (45, 45, 90)
+
+
+@pytest.fixture(scope="module")
+def coarser(tmp_path_factory):
+    target = tmp_path_factory.mktemp("merl") / "coarser.binary"
+    write(target, np.random.default_rng(3).uniform(0.1, 5.0, (3, *OTHER)), dims=OTHER)
+    return target
+
+
+def test_other_dims_are_read_only_where_they_are_allowed(coarser, path):
+    with pytest.raises(MerlError, match=r"coarser\.binary: its dimensions are 45x45x90.*--dims 45x45x90 allows them"):
+        read(coarser)
+    with pytest.raises(MerlError, match="its dimensions are 45x45x90, those of MERL"):
+        read(coarser, dims=(30, 30, 60))
+    found = read(coarser, dims=OTHER)
+    assert found.dims == OTHER
+    assert found.values.shape == (3, *OTHER)
+    assert check.summarise(found).dims == OTHER
+    assert read(path, dims=OTHER).dims == DIMS, "MERL's own are always allowed"
+
+
+def test_a_damaged_file_of_other_dims_gets_one_line(coarser, tmp_path):
+    for content, words in ((coarser.read_bytes()[:-8], "truncated"), (coarser.read_bytes() + b"1", "too long")):
+        target = tmp_path / "damaged.binary"
+        target.write_bytes(content)
+        with pytest.raises(MerlError, match=rf"damaged\.binary: {words}"):
+            read(target, dims=OTHER)
+
+
+def test_dims_are_three_numbers():
+    assert dims_of("45x30x90") == (45, 30, 90)
+    for text in ("45x45", "45x45x91", "5x45x90", "45x45x9000", "axbxc", "45X45x90", "-45x45x90", ""):
+        with pytest.raises(ValueError, match="should be three numbers of bins like 45x45x90"):
+            dims_of(text)
+
+
+def test_weights_of_other_bins_add_up_to_the_same_measure():
+    for dims in (OTHER, (30, 60, 120)):
+        assert grid.merl_grid(dims).weight.sum() == pytest.approx(np.pi, rel=1e-3)
+    fine, coarse = grid.merl_grid(), grid.merl_grid(OTHER)
+    np.testing.assert_allclose(coarse.edges[0], fine.edges[0][::2])
+    inside = coarse.weight[:20, :20, 10:30]
+    parts = fine.weight[:40, :40, 20:60].reshape(20, 2, 20, 2, 20, 2).sum((1, 3, 5))
+    np.testing.assert_allclose(inside, parts, rtol=2e-2)
+
+
+@pytest.mark.parametrize("dims", [OTHER, (180, 90, 180), (7, 6, 6), (30, 120, 360)])
+def test_runs_fill_other_grids_too(dims):
+    g = grid.merl_grid(dims)
+    ones = np.ones((1, *dims))
+    samples = fold(g, ones, ones)
+    for runs in (((*(1,) * 6, 3, 3, *(6,) * 13), 5, 1), (1, 10, 1), (1, 1, 1)):
+        found = runs_for(samples, runs)
+        thinned = thin(samples, found)
+        assert thinned.weight.sum() == pytest.approx(samples.weight.sum())
+        if not isinstance(runs[0], int):
+            assert len(thinned.theta_h) <= len(runs[0]) + 6
+            np.testing.assert_array_equal(thinned.theta_h[:6], g.theta_h[:6])
+    merl = fold(grid.merl_grid(), np.ones((1, *DIMS)), np.ones((1, *DIMS)))
+    assert runs_for(merl, (5, 5, 10)) == (5, 5, 10)
 
 
 def test_write_is_atomic(tmp_path, values, monkeypatch):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from merlfit.merl_io import binary
-from merlfit.merl_io.binary import DIMS, HEADER, PLANE_BYTES, MerlError, read, write
+from merlfit.merl_io.binary import DIMS, HEADER, MerlError, plane_bytes, read, write
 
 
 @pytest.fixture
@@ -24,8 +24,8 @@ def test_a_file_cut_short_while_it_is_read_is_an_error_and_no_crash(path, monkey
     class Cut(io.BufferedReader):
         def read(self, size=-1):
             found = super().read(size)
-            if size == PLANE_BYTES:
-                os.truncate(path, HEADER.size + PLANE_BYTES)
+            if size == plane_bytes(DIMS):
+                os.truncate(path, HEADER.size + size)
             return found
 
     monkeypatch.setattr(binary, "open", lambda name, mode: Cut(io.FileIO(name)), raising=False)
