@@ -41,9 +41,10 @@ bench: install
 bench-convergence: install
 	$(BIN)/python -m tests.bench convergence
 
-# Three hours: 200 synthetic materials, and 12 reconstructions in four halves each (both go on where they were
-# stopped), nickel beside HP17.
+# Hours: posteriors of all 100 reconstructions, 200 synthetic materials, 12 reconstructions in four halves each (these go
+# on where they were stopped), nickel beside HP17.
 bench-posterior: install
+	$(BIN)/python -m tests.bench posterior
 	$(BIN)/python -m tests.bench calibration
 	$(BIN)/python -m tests.bench halves
 	$(BIN)/python -m tests.bench nickel
