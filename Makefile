@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults hard-cases tables lint types install schema clean
+.PHONY: demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults hard-cases tables lint types install schema docs docs-links clean
 
 install: $(READY)
 
@@ -18,6 +18,15 @@ demo: install
 
 schema: install
 	$(BIN)/python -m merlfit.fitting.results.export
+
+# The pages of docs/, without a network; a warning, a dead link among them, is an error.
+docs: install
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --jobs 2 -c docs . docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+# Whether the links that leave the pages lead somewhere; needs a network.
+docs-links: install
+	$(BIN)/python -m sphinx --quiet --keep-going -D nb_execution_mode=off -b linkcheck -c docs . docs/_build/links
 
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"

@@ -7,205 +7,17 @@ import warnings
 import weakref
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
-
-import jax
-import numpy as np
-from jax.typing import ArrayLike
-from matplotlib.figure import Figure
-from rich.console import Console
+from typing import Any, Unpack
 
 from ..merl_io.binary import Measurement, read
-from .output import plots
-from .output.inspection import file_of
+from .fitted import Fit
 from .output.keeping import claimed, place_of
-from .output.report import print_result
-from .pipeline.resampling import resample
-from .pipeline.run import chain_of, fit_file
-from .results.export import ResultError, read_result, write_result
-from .results.schema import Model, ParameterResult, Result
+from .pipeline.run import fit_file
+from .results.export import read_result
 from .settings.config import Replaced
 from .settings.config import load as settings_of
 from .support.clock import Report, silent
-from .support.compilation import use_persistent_cache
-
-if TYPE_CHECKING:
-    import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
-
-WIDTH = 118  # columns of a fit that is printed
-
-
-class Fit:
-    """A fitted material: parameters with their uncertainty, errors, predictions and pictures.
-
-    Made by :func:`fit` and :func:`load`; ``print(fit)`` shows all that `merlfit inspect` does.
-
-    Attributes:
-        result: everything that goes into the JSON (docs/result.md). path: of that file.
-    """
-
-    def __init__(self, result: Result, path: Path) -> None:
-        self.result = result
-        self.path = path
-
-    @property
-    def succeeded(self) -> bool:
-        """Whether the parameters may be used."""
-        return self.result.fit.succeeded
-
-    @property
-    def parameters(self) -> dict[str, ParameterResult]:
-        """Every fitted number by its name (``beta``, ``eta_R``): value, unit, standard error, quantiles, bounds."""
-        return {q.name: q for q in self.result.parameters}
-
-    @property
-    def values(self) -> dict[str, Any]:
-        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them."""
-        return self.result.values()
-
-    def table(self) -> list[dict[str, Any]]:
-        """One row a fitted number, for ``pandas.DataFrame`` and the like; quantiles are None without a posterior."""
-        rows = []
-        for q in self.result.parameters:
-            low, high = (q.quantiles.q05, q.quantiles.q95) if q.quantiles else (None, None)
-            rows.append({
-                "name": q.name, "value": q.value, "standard_error": q.standard_error, "q05": low, "q95": high,
-                "unit": q.unit, "at_bound": q.at_bound, "meaning": q.meaning,
-            })  # fmt: skip
-        return rows
-
-    def brdf(self, i: ArrayLike, o: ArrayLike, with_grazing_loss: bool = False) -> np.ndarray:
-        """BRDF of the fitted material (1/sr), shape (C, ...); 0 where light or viewer are below the surface.
-
-        Args:
-            i, o: unit vectors of light and viewer, (..., 3), in a frame whose third axis is the surface's normal.
-            with_grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles.
-
-        Raises:
-            merlfit.ResultError: the fit failed, there is no material. ValueError: i or o is no unit vector.
-        """
-        model, (light, viewer) = self._model(), (np.asarray(x, float) for x in (i, o))
-        for name, vectors in (("i", light), ("o", viewer)):
-            if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):
-                raise ValueError(f"{name} should be unit vectors of shape (..., 3)")
-        return plots.predicted_lobe(model, self.values, light, viewer, with_grazing_loss)
-
-    def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
-        """Sample the posterior, or continue its chain; file and this object hold the intervals then.
-
-        Args:
-            max_steps: of the chain, at the most. report: told in a few words what is being done.
-
-        Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now. merlfit.ResultError: the fit failed,
-                or its chain is missing. merlfit.ChainError: the chain is of another fit. merlfit.WriteError: it cannot
-                be kept.
-        """
-        _use_cache()
-        self.result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
-        return self
-
-    def to_arviz(self) -> "xarray.DataTree":
-        """The posterior as ArviZ has it: one chain of equally likely draws in units of physics, by parameter.
-
-        The draws of a merlfit posterior are weighted; as many are drawn from them by systematic resampling, in no order
-        of time: R-hat and effective sizes are those of ``result.posterior``, not what ArviZ would compute from these.
-
-        Raises:
-            ImportError: arviz-base is not installed (``pip install 'merlfit[arviz]'``). merlfit.NoPicture: there is no
-                posterior, or its chain is missing.
-        """
-        try:
-            import arviz_base  # pyright: ignore[reportMissingImports] - of the extra `arviz`
-        except ImportError:
-            raise ImportError("to_arviz() needs arviz-base: pip install 'merlfit[arviz]'") from None
-        chain = plots.chain_file(self.result, self.path)
-        weights = chain["weights"].ravel()
-        places = (np.arange(len(weights)) + 0.5) / len(weights)
-        drawn = chain["values"][np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)]
-        grouped: dict[str, list[np.ndarray]] = {}
-        for k, q in enumerate(self.result.parameters):
-            grouped.setdefault(q.parameter, []).append(drawn[:, k])
-        per_channel = {q.parameter for q in self.result.parameters if q.channel}
-        found = {name: np.stack(x, -1)[None] if name in per_channel else x[0][None] for name, x in grouped.items()}
-        return arviz_base.from_dict(
-            {"posterior": found}, dims={name: ["channel"] for name in per_channel},
-            coords={"channel": self._model().channels},
-        )  # fmt: skip
-
-    def plot_lobes(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Lobes beside those of the file, as `merlfit inspect` draws them, with the posterior's bands if there is one.
-
-        Args:
-            path: a PNG to write, too.
-
-        Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now. merlfit.ResultError: the fit failed.
-        """
-        self._model()
-        _use_cache()
-        chain = None
-        if self.result.posterior is not None and self.result.posterior.sufficient:
-            try:
-                chain = plots.chain_file(self.result, self.path)
-            except plots.NoPicture as error:
-                warnings.warn(f"no bands: {error}", stacklevel=2)
-        measurement = self.result.source.read(file_of(self.path, self.result))
-        return _kept(plots.lobe_figure(self.result, measurement, chain), path)
-
-    def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Corner plot of the posterior; ``path``: a PNG to write, too.
-
-        Raises:
-            merlfit.NoPicture: there is no posterior, or its chain is missing.
-        """
-        return _kept(plots.corner_figure(self.result, plots.chain_file(self.result, self.path)), path)
-
-    def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
-        """The result as JSON, without the chain (docs/result.md); ``path``: a file to write it to, too."""
-        if path is not None:
-            write_result(Path(path), self.result)
-        return self.result.model_dump_json(indent=2)
-
-    def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write result and chain into a folder, as `merlfit fit` does; the path of the result, which is the fit's then.
-
-        Raises:
-            merlfit.WriteError: it cannot be written.
-        """
-        target = Path(folder) / f"{self.result.source.material}.json"
-        target.parent.mkdir(parents=True, exist_ok=True)
-        posterior, chain = self.result.posterior, chain_of(target)
-        if posterior is not None:
-            own = self.path.parent / posterior.chain_file
-            if own.is_file() and own.resolve() != chain.resolve():
-                shutil.copyfile(own, chain)
-            self.result = self.result.model_copy(
-                update={"posterior": posterior.model_copy(update={"chain_file": chain.name})}
-            )
-        write_result(target, self.result)
-        self.path = target
-        return target
-
-    def _model(self) -> Model:
-        if self.result.model is None:
-            raise ResultError(f"{self.path}: the fit failed ({self.result.fit.status}), it has no material")
-        return self.result.model
-
-    def __str__(self) -> str:
-        console = Console(width=WIDTH, color_system=None, markup=False, highlight=False)
-        with console.capture() as capture:
-            print_result(console, self.result)
-        return capture.get()
-
-    def __repr__(self) -> str:
-        return f"<Fit of {self.result.source.material}: {self.result.fit.status}, {self.path}>"
-
-
-def _kept(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    if path is not None:
-        plots.save(figure, Path(path))
-    return figure
+from .support.compilation import use_cache
 
 
 def fit(
@@ -230,14 +42,15 @@ def fit(
         report: told in a few words what is being done, ``print`` for instance.
 
     Raises:
-        merlfit.MerlError: the file cannot be used. merlfit.ConfigError: bad settings. merlfit.WriteError: ``out``
-            cannot be written, or a command is writing there. RuntimeError: the sampler failed; the message names the
-            file that holds the fit.
+        merlfit.MerlError: the file cannot be used.
+        merlfit.ConfigError: bad settings.
+        merlfit.WriteError: ``out`` cannot be written, or a command is writing there.
+        RuntimeError: the sampler failed; the message names the file that holds the fit.
     """
     config = settings_of(settings, **replaced)
     if "enabled" not in config.posterior.model_fields_set:
         config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
-    _use_cache()
+    use_cache()
     measurement = file if isinstance(file, Measurement) else read(Path(file).absolute(), dims=config.input.allowed)
     folder = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out)
     try:
@@ -253,11 +66,6 @@ def fit(
     if out is None:
         weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
     return found
-
-
-def _use_cache() -> None:
-    if not jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue] - made when it runs
-        use_persistent_cache()
 
 
 def load(path: str | os.PathLike[str]) -> Fit:

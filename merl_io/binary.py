@@ -84,11 +84,14 @@ class Measurement:
     """One measured material.
 
     Attributes:
-        path: where it was read. values: BRDF (1/sr), shape (3, 90, 90, 180), or of other dims (3, H, D, P), NaN where
-            there is no datum.
+        path: where it was read.
+        values: BRDF (1/sr), shape (3, 90, 90, 180), or of other dims (3, H, D, P), NaN where there is no datum.
         valid: shape (H, D, P), False where any channel is negative, not finite or absurdly bright (`BRIGHTEST`).
-        negative, nan, inf: how many stored numbers were so; the last with those that are absurdly bright.
-        sha1: of the whole file. blob_sha1: the same as git names its blob, by which genuine files are known.
+        negative: how many stored numbers are negative.
+        nan: how many are no numbers.
+        inf: how many are infinite or absurdly bright.
+        sha1: of the whole file.
+        blob_sha1: the same as git names its blob, by which genuine files are known.
     """
 
     path: Path

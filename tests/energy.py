@@ -180,7 +180,7 @@ def write(rows):
         f"{max(r['printed_largest'] for r in rows):.3f} | "
         f"{np.average([r['printed_above_1.001'] for r in rows], weights=[r['sets'] for r in rows]):.0%} |",
     ]  # fmt: skip
-    RESULTS.joinpath("energy.md").write_text("\n".join(lines) + "\n")
+    RESULTS.joinpath("energy.md").write_text("\n".join(["# Energy of all sets of effects", "", *lines]) + "\n")
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ def write(rows):
             cells = [f"{r['parameters'][q]:.4g}" if q in r["parameters"] else "" for q in SHOWN]
             head = [row["material"], row["body"], split, refit.cost(r["cost"], r["converged"]), f"{r['rmse']:.4g}"]
             lines.append("| " + " | ".join(head + cells) + " |")
-    RESULTS.joinpath("splits.md").write_text("\n".join(lines) + "\n")
+    RESULTS.joinpath("splits.md").write_text("\n".join(["# Energy splits as fits", "", *lines]) + "\n")
 
 
 if __name__ == "__main__":

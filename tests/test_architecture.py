@@ -17,8 +17,8 @@ LIBRARIES = {
 }  # fmt: skip
 STANDARD = {
     "abc", "argparse", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib",
-    "inspect", "itertools", "json", "math", "operator", "os", "pathlib", "re", "stat", "struct", "tempfile", "threading",
-    "time", "tomllib", "types", "typing",
+    "inspect", "itertools", "json", "math", "operator", "os", "pathlib", "re", "stat", "struct", "tempfile",
+    "threading", "time", "tomllib", "types", "typing",
 }  # fmt: skip
 
 

@@ -1,77 +1,124 @@
-"""The README: its commands can be parsed, its links lead somewhere, its table of parameters is complete."""
+"""README and docs/: their commands can be parsed, each is run somewhere, their links lead somewhere."""
 
 import re
 import shlex
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
-import readme_commands
+import shown_commands
 import typer.main
 from merlfit.fitting import cli
 from merlfit.fitting.settings.config import Replaced, load
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
+from shown_commands import ROOT, shown
 
-TEXT = (readme_commands.ROOT / "README.md").read_text()
-FOUND = readme_commands.commands(TEXT)
+README = (ROOT / "README.md").read_text()
+SHOWN = [(page, block) for page in shown_commands.pages() for block in shown(page.read_text())]
+COMMANDS = sorted({command for _, block in SHOWN if block.language == "sh" for command in block.commands})
+OURS = [command for command in COMMANDS if command.startswith("merlfit ") and " --install-completion" not in command]
 
 
-@pytest.mark.parametrize("command", [command for command, _ in FOUND])
-def test_every_command_and_option_of_the_readme_exists(command):
+@pytest.mark.parametrize("command", [c for c in OURS if not c.startswith("merlfit --")])
+def test_every_command_and_option_that_is_shown_exists(command):
     _, name, *words = shlex.split(command)
     known = typer.main.get_command(cli.app).commands
     assert known[name].make_context(name, words).info_name == name, "it refuses what it does not know"
 
 
-def test_the_readme_shows_every_command_but_the_demo():
-    shown = {command.split()[1] for command, _ in FOUND}
-    assert shown == set(typer.main.get_command(cli.app).commands) - {"demo"}
+def test_every_command_has_a_page_that_shows_it():
+    known = set(typer.main.get_command(cli.app).commands)
+    assert known == {path.stem for path in (ROOT / "docs" / "howto").glob("*.md")} - {"index"}
+    for name in known:
+        blocks = shown((ROOT / "docs" / "howto" / f"{name}.md").read_text())
+        assert any(command.startswith(f"merlfit {name}") for block in blocks for command in block.commands), name
 
 
-def test_the_readme_names_version_module_and_completion():
+def test_every_command_is_run_here_or_by_something_that_is_named():
+    unknown = [c for c in COMMANDS if not c.startswith("merlfit ") and not shown_commands.elsewhere(c)]
+    assert unknown == [], "nothing runs them"
+    for pattern in shown_commands.ELSEWHERE:
+        assert any(re.match(pattern, command) for command in COMMANDS), f"no page shows {pattern}"
+
+
+def test_no_command_hides_in_a_block_of_another_language():
+    for page in shown_commands.pages():
+        fenced = re.sub(r"^```(sh|text)\n.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+        assert not re.findall(r"^ {4}(?:merlfit|python|pip|make) .*$|^\$ .*$", fenced, re.MULTILINE), page
+
+
+def test_version_module_and_completion_are_named():
+    text = README + (ROOT / "docs" / "howto" / "index.md").read_text()
     known = {word for each in typer.main.get_command(cli.app).params for word in each.opts}
     for word in ("--version", "--install-completion"):
-        assert word in TEXT
+        assert word in text
         assert word in known
-    assert "python -m merlfit" in TEXT
+    assert "python -m merlfit" in text
 
 
-@pytest.mark.parametrize("command", [command for command, _ in FOUND if command.startswith("merlfit fit ")])
+@pytest.mark.parametrize("command", [c for c in OURS if shown_commands.shortened(c).endswith("--config short.toml")])
 def test_the_settings_that_shorten_a_fit_are_no_reason_to_refuse_it(command):
     known = typer.main.get_command(cli.app).commands["fit"]
-    _, _, *words = shlex.split(readme_commands.shortened(command))
+    _, _, *words = shlex.split(shown_commands.shortened(command))
     given = known.make_context("fit", words).params
-    settings = tomllib.loads(readme_commands.SHORT) if given["config"] else None
-    found = load(settings, **{name: given[name] for name in Replaced.__annotations__})  # which refuses idle keys
-    assert len(found.candidates) == 1, "one model is quick to fit"
-    assert found.model.names == (list(given["model"]) or ["two-scale"])
+    found = load(tomllib.loads(shown_commands.SHORT), **{name: given[name] for name in Replaced.__annotations__})
+    assert found.posterior.max_steps == 60
 
 
-def test_the_readme_says_what_every_parameter_means():
+def test_every_parameter_is_explained():
     every = {q.name for e in (Measured(TwoScale("none")), TwoScale("lambert")) for q in e.parameters}
-    assert every == set(re.findall(r"`([a-z_]+)`", "".join(re.findall(r"^(\|[^|]*\|).*Eq\. ", TEXT, re.MULTILINE))))
+    rows = re.findall(r"^(\|[^|]*\|).*Eq\. ", (ROOT / "docs" / "parameters.md").read_text(), re.MULTILINE)
+    assert every == set(re.findall(r"`([a-z_]+)`", "".join(rows)))
 
 
-@pytest.mark.parametrize(
-    "page",
-    [readme_commands.ROOT / "README.md", *sorted((readme_commands.ROOT / "docs").glob("*.md"))],
-    ids=lambda page: page.name,
-)
-def test_links_of_the_pages_lead_to_files(page):
-    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
-        assert target.startswith("https://") or (page.parent / target).exists(), target
+def test_links_of_the_readme_lead_to_files():
+    """Those of the other pages are looked at when the pages are built."""
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert target.startswith("https://") or (ROOT / target).exists(), target
 
 
-def test_a_command_that_fails_is_named(tmp_path):
-    text = "    merlfit check missing.binary  # fast\n    merlfit materials   # slow\n"
-    failed = readme_commands.run(tmp_path, Path(sys.executable).parent, quick=True, text=text)
-    assert failed == ["merlfit check missing.binary: exit code 2"]
+TEXT = """```sh
+merlfit check missing.binary  # fast
+```
+
+```text
+missing.binary: no such fool
+```
+
+```sh
+merlfit check missing.binary  # not once more
+pip install .
+```
+
+```python
+print("7.25 │ here")
+```
+
+```text
+1.5 here
+```
+"""
+
+
+def test_what_fails_and_what_is_not_printed_is_named(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(TEXT)
+    one, other = shown_commands.run(tmp_path, shown_commands.Path(sys.executable).parent, True, [page])
+    assert one == "page.md: merlfit check missing.binary: exit code 2"
+    assert other.startswith("page.md: 'missing.binary: no such fool'")
+
+
+def test_what_was_printed_is_put_into_a_page(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(TEXT)
+    shown_commands.run(tmp_path, shown_commands.Path(sys.executable).parent, True, [page], shown_commands.rewrite)
+    assert "no such file" in page.read_text()
+    assert page.read_text().endswith("```text\n7.25 │ here\n```\n")
 
 
 def test_the_tests_that_the_newcomers_table_names_exist():
-    found = re.findall(r"`(tests/[\w/]+\.py)::(\w+)", (readme_commands.ROOT / "docs" / "newcomer.md").read_text())
+    found = re.findall(r"`(tests/[\w/]+\.py)::(\w+)", (ROOT / "tests" / "newcomer.md").read_text())
     assert len(found) > 60
     for file, name in found:
-        assert f"def {name}(" in (readme_commands.ROOT / file).read_text(), f"{file}::{name}"
+        assert f"def {name}(" in (ROOT / file).read_text(), f"{file}::{name}"

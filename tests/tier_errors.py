@@ -148,7 +148,7 @@ def write(rows, seconds):
         f"`exact` itself would take {seconds['exact']:.0f} s on MERL's grid (measured on a list, scaled); "
         f"quadrature 32 with the split `conserving` takes {seconds['conserving']:.3g} s."
     )
-    (RESULTS / "tiers.md").write_text("\n".join(lines) + "\n")
+    (RESULTS / "tiers.md").write_text("\n".join(["# Tiers of the diffraction lobe", "", *lines]) + "\n")
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 

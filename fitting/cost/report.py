@@ -131,4 +131,8 @@ def write_markdown(frontier: Frontier, path: Path) -> None:
         "reading to the metrics, all five kinds of material, once compiled and without posterior; the estimate of the "
         "error, for `--accuracy` and `--time`, comes on top.", markup=False, soft_wrap=True,
     )  # fmt: skip
-    path.write_text("\n".join(line.rstrip() for line in text.getvalue().strip().splitlines()) + "\n")
+    path.write_text(
+        "# What accuracy costs in time\n\n"
+        + "\n".join(line.rstrip() for line in text.getvalue().strip().splitlines())
+        + "\n"
+    )

@@ -199,6 +199,18 @@ def spheres(measurement: Measurement | None, predicted: np.ndarray, theta_max: f
     return found
 
 
+def sphere_figure(pictures: dict[str, Image.Image]) -> Figure:
+    """Pictures of :func:`spheres` of a file and its fit side by side, a row for each light."""
+    columns = {"file": "file", "fit": "fit", "difference": rf"difference ($\Delta E$ up to {LARGEST_SHOWN:.0f})"}
+    figure = Figure(figsize=(6.6, 4.6), layout="constrained")
+    for row, lighting in zip(figure.subplots(len(SIDE), len(columns)), SIDE, strict=True):
+        for panel, (what, title) in zip(row, columns.items(), strict=True):
+            panel.imshow(pictures[f"{lighting}-{what}"])
+            panel.set_axis_off()
+            panel.set_title(f"{title}, {lighting}" if what == "file" else title, fontsize=9)
+    return figure
+
+
 def _round(colours: np.ndarray, inside: np.ndarray, side: int) -> Image.Image:
     picture = np.zeros((side * side, 4), np.uint8)
     picture[inside] = np.concatenate([colours, np.full((len(colours), 1), 255, np.uint8)], 1)

@@ -40,6 +40,12 @@ def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
     return folder
 
 
+def use_cache() -> None:
+    """The same from a program of somebody's own, unless it has set a cache of its own."""
+    if not jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue] - made when it runs
+        use_persistent_cache()
+
+
 @cache
 def _tell_of_compilation(folder: Path, say: Callable[[str], None]) -> None:
     """Once a process, and only if there is something to compile."""

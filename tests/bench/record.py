@@ -155,7 +155,9 @@ def exponent(sizes, costs):
 def summary(folder=RESULTS):
     """All targets of all sections that are there, as Markdown."""
     lines = [
-        f"Targets of all sections; data: {RECONSTRUCTIONS}. Tables and machines: the files named. "
+        "# Targets",
+        "",
+        f"Data: {RECONSTRUCTIONS}. Tables and machines: the files named. "
         "Made by `make bench`.",
         "", "| target | measured | asked | met | section |", "|---|---|---|---|---|",
     ]  # fmt: skip

@@ -16,6 +16,7 @@ QUICK = {
     "effects": {"body": "none", "diffraction": "off"}, "fit": {"starts": 1, "grid": "coarse"},
     "posterior": {"max_steps": 20},
 }  # fmt: skip
+PICTURES = "lobes", "spheres", "errors", "isolines", "corner", "trace"
 
 
 def test_importing_does_not_wait_for_jax():
@@ -63,6 +64,8 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
         fit.brdf([0.0, 0.0, 2.0], slanted)
     with pytest.raises(merlfit.NoPicture, match="not sampled"):
         fit.to_arviz()
+    with pytest.raises(merlfit.NoPicture, match="no posterior"):
+        fit.plot_trace()
     assert merlfit.sample(fit) is fit
     assert fit.result.posterior.steps == 20
     found = fit.to_arviz().posterior
@@ -72,9 +75,10 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     drawn = plots.chain_file(fit.result, fit.path)["values"][:, 0]
     assert np.isin(found["beta"].values, drawn).all()
 
-    fit.plot_lobes(tmp_path / "lobes.png")
-    fit.plot_corner(tmp_path / "corner.png")
-    assert all((tmp_path / f"{name}.png").stat().st_size > 20_000 for name in ("lobes", "corner"))
+    for name in PICTURES:
+        figure = getattr(fit, f"plot_{name}")(tmp_path / f"{name}.png")
+        assert figure.axes
+        assert (tmp_path / f"{name}.png").stat().st_size > 15_000, name
     again = merlfit.load(fit.save(tmp_path / "saved"))
     assert again.path == fit.path == tmp_path / "saved" / f"{file.stem}.json"
     np.testing.assert_array_equal(again.to_arviz().posterior["beta"], found["beta"])

@@ -1,0 +1,183 @@
+"""What README and docs/ show is run: `python -m tests.shown_commands`.
+
+Commands (blocks ``sh``) and programs (blocks ``python``; ``py`` is an excerpt) are run in the order of `pages`, each
+one once, in one fresh folder. Where a block ``text`` follows, its lines must be among what was printed; numbers may
+differ. `--rewrite` puts what was printed into these blocks instead. `--install` first installs merlfit into an empty
+environment. `--quick` samples short chains.
+"""
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.MULTILINE | re.DOTALL)
+SHORT = "[posterior]\nmax_steps = 60\n"
+MAY_FAIL = "merlfit sample"  # exits with 1 where the chain is still too short, as it does here with so few steps
+ELSEWHERE = {  # commands that are not run here, and where they are
+    r"make ": "targets of the Makefile; `.ci/run` runs install, lint, types, docs and test",
+    r"(pip|uv tool) install ": "--install",
+    r"merlfit demo": "make demo",
+    r"merlfit cost": "half an hour: make cost",
+    r"merlfit fit .*--preset conserving": "minutes: tests/test_cli.py and make bench",
+    r"dask |merlfit fit .*--executor": "tests/fitting/test_cluster.py",
+    r"python -m merlfit.scene.mitsuba": "tests/scene/test_mitsuba.py",
+}
+BORDERS, NUMBER = re.compile("[\u2500-\u257f]+"), re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A block: its language, its text, and the output that is shown below it, with the place of that in the page."""
+
+    language: str
+    text: str
+    output: str | None
+    place: tuple[int, int]
+
+    @property
+    def commands(self) -> list[str]:
+        """Lines of a shell's block without comments."""
+        lines = (re.sub(r"\s+#.*", "", line).strip() for line in self.text.splitlines())
+        return [line for line in lines if line and not line.startswith("#")]
+
+
+def pages(root: Path = ROOT) -> list[Path]:
+    """README, tutorial, how-tos, the rest."""
+    docs = root / "docs"
+    first = [root / "README.md", docs / "tutorial.md", *sorted((docs / "howto").glob("*.md"))]
+    return [*first, *(page for page in sorted(docs.glob("*.md")) if page not in first)]
+
+
+def shown(text: str) -> Iterator[Shown]:
+    """Blocks of a page that can be run."""
+    for found in BLOCK.finditer(text):
+        yield Shown(found[1], found[2], found[3], found.span(3))
+
+
+def elsewhere(command: str) -> bool:
+    """Whether a command is run by something else."""
+    return any(re.match(known, command) for known in ELSEWHERE)
+
+
+def shortened(command: str) -> str:
+    """The same with a chain that takes less time."""
+    if command.startswith("merlfit fit ") and "--no-posterior" not in command:
+        return f"{command} --config short.toml"
+    return f"{command} --max-steps 60" if command.startswith("merlfit sample ") else command
+
+
+def plain(text: str) -> list[str]:
+    """Lines without numbers, borders of tables, and how wide they are."""
+    return [" ".join(NUMBER.sub("0", BORDERS.sub(" ", line)).split()) for line in text.splitlines()]
+
+
+def unlike(expected: str, printed: str) -> list[str]:
+    """Lines that are shown and were not printed; "..." stands for lines that are left out."""
+    there = set(plain(printed))
+    return [line for line in plain(expected) if line and line != "..." and line not in there]
+
+
+def install(folder: Path) -> Path:
+    """An environment of its own with merlfit in it; the folder of its programs."""
+    subprocess.run([sys.executable, "-m", "venv", folder / "env"], check=True)
+    pip = [folder / "env" / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    constraints = ["--constraint", ROOT / "constraints.txt"]
+    subprocess.run([*pip, *constraints, f"{ROOT}[arviz]", "jsonschema"], check=True)
+    return folder / "env" / "bin"
+
+
+class Runner:
+    """Runs blocks in a folder, and remembers what was printed and what failed."""
+
+    def __init__(self, folder: Path, programs_in: Path, quick: bool) -> None:
+        self.folder, self.programs_in, self.quick = folder, programs_in, quick
+        self.environment = {**os.environ, "PATH": f"{programs_in}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
+        self.printed: dict[str, str] = {}
+        self.failed: list[str] = []
+        (folder / "short.toml").write_text(SHORT)
+        shutil.copytree(ROOT / "configs", folder / "configs", dirs_exist_ok=True)  # as in a clone
+
+    def output(self, block: Shown, where: str) -> str | None:
+        """Run what was not run before; what was printed, or None where what was run is not what is shown."""
+        if block.language == "python":
+            return self._run(block.text, [self.programs_in / "python", "-c", block.text], f"a program of {where}")
+        found: list[str | None] = []
+        for command in block.commands:
+            if elsewhere(command):
+                found.append(None)
+                continue
+            line = shortened(command) if self.quick else command
+            text = self._run(line, ["sh", "-c", line], f"{where}: {line}")
+            found.append(text if line == command else None)
+        return None if None in found else "".join(filter(None, found))
+
+    def _run(self, key: str, words: list, said: str) -> str:
+        if key not in self.printed:
+            start = time.perf_counter()
+            print(f"$ {said}", flush=True)
+            done = subprocess.run(
+                words,
+                cwd=self.folder,
+                env=self.environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+            print(f"{done.stdout}-> {done.returncode}, {time.perf_counter() - start:.0f} s", flush=True)
+            if done.returncode not in ((0, 1) if key.startswith(MAY_FAIL) else (0,)):
+                self.failed.append(f"{said}: exit code {done.returncode}")
+            self.printed[key] = done.stdout
+        return self.printed[key]
+
+
+def check(page: Path, runner: Runner) -> None:
+    """Run a page and compare."""
+    for block in shown(page.read_text()):
+        printed = runner.output(block, page.name)
+        if block.output is not None and printed is not None:
+            runner.failed += [f"{page.name}: {line!r} was not printed" for line in unlike(block.output, printed)]
+
+
+def rewrite(page: Path, runner: Runner) -> None:
+    """Run a page, and put into it what was printed, but where it leaves out lines: that is to be done by hand."""
+    text = page.read_text()
+    done = [(block, runner.output(block, page.name)) for block in shown(text)]
+    for block, printed in reversed(done):
+        if block.output is not None and printed is not None and "..." not in block.output.splitlines():
+            kept = "\n".join(line.rstrip() for line in printed.strip("\n").splitlines()) + "\n"
+            text = text[: block.place[0]] + kept + text[block.place[1] :]
+    page.write_text(text)
+
+
+def run(folder: Path, programs_in: Path, quick: bool, asked: list[Path], what=check) -> list[str]:
+    """All pages; what failed, in words."""
+    runner = Runner(folder, programs_in, quick)
+    for page in asked:
+        what(page, runner)
+    return runner.failed
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("--install", "--quick", "--rewrite"):
+        parser.add_argument(name, action="store_true")
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        programs_in = install(folder) if asked.install else Path(sys.executable).parent
+        failed = run(folder, programs_in, asked.quick, pages(), rewrite if asked.rewrite else check)
+    sys.exit("\n".join(failed) if failed else 0)
+
+
+if __name__ == "__main__":
+    main()
