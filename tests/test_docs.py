@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from readme_commands import ROOT
+from shown_commands import ROOT
 
 sys.path.insert(0, str(ROOT / "docs" / "extensions"))
 import schema_tables

@@ -19,14 +19,17 @@ class Command(SphinxDirective):
         name = self.arguments[0]
         command = typer.main.get_command(cli).commands[name]  # pyright: ignore[reportAttributeAccessIssue] - a group
         context = command.make_context(name, [], resilient_parsing=True)
-        usage = " ".join(["merlfit", name, *command.collect_usage_pieces(context)])
+        usage = " ".join(["merlfit", name, *map(_argument, command.params), "[OPTIONS]"])
+        usage = " ".join(usage.split())
         options = nodes.definition_list(classes=["options"])
         for param in command.params:
             said = (param.help or "").replace("\\[", "[")
             if param.param_type_name == "option" and (default := _default(param, said)):
                 said += f" Default: {default}."
             options += nodes.definition_list_item(
-                "", nodes.term("", _names(param)), nodes.definition("", nodes.paragraph("", "", *self.parsed(said)))
+                "",
+                nodes.term("", _names(param, context)),
+                nodes.definition("", nodes.paragraph("", "", *self.parsed(said))),
             )
         return [nodes.literal_block(usage, usage, language="none"), options]
 
@@ -35,11 +38,17 @@ class Command(SphinxDirective):
         return self.parse_inline(text)[0]
 
 
-def _names(param: Any) -> str:  # noqa: ANN401 - typer's parameters have no common public type
+def _argument(param: Any) -> str:  # noqa: ANN401 - typer's parameters have no common public type
+    if param.param_type_name != "argument":
+        return ""
+    return (param.metavar or param.name.upper()) + (" ..." if param.nargs == -1 else "")
+
+
+def _names(param: Any, context: Any) -> str:  # noqa: ANN401
     if param.param_type_name == "argument":
-        return param.make_metavar(None) if param.metavar is None else param.metavar
+        return _argument(param)
     names = ", ".join([*param.opts, *param.secondary_opts])
-    return names if param.is_flag else f"{names} {param.type.name.upper()}"
+    return names if param.is_flag else f"{names} {param.metavar or param.display_type(context)}"
 
 
 def _default(param: Any, said: str) -> str:  # noqa: ANN401
