@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults hard-cases tables lint types install schema docs docs-links clean
+.PHONY: report demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults hard-cases tables lint types install schema docs docs-links clean
 
 install: $(READY)
 
@@ -64,6 +64,10 @@ merl100: install
 
 bench-gpu: install
 	$(BIN)/python -m tests.bench gpu
+
+# Ten minutes: all 100 neural reconstructions fitted, and their pages; out/merl100/report/index.html.
+report: install
+	$(BIN)/python -m tests.report_site
 
 # Half an hour; what it measures is committed and shipped.
 cost: install

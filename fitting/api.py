@@ -36,9 +36,9 @@ def fit(
         file: its path, or what :func:`read` made of it.
         out: folder for the result; without it, the result lasts as long as the object: :meth:`Fit.save` keeps it.
         settings: a TOML file like configs/default.toml, or the same as a mapping.
-        replaced: dims, model, preset, index, body, weights, posterior or seed, as the options of `merlfit fit`; they
-            replace those of ``settings``. The posterior is sampled where one of them asks for it, or by
-            :meth:`Fit.sample`.
+        replaced: dims, origin, model, preset, index, body, weights, posterior or seed, as the options of
+            `merlfit fit`; they replace those of ``settings``. The posterior is sampled where one of them asks for it,
+            or by :meth:`Fit.sample`.
         report: told in a few words what is being done, ``print`` for instance.
 
     Raises:

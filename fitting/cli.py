@@ -136,6 +136,10 @@ def fit(
     weights: Weights = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(help="What the files are, in words that results and pages repeat: synthetic, say."),
+    ] = None,
     accuracy: Annotated[
         float | None,
         typer.Option(help="Choose the fastest settings that are this accurate, such as 1e-2 (relative)."),
@@ -162,8 +166,8 @@ def fit(
     from .files import aim_of, fit_files, settings_of, summarise
 
     settings = settings_of(
-        config, dims=dims, model=model, preset=preset, index=index, body=body, weights=weights, posterior=posterior,
-        seed=seed,
+        config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
+        posterior=posterior, seed=seed,
     )  # fmt: skip
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
     summarise(outcomes)
@@ -328,16 +332,32 @@ def inspect(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder for the pictures \\[default: beside it].")
     ] = None,
+    pictures: Annotated[
+        str | None,
+        typer.Option(help="Which pictures, with commas between: lobes,corner \\[default: all].", show_default=False),
+    ] = None,
+    kind: Annotated[str, typer.Option("--format", help="png, pdf or svg.")] = "png",
 ) -> None:
-    """Print a fit's parameters with intervals; write its lobe plot and the corner plot of its posterior."""
+    """Print a fit's parameters with intervals; write pictures of it, each fit to be printed in a column of a paper.
+
+    Spheres, lobes, isolines, peak, residuals, errors, effects; with a posterior corner plots and a trace.
+    """
     from .output.inspection import file_of, show
+    from .pictures.all import PICTURES
     from .results.export import ResultError, read_result
 
     try:
         read = read_result(result)
     except ResultError as error:
         raise fail(str(error)) from None
-    if not show(result, read, file or file_of(result, read), out or result.parent, needs_file=file is not None):
+    only = [] if pictures is None else [name.strip() for name in pictures.split(",")]
+    for name in only:
+        if name not in PICTURES:
+            raise fail(f"--pictures {name}: no such picture; there are {', '.join(PICTURES)}")
+    if kind not in ("png", "pdf", "svg"):
+        raise fail(f"--format {kind}: should be png, pdf or svg")
+    found = file or file_of(result, read)
+    if not show(result, read, found, out or result.parent, kind, only, needs_file=file is not None):
         raise typer.Exit(BAD_INPUT)
 
 
@@ -370,6 +390,9 @@ def report(
     files: Annotated[
         Path | None, typer.Option(help="Folder with the MERL files, if they moved since the fits.", readable=False)
     ] = None,
+    origin: Annotated[
+        str | None, typer.Option(help="What the files are, in words, if the fits were not told.", show_default=False)
+    ] = None,
     jobs: Jobs = None,
 ) -> None:
     """Write pages that open from disk: an index of all results with pictures, and a page for each one.
@@ -378,7 +401,7 @@ def report(
     """
     from .report.command import report_on
 
-    report_on(folder, out or folder / "report", files, jobs)
+    report_on(folder, out or folder / "report", files, jobs, origin)
 
 
 @app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")
@@ -470,7 +493,7 @@ def cost(
     from .cost.measure import CostError, measure, tidy
     from .cost.plot import frontier_figure
     from .cost.report import gains, tables, write_markdown
-    from .output.plots import save
+    from .pictures.style import save
     from .support.compilation import cache_folder
 
     writable_folder(out)

@@ -11,13 +11,14 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from ..merl_io.binary import Measurement
-from .output import plots
 from .output.inspection import file_of
 from .output.report import print_result
+from .pictures import style
+from .pictures.all import PICTURES
+from .pictures.prediction import predicted_lobe
+from .pictures.subject import chain_file, subject_of
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of
-from .report import figures
 from .results.export import ResultError, write_result
 from .results.schema import Model, ParameterResult, Result
 from .support.clock import Report, silent
@@ -84,7 +85,7 @@ class Fit:
         for name, vectors in (("i", light), ("o", viewer)):
             if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):
                 raise ValueError(f"{name} should be unit vectors of shape (..., 3)")
-        return plots.predicted_lobe(model, self.values, light, viewer, with_grazing_loss)
+        return predicted_lobe(model, self.values, light, viewer, with_grazing_loss)
 
     def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
         """Sample the posterior, or continue its chain; file and this object hold the intervals then.
@@ -117,7 +118,7 @@ class Fit:
             import arviz_base  # pyright: ignore[reportMissingImports] - of the extra `arviz`
         except ImportError:
             raise ImportError("to_arviz() needs arviz-base: pip install 'merlfit[arviz]'") from None
-        chain = plots.chain_file(self.result, self.path)
+        chain = chain_file(self.result, self.path)
         weights = chain["weights"].ravel()
         places = (np.arange(len(weights)) + 0.5) / len(weights)
         drawn = chain["values"][np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)]
@@ -131,91 +132,57 @@ class Fit:
             coords={"channel": self._model().channels},
         )  # fmt: skip
 
-    def plot_lobes(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Lobes beside those of the file, as `merlfit inspect` draws them, with the posterior's bands if there is one.
+    def plot(self, name: str, path: str | os.PathLike[str] | None = None) -> Figure:
+        """One of the pictures that `merlfit inspect` draws, as wide as a column of a paper (8.5 cm).
 
         Args:
-            path: a PNG to write, too.
+            name: spheres, lobes, isolines, peak, residuals, errors, effects, corner, corner-all or trace.
+            path: a PNG, PDF or SVG to write, too.
 
         Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now.
+            KeyError: there is no such picture.
+            merlfit.NoPicture: it needs the fitted file, which is missing or is another one now, or a posterior.
             merlfit.ResultError: the fit failed.
         """
+        if name not in PICTURES:
+            raise KeyError(f"{name!r} is none of {', '.join(PICTURES)}")
         self._model()
         use_cache()
-        chain = None
-        if self.result.posterior is not None and self.result.posterior.sufficient:
-            try:
-                chain = plots.chain_file(self.result, self.path)
-            except plots.NoPicture as error:
-                warnings.warn(f"no bands: {error}", stacklevel=2)
-        return _kept(plots.lobe_figure(self.result, self._measurement(), chain), path)
+        subject = subject_of(self.result, self.path, file_of(self.path, self.result))
+        if subject.result.posterior is not None and "chain" in subject.lacks:
+            warnings.warn(f"no posterior is shown: {subject.lacks['chain']}", stacklevel=2)
+        figure = PICTURES[name].draw(subject)
+        if path is not None:
+            style.save(figure, Path(path))
+        return figure
+
+    def plot_lobes(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Lobes in the plane of incidence beside those of the file, with the bands of the posterior if there is one."""
+        return self.plot("lobes", path)
 
     def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Corner plot of the posterior.
-
-        Args:
-            path: a PNG to write, too.
-
-        Raises:
-            merlfit.NoPicture: there is no posterior, or its chain is missing.
-        """
-        return _kept(plots.corner_figure(self.result, plots.chain_file(self.result, self.path)), path)
+        """Corner plot of the posterior: what all channels share, and the middle channel."""
+        return self.plot("corner", path)
 
     def plot_trace(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """How the walkers of the posterior moved: median and 90 % of them, step by step, in free coordinates.
-
-        Args:
-            path: a PNG to write, too.
-
-        Raises:
-            merlfit.NoPicture: there is no posterior, or its chain is missing.
-        """
-        posterior = self.result.posterior
-        walked = None if posterior is None else plots.states(self.result, self.path)
-        if posterior is None or walked is None:
-            raise plots.NoPicture(f"{self.path}: there is no posterior, or its chain is missing")
-        return _kept(figures.trace(walked, posterior.coordinates), path)
+        """How the walkers of the posterior moved: median and 90 % of them, step by step, in free coordinates."""
+        return self.plot("trace", path)
 
     def plot_spheres(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Spheres under a lamp and in a room: the file, the fit, and their CIELAB difference.
-
-        Only directions that the file has and the fit used are shown (``fit.theta_max`` of the settings).
-
-        Args:
-            path: a PNG to write, too.
-
-        Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now.
-            merlfit.ResultError: the fit failed.
-        """
-        return _kept(figures.sphere_figure(figures.spheres(*self._compared())), path)
+        """Spheres under a lamp and under an environment: the file, the fit, and their CIELAB difference."""
+        return self.plot("spheres", path)
 
     def plot_errors(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Map of fit over file by theta_h and theta_d: the mean of the logarithm over phi_d and channels.
-
-        Args:
-            path: a PNG to write, too.
-
-        Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now.
-            merlfit.ResultError: the fit failed.
-        """
-        return _kept(figures.error_map(*self._compared()), path)
+        """Maps over theta_h and theta_d: fit over file, and how far their cube roots are apart."""
+        return self.plot("errors", path)
 
     def plot_isolines(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Isolines of the middle channel over all viewers, on the projected hemisphere, as HP17 Fig. 14.
+        """Isolines of the middle channel over all viewers, on the projected hemisphere, as HP17 Fig. 14."""
+        return self.plot("isolines", path)
 
-        Args:
-            path: a PNG to write, too.
-
-        Raises:
-            merlfit.MerlError: the fitted file is missing, or is another one now.
-            merlfit.ResultError: the fit failed.
-        """
-        self._model()
-        use_cache()
-        return _kept(figures.isolines(self.result, self._measurement()), path)
+    def plot_effects(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """What reflection, diffraction and body add: spheres, lobes, shares of the light."""
+        return self.plot("effects", path)
 
     def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
         """The result as JSON, without the chain (docs/result.md); ``path``: a file to write it to, too."""
@@ -243,15 +210,6 @@ class Fit:
         self.path = target
         return target
 
-    def _measurement(self) -> Measurement:
-        return self.result.source.read(file_of(self.path, self.result))
-
-    def _compared(self) -> tuple[Measurement, np.ndarray, float]:
-        """The file, the fit on its bins, and the angle (rad) that both are compared up to."""
-        model, measurement = self._model(), self._measurement()
-        use_cache()
-        return measurement, figures.all_bins(model, self.values, measurement), figures.limit_of(self.result)
-
     def _model(self) -> Model:
         if self.result.model is None:
             raise ResultError(f"{self.path}: the fit failed ({self.result.fit.status}), it has no material")
@@ -265,9 +223,3 @@ class Fit:
 
     def __repr__(self) -> str:
         return f"<Fit of {self.result.source.material}: {self.result.fit.status}, {self.path}>"
-
-
-def _kept(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    if path is not None:
-        plots.save(figure, Path(path))
-    return figure

@@ -52,8 +52,8 @@ def test_arrows_of_the_architecture(package):
 
 
 LINE_OF_WORK = (
-    "support", "objective", "solve", "settings", "results", "assess", "posterior", "pipeline", "output",
-    "execution", "report", "cost",
+    "support", "objective", "solve", "settings", "results", "assess", "posterior", "pipeline", "pictures",
+    "output", "execution", "report", "cost",
 )  # fmt: skip
 
 

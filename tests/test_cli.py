@@ -11,7 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 from merlfit.fitting import cli
-from merlfit.fitting.output import plots
+from merlfit.fitting.pictures import prediction
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.solve.levenberg_marquardt import Status
@@ -249,8 +249,8 @@ def test_every_command_has_help_with_an_example():
 
 
 def test_lobe_picture_reads_the_bins_it_should():
-    i, o = plots.plane_of_incidence(0.5, np.array([0.5, -0.2, 1.2]))
-    h, d, p = plots.half_difference(i, o)
+    i, o = prediction.plane_of_incidence(0.5, np.array([0.5, -0.2, 1.2]))
+    h, d, p = prediction.half_difference(i, o)
     np.testing.assert_allclose(h, [0.0, 0.35, 0.35], atol=1e-12)
     np.testing.assert_allclose(d, [0.5, 0.15, 0.85], atol=1e-12)
     g = merl_grid()

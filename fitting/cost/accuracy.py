@@ -123,7 +123,11 @@ class Aim:
     @property
     def calibrated(self) -> bool:
         """Whether the fits of the calibration were fits of this kind, but for the choice and the body."""
-        free = {"seed": Config().seed, "posterior": Config().posterior}
+        free = {
+            "seed": Config().seed,
+            "input": self.config.input.model_copy(update={"origin": ""}),
+            "posterior": Config().posterior,
+        }
         effects = self.config.effects.model_copy(update={k: getattr(Config().effects, k) for k in ("index", "body")})
         return self.config.model_copy(update={**free, "effects": effects}) == Config()
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file lies beside fitting/ once installed
     from .fitting.api import Fit, fit, load, sample
-    from .fitting.output.plots import NoPicture
+    from .fitting.pictures.subject import NoPicture
     from .fitting.posterior.chain import ChainError
     from .fitting.results.export import ResultError
     from .fitting.settings.config import ConfigError
@@ -31,7 +31,7 @@ _HOMES = {
     "fitting.api": ("Fit", "fit", "load", "sample"),
     "fitting.settings.config": ("ConfigError",),
     "fitting.results.export": ("ResultError",),
-    "fitting.output.plots": ("NoPicture",),
+    "fitting.pictures.subject": ("NoPicture",),
     "fitting.posterior.chain": ("ChainError",),
     "merl_io.atomic": ("WriteError",),
     "merl_io.binary": ("Measurement", "MerlError", "read", "write"),

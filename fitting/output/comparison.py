@@ -25,10 +25,10 @@ from ...model.reflectance import evaluate
 from ..assess.metrics import by_incidence, errors
 from ..assess.selection import ALIKE, SEEN, least, lost
 from ..objective.weights import THETA_MAX
+from ..pictures.style import save
 from ..pipeline.comparison import FIT, Row, angles, row_of
 from ..results.export import ResultError
 from ..results.schema import Result
-from .plots import save
 from .report import number
 from .synthesis import tabulate
 

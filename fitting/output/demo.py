@@ -25,6 +25,7 @@ TRUTH = {
 ERROR = 0.05  # standard deviation of the logarithm of a value
 BLUR = 1.0, 4.0, 16.0  # bins along theta_h, theta_d, phi_d over which errors are alike: a measurement's are smooth
 ALIKE = 0.8  # correlation of the errors of two channels
+ORIGIN = "synthetic"
 SAID = (
     f"a red plastic, computed from known parameters of the two-scale model, with smooth errors of {ERROR:.0%} like "
     "those of measurements. The fit is told that it is a plastic, but not its parameters; it should find them again"
@@ -38,7 +39,10 @@ class Occupied(ValueError):
 def settings(seed: int | None = None) -> Config:
     """Of the fit: no apparatus took light from a synthetic material; one kind of material is compiled and compared."""
     kind = {"index": EFFECTS.index, "body": EFFECTS.body}
-    return parse({"seed": seed or 0, "effects": kind, "acquisition": {"grazing_loss": "off"}}, "demo")
+    return parse(
+        {"seed": seed or 0, "input": {"origin": ORIGIN}, "effects": kind, "acquisition": {"grazing_loss": "off"}},
+        "demo",
+    )
 
 
 def values() -> np.ndarray:

@@ -1,16 +1,16 @@
 """`merlfit inspect`: a result in tables and pictures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from ...merl_io.atomic import WriteError
-from ...merl_io.binary import MerlError
+from ..pictures import style
+from ..pictures.all import PICTURES
+from ..pictures.subject import NoPicture, Subject, subject_of
 from ..results.schema import Result
 from ..support.compilation import use_persistent_cache
 from ..support.terminal import console, fail, note, writable_folder
-from . import plots
-from .report import print_result
+from .report import pictures_table, print_result
 
 
 def file_of(path: Path, result: Result) -> Path:
@@ -28,14 +28,18 @@ def file_of(path: Path, result: Result) -> Path:
         return named
 
 
-def show(path: Path, result: Result, file: Path, out: Path, needs_file: bool = False) -> bool:
+def show(
+    path: Path, result: Result, file: Path, out: Path, kind: str = "png", only: Sequence[str] = (),
+    needs_file: bool = False,
+) -> bool:  # fmt: skip
     """Print and draw.
 
     Args:
+        kind: format of the pictures, png, pdf or svg. only: names of pictures; all by default.
         needs_file: whether it is bad input if the MERL file is of no use.
 
     Returns:
-        False if what could have been drawn was not.
+        False if the file is of no use and was asked for, or nothing could be drawn.
     """
     use_persistent_cache()
     print_result(console, result)
@@ -43,32 +47,34 @@ def show(path: Path, result: Result, file: Path, out: Path, needs_file: bool = F
         note(f"nothing to draw: the fit ended {result.fit.status}")
         return True
     writable_folder(out)
-    drawn = []
+    subject = subject_of(result, path, file)
+    if "measurement" in subject.lacks:
+        note(f"the file is not shown: {subject.lacks['measurement']}; name the file with --file")
+    drawn = draw(subject, out, kind, only or [*PICTURES])
+    if drawn:
+        console.print(pictures_table(drawn))
+    else:
+        note("nothing was drawn")
+    return bool(drawn) and (subject.measurement is not None or not needs_file)
 
-    def save(name: str, figure: Figure) -> None:
-        target = out / f"{result.source.material}.{name}.png"
+
+def draw(subject: Subject, out: Path, kind: str, names: Sequence[str]) -> dict[Path, str]:
+    """Write pictures; what each written one shows. What cannot be drawn is told."""
+    written, missing = {}, {}
+    for name in names:
+        target = out / f"{subject.result.source.material}.{name}.{kind}"
         try:
-            plots.save(figure, target)
+            style.save(PICTURES[name].draw(subject), target)
+        except NoPicture as error:
+            missing.setdefault(str(error), []).append(name)
+            continue
         except WriteError as error:
             raise fail(str(error)) from None
         except ValueError as error:  # text that was edited into what is no formula
             note(f"{target}: cannot be drawn ({str(error).strip().splitlines()[0]})")
-            return
-        drawn.append(name)
-        console.print(f"wrote {target}", soft_wrap=True)
-
-    chain = None
-    try:
-        drawn_from = plots.chain_file(result, path)
-        save("corner", plots.corner_figure(result, drawn_from))
-        if result.posterior is not None and result.posterior.sufficient:  # of no other the lobe plot has a band
-            chain = drawn_from
-    except plots.NoPicture as error:
-        note(f"no corner plot: {error}")
-    try:
-        save("lobes", plots.lobe_figure(result, result.source.read(file), chain))
-    except MerlError as error:
-        note(f"no lobe plot: {error}; name the file with --file")
-    if not drawn:
-        note("nothing was drawn")
-    return "lobes" in drawn if needs_file else bool(drawn)
+            continue
+        written[target] = PICTURES[name].words
+    for why, those in missing.items():
+        told = "they need the file" if why == subject.lacks.get("measurement") else why
+        note(f"not drawn: {', '.join(those)} ({told})")
+    return written

@@ -1,12 +1,13 @@
 """Results as tables for a terminal; rich draws them, plain text when the output is not one."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ...merl_io.binary import BRIGHTEST, OUTLIER, said
@@ -137,8 +138,8 @@ def fitted_line(m: Model) -> str:
 def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
-    origin = f"genuine MERL file {s.genuine_merl}" if s.genuine_merl else "not a genuine MERL file (other SHA-1)"
-    console.print(f"{s.material}: {s.path}, {origin}, {s.fraction_valid:.1%} of bins valid")
+    console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of bins valid")
+    console.print(f"data: {result.data_words}", markup=False)
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
         return
@@ -179,6 +180,16 @@ def print_result(console: Console, result: Result) -> None:
         f"correlated: they count as {number(p.effective_bins, 3)} independent ones",
         markup=False,
     )
+
+
+def pictures_table(written: Mapping[Path, str]) -> Table:
+    """Files of pictures, and what each shows."""
+    table = Table(title="pictures, as wide as a column of a paper (8.5 cm)", title_justify="left", box=box.SIMPLE_HEAD)
+    table.add_column("wrote", overflow="fold")
+    table.add_column("what it shows", overflow="fold", max_width=48)
+    for path, words in written.items():
+        table.add_row(escape(str(path)), words)
+    return table
 
 
 def derived_table(result: Result) -> Table:

@@ -6,18 +6,17 @@ Vega-Lite (Satyanarayan et al. 2017, doi:10.1109/TVCG.2016.2599030); `vl-convert
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import vl_convert
 
-from ..output.plots import CHANNEL_COLOURS
-from .figures import INCIDENCES_DEG, Rows
+from ..pictures.style import CHANNEL_COLOURS, OKABE_ITO
+from .rows import INCIDENCES_DEG, Rows
 
 Spec = dict[str, Any]
 SCALES = ("cube root", "logarithmic", "linear")
-OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#F0E442", "#000000")
-"""Colours that people with any colour vision tell apart (Okabe & Ito 2008)."""
 SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
 WIDTH, HEIGHT = 620, 300
 EXPOSED = "window.vegaEmbed = vegaEmbed;"
@@ -137,17 +136,18 @@ def _peak(channels: Sequence[str], ending: str, up: str, title: str, across: str
 
 
 def sorted_errors(rows: Rows, figures: Mapping[str, str]) -> Spec:
-    """Errors of all results, each figure sorted by itself; a click opens the page.
+    """Errors of all results, of each model sorted by themselves (HP17 Fig. 11); a click opens the page.
 
     Args:
         rows: ``material``, ``model``, ``page``, the figures. figures: what each is, by name.
     """
-    long = [
-        {"figure": said, "rank": k + 1, "value": row[name], "material": row["material"], "model": row["model"],
-         "page": row["page"]}
-        for name, said in figures.items()
-        for k, row in enumerate(sorted((r for r in rows if r[name] is not None), key=lambda r: r[name]))
-    ]  # fmt: skip
+    ranks: Counter[tuple[str, str]] = Counter()
+    long: Rows = []
+    for name, said in figures.items():
+        for row in sorted((r for r in rows if r[name] is not None), key=lambda r: r[name]):
+            ranks[name, row["model"]] += 1
+            told = {key: row[key] for key in ("material", "model", "page")}
+            long.append({"figure": said, "rank": ranks[name, row["model"]], "value": row[name]} | told)
     return _chart() | {
         "data": _data(long),
         "params": [{"name": "figure", "value": next(iter(figures.values())),

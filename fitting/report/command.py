@@ -8,7 +8,7 @@ from .site import write_site
 from .table import results_in
 
 
-def report_on(folder: Path, out: Path, files: Path | None, jobs: int | None) -> None:
+def report_on(folder: Path, out: Path, files: Path | None, jobs: int | None, origin: str | None) -> None:
     """Write the pages and say where they begin; ends with an error line where there is nothing."""
     rows = results_in(folder)
     if files is not None and not files.is_dir():
@@ -17,7 +17,7 @@ def report_on(folder: Path, out: Path, files: Path | None, jobs: int | None) -> 
     try:
         with progress_display() as progress:
             task = progress.add_task("pages", total=None)
-            lacks = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"))
+            lacks = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"), origin)
     except WriteError as error:
         raise fail(str(error)) from None
     except Stopped as stop:

@@ -17,21 +17,22 @@ from urllib.parse import quote
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from PIL import Image
 
 from ...merl_io.atomic import write_text
-from ...merl_io.binary import Measurement, MerlError
 from ..assess.identifiability import in_words
 from ..execution.pool import jobs_for
-from ..output import plots
 from ..output.comparison import group_of
 from ..output.inspection import file_of
 from ..output.report import accuracy_line, fitted_line, interval, number
+from ..pictures.prediction import PEAK_DIFFERENCE_DEG
+from ..pictures.subject import Subject, subject_of
 from ..results.export import read_result
 from ..results.schema import Result
 from ..support.clock import Report, silent
 from ..support.compilation import use_persistent_cache
-from . import charts, figures
+from . import charts, pictures
+from . import rows as rows_of_charts
+from .simulated import left_out, reproducing, simulated
 from .table import UNREADABLE, Row, write_csv
 
 FIGURES = {
@@ -49,7 +50,7 @@ class Job:
 
     Attributes:
         path: of the result. name: of the page, in ``materials/`` of ``out``. file: of the measurement, if it moved.
-        before, after: pages beside it.
+        before, after: pages beside it. origin: what the file is, in words, whatever its fit was told.
     """
 
     path: Path
@@ -58,17 +59,19 @@ class Job:
     file: Path | None
     before: str | None
     after: str | None
+    origin: str | None = None
 
 
 def write_site(
     rows: Sequence[Row], folder: Path, out: Path, files: Path | None = None, jobs: int | None = None,
-    say: Report = silent,
+    say: Report = silent, origin: str | None = None,
 ) -> dict[str, list[str]]:  # fmt: skip
     """Pages of all results of a folder.
 
     Args:
         rows: of the folder's table. files: folder with the measurements, if they are not where the results say.
-        jobs: processes; None for as many as cores and memory allow. say: told which page is done.
+        jobs: processes; None for as many as cores and memory allow. say: told which page is done. origin: what the
+            files are, in words, if the fits were not told.
 
     Returns:
         what each page lacks, by its name.
@@ -84,13 +87,16 @@ def write_site(
             k = pages.index(name)
             beside = (pages[k - 1] if k else None), (pages[k + 1] if k + 1 < len(pages) else None)
             file = None if files is None else files / Path(str(row["file"])).name
-            work[name] = Job(folder / str(row["result"]), out, name, file, *beside)
+            work[name] = Job(folder / str(row["result"]), out, name, file, *beside, origin)
     for place in ("materials", "pictures", "assets"):
         (out / place).mkdir(parents=True, exist_ok=True)
     lacks: dict[str, list[str]] = {}
     for k, (name, said) in enumerate(_made(list(work.values()), jobs_for(len(work), jobs)), 1):
         lacks[name] = said
         say(f"{k} of {len(work)} pages")
+    if origin is not None:
+        rows = [{**row, "data": f"{origin} (stated, not checked)"} if row["genuine_merl"] == "no" else row
+                for row in rows]  # fmt: skip
     shown = [_index_row(row, name, out) for row, name in zip(rows, names, strict=True)]
     write_text(out / "assets" / "vega.js", charts.script())
     for asset in ("style.css", "charts.js", "index.js", "compare.js"):
@@ -99,7 +105,10 @@ def write_site(
         )
     write_csv(rows, out / "table.csv")
     write_text(out / "index.html", _index(folder, shown))
-    write_text(out / "compare.html", _templates().get_template("compare.html").render(rows=_with_page(shown)))
+    write_text(
+        out / "compare.html",
+        _templates().get_template("compare.html").render(rows=_with_page(shown), numbers=_json(_compared(shown))),
+    )
     return lacks
 
 
@@ -122,40 +131,23 @@ def make_page(job: Job) -> list[str]:
     """
     use_persistent_cache()
     result = read_result(job.path)
-    lacks: list[str] = []
-    page = _page_of(job, result)
+    if job.origin is not None:
+        result.config["input"] = {**result.config.get("input", {}), "origin": job.origin}  # which its page then repeats
+    page, lacks = _page_of(job, result), []
     if result.model is not None:
-        measurement = _measurement(job, result, lacks)
-        chain = _chain(job, result, lacks)
-        page |= _charts(result, measurement, chain) | {"pictures": _pictures(job, result, measurement, chain)}
+        subject = subject_of(result, job.path, job.file or file_of(job.path, result))
+        said = {"measurement": "the file is not shown", "chain": "the posterior is not shown"}
+        lacks = [f"{said[what]}: {why}" for what, why in subject.lacks.items() if what != "chain" or result.posterior]
+        page |= _charts(subject) | pictures.write(subject, job.out, job.name)
     page["lacks"] = lacks
     write_text(job.out / "materials" / f"{job.name}.html", _templates().get_template("material.html").render(page))
     return lacks
 
 
-def _measurement(job: Job, result: Result, lacks: list[str]) -> Measurement | None:
-    path = job.file or file_of(job.path, result)
-    try:
-        return result.source.read(path)
-    except MerlError as error:
-        lacks.append(f"the measurement is not shown: {error}")
-        return None
-
-
-def _chain(job: Job, result: Result, lacks: list[str]) -> dict[str, np.ndarray] | None:
-    if result.posterior is None:
-        return None
-    try:
-        return plots.chain_file(result, job.path)
-    except plots.NoPicture as error:
-        lacks.append(f"the posterior is not shown: {error}")
-        return None
-
-
 def _page_of(job: Job, result: Result) -> Page:
     """What is said of a result."""
     m, f, run = result.model, result.fit, result.run
-    command = " ".join(_quoted(word) for word in run.command) if run is not None else ""
+    command = " ".join(_quoted(word) for word in reproducing(result)) if run is not None else ""
     return {
         "result": result, "name": job.name, "before": job.before, "after": job.after, "json": os.path.relpath(
             job.path, job.out / "materials"), "fitted": None if m is None else fitted_line(m), "number": number,
@@ -163,63 +155,21 @@ def _page_of(job: Job, result: Result) -> Page:
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
         "at_bound": [q.name for q in result.parameters if q.at_bound != "no"], "command": command,
-        "genuine": result.source.genuine_merl, "group": group_of(result.source.material), "errors": FIGURES,
-        "left_out": _left_out(result), "candidates": sorted(
+        "group": group_of(result.source.material), "errors": FIGURES,
+        "simulated": simulated(result), "left_out": left_out(result), "candidates": sorted(
             f.candidates, key=lambda c: np.inf if c.score is None else c.score),
     }  # fmt: skip
 
 
-def _left_out(result: Result) -> list[str]:
-    """What the fitted model does not simulate."""
-    if result.model is None:
-        return []
-    said = ["interreflection between samples, polarisation, fluorescence: no model here has them"]
-    said.append("light that the surface scatters more than once, where the model does not say otherwise")
-    fit = result.config["fit"]
-    if (limit := fit.get("theta_max")) is not None:
-        said.append(f"directions past {np.degrees(limit):.0f} degrees from the normal: not fitted, not judged")
-    return said
-
-
-def _charts(result: Result, measurement: Measurement | None, chain: dict[str, np.ndarray] | None) -> Page:
+def _charts(subject: Subject) -> Page:
     """Charts of a result, as specifications and as they are drawn."""
-    m = result.model
-    assert m is not None
-    trusted = chain if result.posterior is not None and result.posterior.sufficient else None
-    found = figures.lobes(result, measurement, trusted)
+    channels = subject.model.channels
+    peak, widths = rows_of_charts.peak(subject)
     specs = {
-        "lobes": charts.lobes(found.plane, found.parts, m.channels),
-        "peak": charts.peak(found.peak, m.channels, plots.PEAK_DIFFERENCE_DEG),
+        "lobes": charts.lobes(*rows_of_charts.lobes(subject), channels),
+        "peak": charts.peak(peak, channels, PEAK_DIFFERENCE_DEG),
     }
-    return _embedded(specs) | {"widths": found.widths}
-
-
-def _pictures(
-    job: Job, result: Result, measurement: Measurement | None, chain: dict[str, np.ndarray] | None
-) -> dict[str, str]:
-    """Pictures by what they show: their files, seen from the page."""
-    m, found = result.model, {}
-    assert m is not None
-    predicted, limit = figures.all_bins(m, result.values(), measurement), figures.limit_of(result)
-
-    def place(what: str) -> Path:
-        found[what] = f"../pictures/{quote(job.name)}.{what}.webp"
-        return job.out / "pictures" / f"{job.name}.{what}.webp"
-
-    for name, picture in figures.spheres(measurement, predicted, limit).items():
-        figures.save_picture(picture, place(name))
-        if name in ("environment-file", "environment-fit"):
-            small = picture.resize((figures.THUMBNAIL, figures.THUMBNAIL), Image.Resampling.LANCZOS)
-            figures.save_picture(small, place(f"small-{name}"))
-    figures.save_figure(figures.isolines(result, measurement), place("isolines"))
-    if measurement is not None:
-        figures.save_figure(figures.error_map(measurement, predicted, limit), place("errors"))
-    if chain is not None:
-        figures.save_figure(plots.corner_figure(result, chain), place("corner"), dpi=70)
-        free = plots.states(result, job.path)
-        if free is not None and result.posterior is not None:
-            figures.save_figure(figures.trace(free, result.posterior.coordinates), place("trace"))
-    return found
+    return _embedded(specs) | {"widths": widths}
 
 
 def _page_names(rows: Sequence[Row]) -> list[str | None]:
@@ -233,7 +183,7 @@ def _page_names(rows: Sequence[Row]) -> list[str | None]:
 
 def _index_row(row: Row, name: str | None, out: Path) -> Page:
     """What the index shows of a result, and what its charts need."""
-    small = {kind: f"pictures/{name}.small-environment-{kind}.webp" for kind in ("file", "fit")}
+    small = {kind: f"pictures/{name}.small-{kind}.webp" for kind in ("file", "fit")}
     parameters: Page = {}
     for key in [str(k)[:-3] for k in row if str(k).endswith("_se")]:
         value, error = row[key], row[f"{key}_se"]
@@ -245,7 +195,7 @@ def _index_row(row: Row, name: str | None, out: Path) -> Page:
         parameters[key] = value, low, high
     return {
         **{key: row[key] for key in (*SHOWN, *FIGURES)},
-        "group": group_of(str(row["material"])), "cautions": str(row["cautions"] or ""), "genuine": row["genuine_merl"],
+        "group": group_of(str(row["material"])), "cautions": str(row["cautions"] or ""), "data": row["data"],
         "page": None if name is None else f"materials/{quote(name)}.html", "name": name,
         "small": {kind: quote(path) for kind, path in small.items() if (out / path).exists()}, "parameters": parameters,
     }  # fmt: skip
@@ -253,6 +203,23 @@ def _index_row(row: Row, name: str | None, out: Path) -> Page:
 
 def _with_page(rows: Sequence[Page]) -> list[Page]:
     return [row for row in rows if row["page"] is not None]
+
+
+def _compared(rows: Sequence[Page]) -> Page:
+    """What two results are compared by, of each by the name of its page."""
+    return {
+        row["name"]: {
+            "words": {key: row[key] for key in ("material", "model", "variant", "status", "data")},
+            "errors": {said: row[key] for key, said in FIGURES.items()} | {"seconds": row["seconds"]},
+            "parameters": {key: values[0] for key, values in row["parameters"].items()},
+        }
+        for row in _with_page(rows)
+    }
+
+
+def _json(data: object) -> Markup:
+    """JSON that no text in it can end the script of."""
+    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def _index(folder: Path, rows: Sequence[Page]) -> str:
@@ -270,9 +237,9 @@ def _index(folder: Path, rows: Sequence[Page]) -> str:
         specs = {"sorted": charts.sorted_errors(charted, known), "time": charts.time_against_error(charted, known)}
         if counts:
             specs["parameters"] = charts.parameters(charted, [name for name, _ in counts.most_common()])
-    genuine = all(row["genuine"] not in (None, "no") for row in shown)
     return _templates().get_template("index.html").render(
-        rows=rows, folder=folder.resolve().name, number=number, errors=FIGURES, genuine=genuine,
+        rows=rows, folder=folder.resolve().name, number=number, errors=FIGURES,
+        kinds=Counter(str(row["data"]) for row in shown if row["data"]).most_common(),
         statuses=Counter(str(row["status"]) for row in rows).most_common(),
         groups=sorted({row["group"] for row in rows}),
         models=sorted({str(row["model"]) for row in shown if row["model"]}),
@@ -287,10 +254,9 @@ def _median(values: Sequence[float | None]) -> float | None:
 
 
 def _embedded(specs: Mapping[str, charts.Spec]) -> Page:
-    """Specifications as JSON that no text in them can end the script of, and the charts as they are drawn."""
-    compact = {name: json.dumps(spec, separators=(",", ":")).replace("<", "\\u003c") for name, spec in specs.items()}
+    """Specifications as JSON, and the charts as they are drawn."""
     return {
-        "spec": {name: Markup(text) for name, text in compact.items()},
+        "spec": {name: _json(spec) for name, spec in specs.items()},
         "svg": {name: Markup(charts.svg(spec)) for name, spec in specs.items()},
     }
 

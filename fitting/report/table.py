@@ -17,8 +17,8 @@ from ..support.terminal import console, fail, note
 UNREADABLE = "unreadable"
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would compute a cell that begins so
 HEADS = (
-    "material", "status", "model", "variant", "genuine_merl", "cost", *Metrics.model_fields, "seconds", "posterior",
-    "cautions", "error", "result", "file", "sha1",
+    "material", "status", "model", "variant", "genuine_merl", "data", "cost", *Metrics.model_fields, "seconds",
+    "posterior", "cautions", "error", "result", "file", "sha1",
 )  # fmt: skip
 Row = dict[str, str | float | None]
 
@@ -109,7 +109,8 @@ def _row(path: Path, folder: Path, last: FileEnded | None) -> Row:
     return row | {
         "material": result.source.material, "status": result.fit.status, "model": material and material.name,
         "variant": material and material.variant, "genuine_merl": result.source.genuine_merl or "no",
-        "cost": result.fit.cost, **result.metrics.model_dump(), "seconds": result.seconds["total"],
+        "data": result.data_words, "cost": result.fit.cost, **result.metrics.model_dump(),
+        "seconds": result.seconds["total"],
         "posterior": posterior and ("ok" if posterior.sufficient else posterior.message),
         "cautions": "; ".join(result.fit.cautions), "file": result.source.path, "sha1": result.source.sha1,
         **_parameters(result),

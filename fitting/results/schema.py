@@ -32,6 +32,7 @@ SCHEMA_VERSION = "2.2"
 OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1")  # versions that are read, too: `upgraded` makes them this one
 
 
+UNSAID = "not a genuine MERL measurement, by its SHA-1"
 PLAUSIBLE_UM = 0.1, 10.0  # wavelengths: a decade around what is visible
 ROUNDING = 1e-9  # relative: by so much a value may lie beyond a bound
 
@@ -543,6 +544,15 @@ class Result(_Part):
             if not least <= q.value <= most or (kind.scale == "log" and q.value == least):
                 raise ValueError(f"{q.name} {q.value:g} is impossible, whatever its bounds")
         return self
+
+    @property
+    def data_words(self) -> str:
+        """What the file is, as far as that is known: by its SHA-1, or because the fit was told (``input.origin``)."""
+        if self.source.genuine_merl:
+            return f"genuine MERL measurement {self.source.genuine_merl}"
+        section = self.config.get("input")
+        origin = section.get("origin") if isinstance(section, dict) else None
+        return f"{origin} (stated, not checked)" if origin else UNSAID
 
     def values(self, flat: np.ndarray | None = None) -> dict[str, Any]:
         """Values by parameter name, arrays for those per channel: what the model takes.

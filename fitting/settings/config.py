@@ -46,9 +46,12 @@ class InputSection(_Section):
     Attributes:
         dims: numbers of bins of theta_h, theta_d and phi_d, as in "45x45x90", that MERL-like files may have beside
             MERL's own 90x90x180; empty for no others.
+        origin: what files that are not genuine MERL are, in words, such as "neural reconstructions"; results, pictures
+            and pages repeat it.
     """
 
     dims: str = ""
+    origin: Annotated[str, Field(max_length=200)] = ""
 
     @field_validator("dims")
     @classmethod
@@ -326,6 +329,7 @@ class Replaced(TypedDict, total=False):
     """What the command line, or a call from Python, gives beside a file of settings; None for nothing."""
 
     dims: str | None
+    origin: str | None
     model: str | list[str] | None
     preset: str | None
     index: str | None
@@ -351,8 +355,8 @@ def load(
     if unknown := replaced.keys() - Replaced.__annotations__.keys():
         raise TypeError(f"no setting is called {', '.join(sorted(unknown))}: {', '.join(Replaced.__annotations__)}")
     places = {
-        "dims": ("input", "dims"), "model": ("model", "name"), "preset": ("effects", "preset"),
-        "index": ("effects", "index"),
+        "dims": ("input", "dims"), "origin": ("input", "origin"), "model": ("model", "name"),
+        "preset": ("effects", "preset"), "index": ("effects", "index"),
         "body": ("effects", "body"), "weights": ("fit", "weights"), "posterior": ("posterior", "enabled"),
     }  # fmt: skip
     for name, (section, key) in places.items():

@@ -16,7 +16,7 @@ from . import record
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 ON_CPU = ("fit", "presets", "cold", "growth", "batch", "solver", "against_scipy", "against_numpy")  # short ones first
-APART = ("convergence", "posterior", "calibration", "halves", "nickel", "gpu")  # only when they are named
+APART = ("convergence", "posterior", "calibration", "halves", "nickel", "gpu", "report")  # only when they are named
 SECTIONS = (*ON_CPU, *APART)
 
 

@@ -8,7 +8,7 @@ import merlfit
 import numpy as np
 import pytest
 from merlfit.fitting import api
-from merlfit.fitting.output import plots
+from merlfit.fitting.pictures.subject import chain_file
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.results.export import read_result
 
@@ -64,7 +64,7 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
         fit.brdf([0.0, 0.0, 2.0], slanted)
     with pytest.raises(merlfit.NoPicture, match="not sampled"):
         fit.to_arviz()
-    with pytest.raises(merlfit.NoPicture, match="no posterior"):
+    with pytest.raises(merlfit.NoPicture, match="not sampled"):
         fit.plot_trace()
     assert merlfit.sample(fit) is fit
     assert fit.result.posterior.steps == 20
@@ -72,7 +72,7 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     assert found["n"].dims == ("chain", "draw", "channel")
     assert found["beta"].shape[0] == 1
     assert list(found["channel"].values) == ["R", "G", "B"]
-    drawn = plots.chain_file(fit.result, fit.path)["values"][:, 0]
+    drawn = chain_file(fit.result, fit.path)["values"][:, 0]
     assert np.isin(found["beta"].values, drawn).all()
 
     for name in PICTURES:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from made_results import made
 from merlfit.fitting import cli
-from merlfit.fitting.output import plots
+from merlfit.fitting.pictures import subject
 from merlfit.fitting.posterior.chain import ChainError, read_chain
 from merlfit.fitting.results.export import ResultError, read_result, write_result
 from merlfit.fitting.results.schema import Source
@@ -157,8 +157,8 @@ def test_a_damaged_chain_is_one_line_in_plain_words(contents, words, tmp_path):
         path.write_bytes(contents)
     elif contents is not None:
         np.savez(path, **contents)
-    with pytest.raises(plots.NoPicture, match=words) as error:
-        plots.chain_file(made(posterior=True), tmp_path / "nickel.json")
+    with pytest.raises(subject.NoPicture, match=words) as error:
+        subject.chain_file(made(posterior=True), tmp_path / "nickel.json")
     assert "pickle" not in str(error.value)
     if not isinstance(contents, dict):
         with pytest.raises(ChainError, match=words) as error:
@@ -174,7 +174,7 @@ def test_the_chain_of_a_name_that_is_no_utf8_is_found(tmp_path):
     np.savez(tmp_path / f"{name}.chain.npz", **chain())
     found = read_result(tmp_path / f"{name}.json")
     assert not (tmp_path / found.posterior.chain_file).exists()
-    np.testing.assert_array_equal(plots.chain_file(found, tmp_path / f"{name}.json")["weights"], np.full(5, 0.2))
+    np.testing.assert_array_equal(subject.chain_file(found, tmp_path / f"{name}.json")["weights"], np.full(5, 0.2))
 
 
 def test_a_chain_with_a_flipped_bit_is_damaged(tmp_path):
@@ -183,8 +183,8 @@ def test_a_chain_with_a_flipped_bit_is_damaged(tmp_path):
     spoiled = bytearray(path.read_bytes())
     spoiled[len(spoiled) // 2 :: 500] = b"\xff" * len(spoiled[len(spoiled) // 2 :: 500])
     path.write_bytes(spoiled)
-    with pytest.raises(plots.NoPicture, match="is damaged"):
-        plots.chain_file(made(posterior=True), tmp_path / "nickel.json")
+    with pytest.raises(subject.NoPicture, match="is damaged"):
+        subject.chain_file(made(posterior=True), tmp_path / "nickel.json")
 
 
 def test_sampling_a_finished_posterior_whose_chain_is_gone_is_refused(tmp_path):

@@ -249,12 +249,33 @@ def test_inspect_finds_the_file_of_a_project_that_moved(tmp_path, monkeypatch):
     assert "is not the file that was fitted" in shown.stderr  # found, and refused: another SHA-1
 
 
+def test_inspect_draws_a_fit_without_its_file_and_says_what_is_missing(tmp_path, compiled_quickly):
+    put_result(tmp_path, path="nowhere/nickel.binary")
+    shown = call("inspect", tmp_path / "nickel.json", "--pictures", "peak,errors")
+    assert shown.exit_code == 0
+    assert "the file is not shown: nowhere/nickel.binary" in shown.stderr
+    assert "name the file with --file" in shown.stderr
+    assert "not drawn: errors (they need the file)" in shown.stderr
+    assert [p.name for p in tmp_path.glob("*.png")] == ["nickel.peak.png"]
+    named = call("inspect", tmp_path / "nickel.json", "--pictures", "peak", "--file", tmp_path / "gone.binary")
+    assert named.exit_code == cli.BAD_INPUT
+
+
 def test_inspect_that_draws_nothing_says_so_and_fails(tmp_path):
     put_result(tmp_path, path="nowhere/nickel.binary")
-    shown = call("inspect", tmp_path / "nickel.json")
+    shown = call("inspect", tmp_path / "nickel.json", "--pictures", "errors")
     assert shown.exit_code == cli.BAD_INPUT
     assert "nothing was drawn" in shown.stderr
     assert not list(tmp_path.glob("*.png"))
+
+
+def test_inspect_refuses_pictures_and_formats_that_there_are_not(tmp_path):
+    put_result(tmp_path)
+    assert (
+        "no such picture; there are spheres, lobes"
+        in call("inspect", tmp_path / "nickel.json", "--pictures", "x").stderr
+    )
+    assert "should be png, pdf or svg" in call("inspect", tmp_path / "nickel.json", "--format", "bmp").stderr
 
 
 def test_text_that_looks_like_markup_is_printed_as_it_is(tmp_path):
@@ -263,7 +284,7 @@ def test_text_that_looks_like_markup_is_printed_as_it_is(tmp_path):
     result.parameters[1].unit = r"\frac{"
     result.fit.message = "[/] ended"
     write_result(tmp_path / "x.json", result)
-    shown = call("inspect", tmp_path / "x.json")
+    shown = call("inspect", tmp_path / "x.json", "--pictures", "errors")
     assert shown.exit_code == cli.BAD_INPUT  # there is no file to draw
     for text in ("[bold]x", "[red]nowhere", "a [/] b", r"\frac{", "[/] ended"):
         assert text in shown.stdout
@@ -280,7 +301,7 @@ def test_a_picture_of_broken_text_is_said_to_be_impossible(tmp_path):
         values=rng.normal(size=(200, len(names))),
         weights=np.full(200, 5e-3),
     )
-    shown = call("inspect", tmp_path / "nickel.json")
+    shown = call("inspect", tmp_path / "nickel.json", "--pictures", "corner")
     assert shown.exit_code == cli.BAD_INPUT
     assert "nickel.corner.png: cannot be drawn" in shown.stderr
     assert "Traceback" not in shown.stderr

@@ -15,9 +15,10 @@ from merlfit.fitting import cli
 from merlfit.fitting.execution.journal import Journal
 from merlfit.fitting.execution.unit import Ended, Kind, Unit
 from merlfit.fitting.output.synthesis import tabulate
+from merlfit.fitting.pictures.peak import half_width
+from merlfit.fitting.pictures.subject import Subject
 from merlfit.fitting.pipeline.run import chain_of
-from merlfit.fitting.report import charts, figures
-from merlfit.fitting.report.figures import lobes
+from merlfit.fitting.report import charts, rows
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.merl_io.binary import read, write
@@ -76,7 +77,7 @@ def site(run):
     done = CliRunner().invoke(cli.app, ["report", str(run), "-o", str(run / "report"), "-j", "1"])
     assert done.exit_code == 0, done.output
     assert done.stdout.endswith(f"wrote {run}/report/index.html: 4 pages; open it in a browser\n")
-    assert f"white-fabric: the measurement is not shown: {run}/gone.binary: " in done.stderr
+    assert f"white-fabric: the file is not shown: {run}/gone.binary: " in done.stderr
     return run / "report"
 
 
@@ -115,7 +116,8 @@ def test_text_from_results_is_text(site):
 def test_what_a_page_says_without_a_script(site):
     page = (site / "materials" / "red-plastic.html").read_text()
     for said in (
-        "The file is not a genuine MERL measurement", "width of the distribution of microfacet normals",
+        "not a genuine MERL measurement", "What each effect adds", "What was simulated",
+        "width of the distribution of microfacet normals",
         "90 % interval", "merlfit fit", "Walter", "Corner plot", "<svg",
     ):  # fmt: skip
         assert said in page, said
@@ -137,17 +139,20 @@ def test_the_lobes_of_a_fit_that_is_the_file(run):
     for q in result.parameters:
         value = NICKEL[q.parameter]
         q.value = float(value if q.channel is None else value["RGB".index(q.channel)])
-    found = lobes(result, read(run / "nickel.binary"), None)
-    seen = [row for row in found.plane if row["file"] is not None]
+    subject = Subject(result, read(run / "nickel.binary"))
+    plane, added = rows.lobes(subject)
+    seen = [row for row in plane if row["file"] is not None]
     assert len(seen) > 1000
     ratio = np.array([row["fit"] / row["file"] for row in seen])
     assert np.abs(np.median(ratio) - 1) < 0.01
-    at = {(row["i"], row["o"], row["channel"]): row["fit"] for row in found.plane}
+    at = {(row["i"], row["o"], row["channel"]): row["fit"] for row in plane}
     parts = {}
-    for row in found.parts:
+    for row in added:
         parts[row["i"], row["o"]] = parts.get((row["i"], row["o"]), 0) + row["value"]
     assert all(abs(total / at[i, o, "G"] - 1) < 2e-3 for (i, o), total in parts.items())
-    assert [row["file"] for row in found.widths] == pytest.approx([row["fit"] for row in found.widths], rel=0.05)
+    widths = rows.peak(subject)[1]
+    assert [row["file"] for row in widths] == pytest.approx([row["fit"] for row in widths], rel=0.05)
+    assert [row["wavelength"] for row in widths] == sorted((row["wavelength"] for row in widths), reverse=True)
 
 
 @pytest.mark.parametrize("model", [TwoScale("none"), TwoScale("plastic", index="real"), Measured(TwoScale("lambert"))])
@@ -163,8 +168,8 @@ def test_contributions_add_up(model, compiled_quickly):
 
 def test_half_width_of_a_known_peak():
     degrees = np.linspace(0.1, 10, 90)
-    assert figures._half(degrees, np.exp(-((degrees - 0.1) ** 2))) == pytest.approx(0.1 + np.sqrt(np.log(2)), abs=0.01)
-    assert figures._half(degrees, np.ones(90)) is None
+    assert half_width(degrees, np.exp(-((degrees - 0.1) ** 2))) == pytest.approx(0.1 + np.sqrt(np.log(2)), abs=0.01)
+    assert half_width(degrees, np.ones(90)) is None
 
 
 def test_a_chart_is_drawn_without_a_browser():
@@ -253,6 +258,10 @@ def test_two_results_side_by_side(opened):
     page = opened("compare.html")
     expect(page.frame_locator("#left-page").locator("h1")).to_have_text("a name")
     page.locator("#right").select_option("white-fabric")
+    errors = page.locator("#numbers tr", has_text="RMSE")
+    expect(errors.locator("td")).to_have_text(["0.1", "0.001"])
+    expect(errors.locator("strong")).to_have_text("0.001")
+    expect(page.locator("#numbers tr", has_text="alpha").locator("td").first).to_have_text("0.1")
     expect(page.frame_locator("#right-page").locator("h1")).to_have_text("white-fabric")
 
 

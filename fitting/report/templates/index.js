@@ -35,6 +35,7 @@ function sort(head) {
 }
 
 filters.addEventListener("input", filter);
+filters.addEventListener("reset", () => setTimeout(filter));
 filters.addEventListener("submit", (event) => event.preventDefault());
 for (const head of heads) head.firstElementChild.addEventListener("click", () => sort(head));
 filter();

@@ -1,0 +1,161 @@
+"""Corner plots of a posterior."""
+
+import textwrap
+from collections.abc import Sequence
+
+import corner as drawing
+import numpy as np
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter, NullLocator
+
+from ..results.schema import ParameterResult
+from .style import COLUMN_INCHES, FITTED, LETTERS, PAGE_INCHES, SMALL, new, printable
+from .subject import Subject
+
+WIDE_AXIS = 8.0  # times its lower end, from which on a logarithmic axis has ticks at 1, 3 or 10
+WATERMARK = "CHAIN TOO SHORT"
+UNITS = {"1": "", "um": "µm"}
+MARGIN = 0.48  # inches, left and below
+LINE = 1.25 * LETTERS / 72  # inches
+
+
+@printable
+def corner(subject: Subject) -> Figure:
+    """Of what all channels share and of the middle channel: as many parameters as a column has room for."""
+    middle = subject.model.channels[len(subject.model.channels) // 2]
+    kept = [k for k, q in enumerate(subject.result.parameters) if q.channel in (None, middle)]
+    return _corner(
+        subject, kept, COLUMN_INCHES, f"; channel {middle}" if len(kept) < len(subject.result.parameters) else ""
+    )
+
+
+@printable
+def corner_all(subject: Subject) -> Figure:
+    """Of all parameters, as wide as a page."""
+    return _corner(subject, range(len(subject.result.parameters)), PAGE_INCHES, "")
+
+
+def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> Figure:
+    """A chain that is too short gets a watermark. Parameters with log-normal priors have logarithmic axes."""
+    chain, names = subject.draws, [subject.result.parameters[k] for k in kept]
+    weights, values = chain["weights"].ravel(), chain["values"][:, list(kept)]
+    spread = [_interval(values[:, k], weights) for k in range(len(names))]
+    scales = [
+        "log" if "log-normal" in q.prior and low > 0 else "linear" for q, (low, *_) in zip(names, spread, strict=True)
+    ]
+    ranges = [
+        _range(low, high, q.value, scale) for q, (low, _, _, high), scale in zip(names, spread, scales, strict=True)
+    ]
+    heading = f"{subject.heading}\nred: fit; dashed, in brackets: 5 and 95 %{said}"
+    head = LINE * len(heading.splitlines()) + 0.06
+    figure = new(width + head - 0.05, width, layout=None)
+    figure.text(0.5, 1 - 0.03 / figure.get_figheight(), heading, ha="center", va="top")
+    drawing.corner(
+        values, weights=weights, truths=[q.value for q in names], fig=figure, range=ranges,
+        axes_scale=scales,  # pyright: ignore[reportArgumentType] - a list is taken, too: its docstring
+        smooth=1.0, plot_datapoints=False, fill_contours=True, truth_color=FITTED,
+        truth_kwargs={"markersize": 2, "linewidth": 0.6}, hist_kwargs={"linewidth": 0.6},
+        contour_kwargs={"linewidths": 0.4},
+    )  # fmt: skip
+    axes = np.array(figure.axes).reshape(len(names), len(names))
+    for k, (q, (_, low, high, _)) in enumerate(zip(names, spread, strict=True)):
+        axes[-1, k].set_xlabel(label(q))
+        axes[-1, k].xaxis.set_label_coords(0.5, -(MARGIN - 0.12) / _panel(width, len(names)))
+        if k:
+            axes[k, 0].set_ylabel(label(q))
+            axes[k, 0].yaxis.set_label_coords(-(MARGIN - 0.12) / _panel(width, len(names)), 0.5)
+        for x in (low, high):
+            axes[k, k].axvline(x, color="black", linewidth=0.5, linestyle="--")
+        _ticks_of(axes, k, _ticks(*ranges[k], scales[k]))
+    high = figure.get_figheight()
+    figure.subplots_adjust(
+        left=MARGIN / width, bottom=MARGIN / high, right=1 - 0.05 / width, top=1 - head / high, wspace=0.08, hspace=0.08
+    )
+    _table(figure, names, spread, 1 - head / high)
+    posterior = subject.result.posterior
+    if posterior is not None and not posterior.sufficient:
+        _watermark(figure, posterior.message)
+    return figure
+
+
+def _panel(width: float, count: int) -> float:
+    return (width - MARGIN) / count
+
+
+def _table(figure: Figure, names: Sequence[ParameterResult], spread: Sequence, top: float) -> None:
+    """Values and intervals, where a corner plot has nothing."""
+    line = 1.15 * SMALL / 72 / figure.get_figheight()
+    edges = [0.985 - x / figure.get_figwidth() for x in (1.13, 0.76, 0.0)]
+    for q, (_, low, high, _) in zip(names, spread, strict=True):
+        top -= line
+        unit = UNITS.get(q.unit, q.unit)
+        cells = (f"{label(q)}{f' ({unit})' if unit else ''}", f"{q.value:.3g}", f"[{low:.3g}, {high:.3g}]")
+        for edge, cell in zip(edges, cells, strict=True):
+            figure.text(edge, top, cell, fontsize=SMALL, ha="right", va="baseline")
+
+
+def label(q: ParameterResult) -> str:
+    """Symbol and channel."""
+    return f"${q.symbol}$" + (f" {q.channel}" if q.channel else "")
+
+
+def _ticks_of(axes: np.ndarray, k: int, ticks: list[float]) -> None:
+    """Ticks of a row and its column, with words at the edges alone."""
+    said = [f"{x:g}" for x in ticks]
+    for j in range(len(axes)):
+        if j >= k:
+            _mark(axes[j, k].xaxis, ticks, said if j == len(axes) - 1 else [])
+        if j < k:
+            _mark(axes[k, j].yaxis, ticks, said if j == 0 else [])
+    axes[-1, k].tick_params(axis="x", labelrotation=90)
+
+
+def _interval(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Quantiles of weighted draws: 0.5, 5, 95 and 99.5 %."""
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order]) / weights.sum()
+    found = np.searchsorted(reached, [0.005, 0.05, 0.95, 0.995]).clip(max=len(values) - 1)
+    return values[order][found]
+
+
+def _range(low: float, high: float, value: float, scale: str) -> tuple[float, float]:
+    """What an axis shows: nearly all draws and the fitted value, with a margin."""
+    forward, back = (np.log, np.exp) if scale == "log" else (np.asarray, np.asarray)
+    a, b = (float(forward(x)) for x in (min(low, value), max(high, value)))
+    margin = 0.05 * (b - a) or 0.05 * abs(a) or 1e-3
+    return float(back(a - margin)), float(back(b + margin))
+
+
+def _ticks(low: float, high: float, scale: str) -> list[float]:
+    """Two or three round numbers."""
+    if scale == "log" and high / low > WIDE_AXIS:
+        decades = range(int(np.ceil(np.log10(low))), int(np.floor(np.log10(high))) + 1)
+        found = [10.0**k for k in decades]
+        if len(found) < 2:
+            found = [x for k in range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high)))) for m in (1, 3)
+                     if low <= (x := m * 10.0**k) <= high]  # fmt: skip
+        return found[:: -(-len(found) // 3)] if found else [float(np.sqrt(low * high))]
+    inner = (high - low) / 20
+    found: list[float] = []
+    for count in range(2, 9):
+        steps = MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        found = [float(np.round(x, 12)) for x in steps if low + inner < x < high - inner]
+        if len(found) > 1:
+            break
+    return found
+
+
+def _mark(axis: Axis, ticks: list[float], said: list[str]) -> None:
+    """Ticks of an axis, with or without words."""
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter(FixedFormatter(said) if said else NullFormatter())
+    axis.set_minor_locator(NullLocator())
+
+
+def _watermark(figure: Figure, message: str) -> None:
+    """Across the picture, and why."""
+    size = 4.5 * figure.get_figwidth()
+    figure.text(0.5, 0.45, WATERMARK, fontsize=size, color="gray", alpha=0.4, rotation=35, ha="center", va="center")
+    said = "\n".join(textwrap.wrap(message, 45))
+    figure.text(0.985, 0.42, said, fontsize=LETTERS, color=FITTED, ha="right", va="top")

@@ -1,0 +1,128 @@
+"""What a fit predicts, and what a file holds, at the angles that are pictured."""
+
+from collections.abc import Mapping
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.interpolate import RegularGridInterpolator
+
+from ...merl_io.binary import Measurement
+from ...merl_io.grid import MerlGrid
+from ...model.geometry import Geometry
+from ...model.reflectance import Reflectance, contributions, evaluate
+from ..results.schema import Model, Result
+
+WIDEST_DEG = 89.0  # of the viewers of a lobe
+BAND_DRAWS = 100  # of the posterior, for bands
+PEAK_DIFFERENCE_DEG = 5.0  # theta_d of the peak
+
+
+def plane_of_incidence(theta_i: float, theta_o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors of light (at ``-x``) and viewers at signed angles, positive on the mirror's side (rad)."""
+    i = np.array([-np.sin(theta_i), 0.0, np.cos(theta_i)])
+    o = np.stack([np.sin(theta_o), np.zeros_like(theta_o), np.cos(theta_o)], -1)
+    return np.broadcast_to(i, o.shape), o
+
+
+def half_difference(i: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rusinkiewicz angles (rad) of pairs of directions: cos_o - cos_i = 2 sin_h sin_d cos(phi_d)."""
+    h = i + o
+    theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    theta_d = np.arctan2(np.linalg.norm(i - o, axis=-1), np.linalg.norm(h, axis=-1))
+    across = 2 * np.sin(theta_h) * np.sin(theta_d)
+    phi_d = np.arccos(np.clip((o[..., 2] - i[..., 2]) / np.maximum(across, 1e-12), -1, 1))
+    return theta_h, theta_d, np.where(across > 1e-12, phi_d, np.pi)
+
+
+def viewers(incidence_deg: float, theta_h_deg: np.ndarray, between: int = 357) -> tuple[np.ndarray, np.ndarray]:
+    """Angles of viewers in the plane of incidence (deg), sorted, and which of them see a row of theta_h.
+
+    Args:
+        between: number of others, evenly spread.
+
+    Their number is the same for every incidence: one compiled program does for all.
+    """
+    rows = incidence_deg + 2 * np.concatenate([-theta_h_deg, theta_h_deg])
+    seen = np.abs(rows) < WIDEST_DEG
+    angles = np.concatenate([np.linspace(-WIDEST_DEG, WIDEST_DEG, between), np.where(seen, rows, WIDEST_DEG)])
+    order = np.argsort(angles, kind="stable")
+    return angles[order], np.concatenate([np.zeros(between, bool), seen])[order]
+
+
+def measured_lobe(
+    measurement: Measurement, grid: MerlGrid, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
+) -> np.ndarray:
+    """Measured BRDF (3, N) at some angles, linear between bin centres (for pictures only); NaN beside masked bins."""
+    axes = (grid.theta_h, grid.theta_d, grid.phi_d)
+    points = np.stack([np.clip(x, a[0], a[-1]) for x, a in zip((theta_h, theta_d, phi_d), axes, strict=True)], -1)
+    return np.stack([RegularGridInterpolator(axes, plane)(points) for plane in measurement.values])
+
+
+def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
+    """BRDF of the fitted material, (C, N): as the apparatus would have measured it, or without its loss."""
+    return brdf_of(model, values, Geometry.from_vectors(i, o), loss)
+
+
+def brdf_of(model: Model, values: dict, geometry: Geometry, loss: bool = True) -> np.ndarray:
+    """BRDF of the fitted material, (C, ...): as the apparatus would have measured it, or without its loss."""
+    seen = model.measured if loss else model.material
+    return np.asarray(_compiled(seen, values, geometry, jnp.asarray(model.wavelengths_um)))
+
+
+def parts_of(model: Model, values: dict, geometry: Geometry) -> dict[str, np.ndarray]:
+    """What each lobe and the body add to the material, without the apparatus, (C, ...) each."""
+    found = _parts(model.material, values, geometry, jnp.asarray(model.wavelengths_um))
+    return {name: np.asarray(found[name]) for name in sorted(found, key=_place)}
+
+
+def _place(part: str) -> tuple[int, str]:
+    """Sharp lobes first, the body last: compiled programs return them by the alphabet."""
+    order = ("specular", "diffracted", "body")
+    return (order.index(part) if part in order else 1), part
+
+
+def band(result: Result, chain: Mapping[str, np.ndarray], geometry: Geometry) -> np.ndarray:
+    """5 and 95 % of what the posterior predicts for these directions, (2, C, ...)."""
+    assert result.model is not None
+    count = np.arange(BAND_DRAWS) + 0.5
+    drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
+    values = [result.values(chain["values"][k]) for k in drawn]
+    stacked = {name: jnp.asarray([each[name] for each in values]) for name in values[0]}
+    wavelengths = jnp.asarray(result.model.wavelengths_um)
+    lobes = _compiled_of_many(result.model.measured, stacked, geometry, wavelengths)
+    return np.quantile(np.asarray(lobes), [0.05, 0.95], axis=0)
+
+
+def all_bins(model: Model, values: dict, grid: MerlGrid) -> np.ndarray:
+    """The fit as the apparatus would have measured it, on folded bins, (C, H, D, P/2)."""
+    return brdf_of(model, values, _folded_bins(grid))
+
+
+def parts_of_all_bins(model: Model, values: dict, grid: MerlGrid) -> dict[str, np.ndarray]:
+    """:func:`parts_of` on folded bins."""
+    return parts_of(model, values, _folded_bins(grid))
+
+
+def _folded_bins(grid: MerlGrid) -> Geometry:
+    return Geometry.from_half_difference(
+        jnp.asarray(grid.theta_h)[:, None, None], jnp.asarray(grid.theta_d)[:, None],
+        jnp.asarray(grid.phi_d[: len(grid.phi_d) // 2]),
+    )  # fmt: skip
+
+
+@partial(jax.jit, static_argnums=0)
+def _compiled(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+    return evaluate(model, values, geometry, wavelengths_um)
+
+
+@partial(jax.jit, static_argnums=0)
+def _compiled_of_many(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
+    return jax.lax.map(lambda v: evaluate(model, v, geometry, wavelengths_um), values)
+
+
+@partial(jax.jit, static_argnums=0)
+def _parts(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> dict[str, Array]:
+    return contributions(model, values, geometry, wavelengths_um)

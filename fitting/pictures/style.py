@@ -1,0 +1,74 @@
+"""How pictures look: as wide as a column of a paper, with letters that are legible at that size, and safe colours."""
+
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from ...merl_io.atomic import write_atomically
+
+COLUMN_INCHES = 8.5 / 2.54
+PAGE_INCHES = 17.8 / 2.54  # both columns
+DPI = 300
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#F0E442", "#000000")
+"""Colours that people with any colour vision tell apart (Okabe & Ito 2008)."""
+CHANNEL_COLOURS = {"R": "#D55E00", "G": "#009E73", "B": "#5A4FCF"}
+MARKS = ("o", "s", "^", "D", "v")
+"""Of the channels, one after the other: what colour says is said by shape, too."""
+INK, FAINT = "#222222", "#808080"
+FITTED = "#D55E00"  # a fitted value among draws
+LETTERS, SMALL = 7.0, 6.0  # points
+STYLE = {
+    "font.size": LETTERS, "axes.titlesize": LETTERS, "axes.labelsize": LETTERS, "figure.titlesize": LETTERS,
+    "legend.fontsize": SMALL, "legend.handlelength": 1.6, "legend.frameon": False, "legend.columnspacing": 1.0,
+    "axes.linewidth": 0.5, "lines.linewidth": 0.8, "axes.titlepad": 3.0, "axes.labelpad": 2.0, "grid.linewidth": 0.4,
+    "figure.constrained_layout.h_pad": 0.03, "figure.constrained_layout.w_pad": 0.03,
+}  # fmt: skip
+TICKS: dict[str, Any] = {
+    "labelsize": SMALL,
+    "width": 0.5,
+    "length": 2.0,
+    "pad": 1.5,
+}  # told to each axis: ticks are made when drawn
+
+P = ParamSpec("P")
+
+
+def printable(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Of a function that draws: its figures have this style wherever they are shown or saved."""
+
+    @wraps(draw)
+    def styled(*words: P.args, **named: P.kwargs) -> Figure:
+        with mpl.rc_context(STYLE):  # pyright: ignore[reportArgumentType] - its names of settings
+            figure = draw(*words, **named)
+            for axis in figure.axes:
+                axis.tick_params("both", which="both", **TICKS)
+            return figure
+
+    return styled
+
+
+def new(height: float, width: float = COLUMN_INCHES, layout: str | None = "constrained") -> Figure:
+    """A figure of a paper (inches)."""
+    return Figure(figsize=(width, height), dpi=DPI, layout=layout)  # pyright: ignore[reportArgumentType] - its names
+
+
+def channel_colour(channel: str, place: int) -> str:
+    """Of a channel by its name, or by its place where it has another one."""
+    return CHANNEL_COLOURS.get(channel, OKABE_ITO[place % len(OKABE_ITO)])
+
+
+def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
+    """Write a picture in the format that its name ends with, atomically.
+
+    Args:
+        dpi: of pixels, that of the figure by default.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: it cannot be written.
+    """
+    kind = path.suffix.removeprefix(".").lower() or "png"
+    write_atomically(path, lambda file: figure.savefig(file, format=kind, dpi=dpi or "figure"))

@@ -1,0 +1,54 @@
+"""The report of all 100 materials: how long its pages take, and how large its index is."""
+
+import os
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+from .processes import MERLFIT, watch
+from .record import RECONSTRUCTIONS, Record, Target
+
+COUNTS = (10, 100)
+VARIABLE = "MERLFIT_RESULTS"
+
+
+def size(site):
+    """MiB of what the index loads, and of the whole site."""
+    index = [site / "index.html", *(site / "assets").iterdir(), *(site / "pictures").glob("*.small-*")]
+    index = [path for path in index if path.name != "compare.js"]
+    every = [path for path in site.rglob("*") if path.is_file()]
+    return (sum(path.stat().st_size for path in paths) / 2**20 for paths in (index, every))
+
+
+def run(folder, out, every):
+    """A row a number of materials; the results are those in the folder that MERLFIT_RESULTS names (`make report`)."""
+    results = Path(os.environ.get(VARIABLE, "out/merl100"))
+    found = sorted(path for path in results.glob("*.json"))
+    if len(found) < COUNTS[-1]:
+        raise SystemExit(f"{results}: {len(found)} results; `make report` makes all 100, {VARIABLE} names their folder")
+    record = Record(
+        "report", "Pages of many results", RECONSTRUCTIONS,
+        ["`merlfit report RUN_DIR` of results without posteriors, their files at hand, in as many processes as there "
+         "are cores: wall time of the whole call, compiled programs in the cache. The index is what a browser loads "
+         "to show it: the page, scripts, style, and thumbnails of file and fit."],
+        {"minutes": Target("pages of 100 materials", 2, "minutes"), "index": Target("their index", 3, "MB")},
+        folder=out,
+    )  # fmt: skip
+    for count in COUNTS:
+        with tempfile.TemporaryDirectory() as scratch:
+            kept = Path(scratch) / "run"
+            kept.mkdir()
+            for path in found[:: len(found) // count][:count]:
+                shutil.copy(path, kept)
+            start = time.monotonic()
+            done = watch([MERLFIT, "report", str(kept)])
+            seconds = time.monotonic() - start
+            index, whole = size(kept / "report")
+        record.add({
+            "materials": count, "seconds": seconds, "s a page": seconds / count, "index MB": index * 1.048576,
+            "whole site MB": whole * 1.048576, "largest process GiB": done.peaks_mib[0] / 1024,
+        })  # fmt: skip
+    record.set("minutes", record.column("seconds")[-1] / 60)
+    record.set("index", record.column("index MB")[-1])
+    record.finish()

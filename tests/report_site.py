@@ -1,0 +1,95 @@
+"""The report of all 100 reconstructions: `make report` fits them (about five minutes) and writes the pages.
+
+`python -m tests.report_site --pictures SITE` takes the screenshots of docs/report/ from a site, `--example SITE` copies
+three of its materials there, as a site of its own.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+from . import chromium
+from .bench.materials import every, file
+from .bench.processes import MERLFIT
+from .reconstructions import ORIGIN
+
+DOCS = Path(__file__).parents[1] / "docs" / "report"
+EXAMPLE = ("blue-metallic-paint2", "nickel", "red-phenolic")
+SHOTS = {  # page, width, height, colour scheme
+    "index-desktop": ("index.html", 1280, 900, "light"),
+    "index-phone": ("index.html", 390, 844, "light"),
+    "page-desktop": ("materials/{material}.html", 1280, 1900, "light"),
+    "page-phone": ("materials/{material}.html", 390, 1500, "light"),
+    "page-dark": ("materials/{material}.html", 1280, 1500, "dark"),
+}
+
+
+def fit_and_report(out):
+    """Fit what has no result yet, then write the pages; MERL_RECONSTRUCTIONS may name a folder for the files."""
+    folder = Path(os.environ.get("MERL_RECONSTRUCTIONS", out / "files"))
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [str(file(folder, material)) for material in every()]
+    fitted = [MERLFIT, "fit", *files, "-o", str(out), "--no-posterior", "--resume", "--origin", ORIGIN]
+    if subprocess.run(fitted, check=False).returncode not in (0, 1):  # 1: a fit ended at its step limit
+        sys.exit("not all files could be fitted")
+    subprocess.run([MERLFIT, "report", str(out)], check=True)
+
+
+def pictures(site, out, material=EXAMPLE[0]):
+    """Screenshots as small PNGs, and the page as it is printed."""
+    out.mkdir(parents=True, exist_ok=True)
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium.found(), args=list(chromium.OPTIONS))
+        for name, (page, width, height, scheme) in SHOTS.items():
+            context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+            opened = context.new_page()
+            opened.goto((site / page.format(material=material)).resolve().as_uri())
+            opened.wait_for_function("document.documentElement.dataset.charts === 'drawn'")
+            opened.screenshot(path=out / f"{name}.png")
+            if name == "page-desktop":
+                opened.pdf(path=out / "printed.pdf", format="A4", print_background=False)
+            context.close()
+            shrink(out / f"{name}.png")
+        browser.close()
+
+
+def shrink(path):
+    """Of 128 colours: a quarter of the size, and nothing is lost that a reader would miss."""
+    Image.open(path).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def example(results, out):
+    """A site of three materials from a folder of results."""
+    import shutil
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory() as scratch:
+        kept = Path(scratch) / "three materials"
+        kept.mkdir()
+        for material in EXAMPLE:
+            for found in results.glob(f"{material}.*"):
+                shutil.copy(found, kept)
+        subprocess.run([MERLFIT, "report", str(kept), "-o", str(out), "-j", "1"], check=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/merl100"), help="folder for results and pages")
+    parser.add_argument("--pictures", type=Path, metavar="SITE")
+    parser.add_argument("--example", type=Path, metavar="RESULTS")
+    asked = parser.parse_args()
+    if asked.pictures:
+        pictures(asked.pictures, DOCS)
+    elif asked.example:
+        example(asked.example, DOCS / "example")
+    else:
+        fit_and_report(asked.out)
+
+
+if __name__ == "__main__":
+    main()
