@@ -206,7 +206,7 @@ class _Run:
             if result.accuracy is not None:
                 console.print(f"{label}: {accuracy_line(result.accuracy)}", soft_wrap=True)
         else:
-            fail(ended.error if ended.kind is not Kind.LOST else f"{ended.error}, twice")
+            fail(ended.error)
         if ended.said:
             note(ended.said)
         if k in self.tasks:

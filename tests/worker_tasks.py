@@ -14,7 +14,8 @@ FOREVER = 60.0
 
 def task(unit, report):
     """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``raises``, ``prints``; of a cluster:
-    ``waits`` (says which process it is, at first long enough to be killed), ``patient`` (until it is stopped)."""
+    ``waits`` (says which process it is, at first long enough to be killed), ``patient`` (until it is stopped),
+    ``tells`` (says which process it is), ``idle`` (does nothing, always)."""
     kind = unit.name.split("-")[0]
     try:
         began = unit.out / f"{unit.name}.began"
@@ -36,7 +37,9 @@ def task(unit, report):
         while kind == "patient":
             report("reading")
             time.sleep(0.1)
-        if kind == "slow":
+        if kind == "tells":
+            report(str(os.getpid()))
+        if kind in ("slow", "idle"):
             time.sleep(FOREVER)
     except Stopped as stop:
         write_result(unit.target, made(unit.name))

@@ -8,6 +8,7 @@ process alone, and nothing need be shared.
 
 from __future__ import annotations
 
+import asyncio
 import pickle
 import queue
 import re
@@ -15,11 +16,13 @@ import shutil
 import time
 import uuid
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from ...merl_io.atomic import WriteError, write_bytes
@@ -30,9 +33,12 @@ from ..results.schema import this_run
 from ..support.clock import Stage
 from .pool import PATIENCE, Note, Tell
 from .unit import Ended, Kind, Task, Unit, fit_unit, log
+from .watch import Watch
 
 if TYPE_CHECKING:
-    from distributed import Future
+    from concurrent.futures import Future as Fetched
+
+    from distributed import Client, Future
 
     from .slot import Brought
 
@@ -40,11 +46,31 @@ SCHEMES = {"dask": "tcp", "dask+tls": "tls"}
 SLURM = "dask-slurm"
 CONNECT = 5.0  # seconds for a scheduler to answer
 LOOK = 0.5  # seconds between two looks at the connection
+WAIT = 900.0  # seconds without a worker that could do anything; a queue's come when it is their turn
+STUCK = 900.0  # seconds without a word from a worker that computes nothing
 LARGEST = 2**30  # bytes of a file that is sent
+KEPT = "what came back is written, go on with --resume"
+LOST = "what it fitted is begun anew by another"
 
 
 class ClusterError(ValueError):
     """A cluster that cannot be used; the message is one line with the mend."""
+
+
+@dataclass(frozen=True)
+class _Word:
+    """What a worker says of a unit."""
+
+    stage: Stage
+    worker: str
+
+
+@dataclass(frozen=True)
+class _Back:
+    """A unit that ended, and what was fetched of it."""
+
+    future: Future
+    fetched: Fetched[Brought | None]
 
 
 class Cluster:
@@ -65,59 +91,83 @@ class Cluster:
             ClusterError: no scheduler answers, a library is missing, or no worker has the versions of this process.
         """
         _library("distributed", where, "dask")
-        from distributed import Client
-        from distributed.versions import VersionMismatchWarning
-
-        from .slot import TOPIC, Admission
-
         self.where, self.jobs, self.task, self.note = where, jobs, task, note
         self._run = uuid.uuid4().hex
         self._inbox: queue.SimpleQueue[tuple[int | None, Any]] = queue.SimpleQueue()
         self._given: dict[int, Future] = {}
+        self._word: dict[int, tuple[float, str]] = {}  # of a unit: when it was last heard of, and from which worker
+        self._fetched: dict[int, Fetched[Any]] = {}
         self._unseen: set[Path] = set()  # folders that workers do not see
         self._said: set[str] = set()
         self._units: Sequence[Unit] = ()
-        self._workers, self._looked = 0, -LOOK
+        self._useful = time.monotonic()  # when there was a worker, or word of one
         self._queue = _slurm(where, jobs) if where == SLURM else None
+        self._client = self._connected()
+        self._resource = self._admit()
+        self._watch = Watch(self._client, self._resource)
+
+    def _connected(self) -> Client:
+        from distributed import Client
+        from distributed.versions import VersionMismatchWarning
+
+        from .slot import present
+
         warnings.simplefilter("ignore", VersionMismatchWarning)  # a table; what matters is said in a line of ours
         warnings.filterwarnings("ignore", "Sending large graph")  # a file, where workers do not see it
         security = self._queue.security if self._queue is not None else None
-        address = self._queue.scheduler_address if self._queue is not None else _address(where)
+        address = self._queue.scheduler_address if self._queue is not None else _address(self.where)
         try:
-            self._client = Client(address, timeout=CONNECT, set_as_default=False, security=security)
+            client = Client(address, timeout=CONNECT, set_as_default=False, security=security)
         except (OSError, TimeoutError, ImportError, ValueError, RuntimeError, TypeError) as error:
             why = str(error).splitlines()[0] if isinstance(error, ImportError | ValueError | TypeError) else ""
             raise ClusterError(
-                f"{where}: no scheduler answers there within {CONNECT:g} s{why and f' ({why})'}; start one with "
+                f"{self.where}: no scheduler answers there within {CONNECT:g} s{why and f' ({why})'}; start one with "
                 "`dask scheduler`, or check host, port, firewall and TLS"
             ) from None
-        self._client.subscribe_topic(TOPIC, self._told)
+        try:
+            client.run_on_scheduler(present, callback_timeout=CONNECT)
+        except Exception as error:  # whatever it lacks
+            client.close(timeout=CONNECT)
+            raise ClusterError(
+                f"{self.where}: the scheduler cannot take files ({type(error).__name__}: {_line(error)}); "
+                "install there what is here"
+            ) from None
+        return client
+
+    def _admit(self) -> str:
+        """Let workers take part, those that come later, too; name of what they have then."""
+        import cloudpickle
+
+        from . import admission
+
+        self._client.subscribe_topic(admission.TOPIC, self._told)
         self._client.subscribe_topic("all", self._changed)
-        admission = Admission(self._run, versions())
-        self._resource = admission.name
-        self._client.register_plugin(admission)
+        cloudpickle.register_pickle_by_value(admission)
+        made = admission.Admission(self._run, versions())
+        self._aside(lambda: self._client.register_plugin(made))
+        return made.name
 
     def ended(self, units: Sequence[Unit], tell: Tell) -> Iterator[tuple[int, Ended]]:
         """Number of a unit and what came of it, as they end.
 
         Raises:
-            ClusterError: the scheduler is gone.
+            ClusterError: the scheduler is gone, or no worker came for a long time.
         """
-        self._units, waiting, begun = units, list(reversed(range(len(units)))), time.monotonic()
+        from distributed.client import ClosedClientError
+
+        self._units, waiting, self._useful = units, list(reversed(range(len(units)))), time.monotonic()
         try:
             while waiting or self._given:
                 room = self.room()
                 while waiting and len(self._given) < room:
                     yield from self._give(waiting.pop(), tell)
-                if not room and time.monotonic() > begun + CONNECT:
-                    self._once(f"{self.where}: no worker is there with the versions of this process; waiting for one")
+                self._wait(room)
+                self._free()
                 with suppress(queue.Empty):
                     yield from self._heard(self._inbox.get(timeout=LOOK), tell)
-        except OSError:  # how Dask says it
+        except (OSError, ClosedClientError):  # how Dask says it
             self._end()
-            raise ClusterError(
-                f"{self.where}: the scheduler is gone; what came back is written, go on with --resume"
-            ) from None
+            raise ClusterError(f"{self.where}: the scheduler is gone; {KEPT}") from None
         self._end()
 
     def stop(self) -> list[tuple[int, Ended]]:
@@ -125,23 +175,49 @@ class Cluster:
         from .slot import halt
 
         end, found, working = time.monotonic() + PATIENCE, {}, sorted(self._given)
+        with suppress(OSError):  # of a worker that does not answer; the others have heard it
+            self._client.run(halt, self._run, on_error="ignore", callback_timeout=CONNECT)
         with suppress(OSError):  # a scheduler that is gone: nothing comes
-            self._client.run(halt, self._run, on_error="ignore")
-            while self._given and (left := end - time.monotonic()) > 0:
+            while self._given and not self._watch.silent(2 * CONNECT) and (left := end - time.monotonic()) > 0:
                 with suppress(queue.Empty):
-                    found |= dict(self._heard(self._inbox.get(timeout=left), _silent))
+                    found |= dict(self._heard(self._inbox.get(timeout=min(left, LOOK)), _silent))
         self._end()
         return [(k, found.get(k, Ended(Kind.STOPPED))) for k in working]
 
     def room(self) -> int:
-        """Units that may be on the cluster at once."""
-        if time.monotonic() > self._looked + LOOK:
-            if self._client.status != "running":
-                raise OSError
-            workers = self._client.scheduler_info()["workers"].values()
-            self._workers = sum(self._resource in worker["resources"] for worker in workers)
-            self._looked = time.monotonic()
-        return self._workers if self.jobs is None else min(self._workers, self.jobs)
+        """Units that may be on the cluster at once.
+
+        Raises:
+            OSError: the scheduler is gone.
+        """
+        if self._client.status != "running" or self._watch.lost or self._watch.silent():
+            raise OSError
+        able = self._watch.able()
+        return able if self.jobs is None else min(able, self.jobs)
+
+    def _wait(self, room: int) -> None:
+        """Say why nothing goes on, and wait for it no longer than is sensible."""
+        now = time.monotonic()
+        if room:
+            self._useful = now
+        if now > self._useful + CONNECT:
+            self._once(f"{self.where}: {self._watch.why()}; waiting for another")
+        if now > self._useful + WAIT and self._queue is None:
+            self._end()
+            raise ClusterError(f"{self.where}: {self._watch.why()} for {WAIT / 60:g} minutes; {KEPT}")
+
+    def _free(self) -> None:
+        """Begin workers anew that are there and do nothing; Dask counts them as lost."""
+        now = time.monotonic()
+        for k, (heard, address) in list(self._word.items()):
+            state = self._watch.workers.get(address)
+            if state is None or now < max(heard, state.worked) + STUCK:
+                continue
+            self._word[k] = now, address
+            self.note(
+                f"worker {address} has done nothing with {self._units[k].path} for {STUCK / 60:g} minutes: {LOST}"
+            )
+            self._aside(lambda at=address: self._client.restart_workers([at], PATIENCE, False), wait=0)
 
     def _give(self, k: int, tell: Tell, send: bool = False) -> Iterator[tuple[int, Ended]]:
         """Hand a unit to the scheduler; of a file that cannot be read, what came of that.
@@ -171,18 +247,22 @@ class Cluster:
             pure=False,
         )  # fmt: skip
         self._given[k] = future
-        future.add_done_callback(lambda future: self._inbox.put((k, future)))
+        future.add_done_callback(lambda future: self._fetch(k, future))
 
     def _heard(self, message: tuple[int | None, Any], tell: Tell) -> Iterator[tuple[int, Ended]]:
         """Act on a message of Dask's threads; a unit that ended."""
         k, what = message
         if k is None:
             self._once(what)
-        elif isinstance(what, Stage):
+        elif isinstance(what, _Word):
             if k in self._given:
-                tell(k, what)
-        elif self._given.get(k) is what:
-            del self._given[k]
+                self._useful = time.monotonic()
+                self._word[k] = self._useful, what.worker
+                if what.stage:
+                    tell(k, what.stage)
+        elif self._given.get(k) is what.future:
+            for held in (self._word, self._given, self._fetched):
+                held.pop(k, None)
             brought = self._brought(k, what)
             if brought is None:
                 self._unseen.add(self._units[k].path.absolute().parent)
@@ -190,28 +270,43 @@ class Cluster:
             else:
                 yield k, written(self._units[k], brought)
 
-    def _brought(self, k: int, future: Future) -> Brought | None:
+    def _brought(self, k: int, back: _Back) -> Brought | None:
         """What a worker returned.
 
         Raises:
             OSError: the scheduler is gone.
         """
-        from distributed import CancelledError, KilledWorker
+        from distributed import KilledWorker
 
         from .slot import Brought
 
-        path = self._units[k].path
-        try:
-            return future.result()
-        except CancelledError:
-            raise OSError from None
-        except KilledWorker as error:
+        path, fetched = self._units[k].path, back.fetched
+        error = CancelledError() if fetched.cancelled() else fetched.exception()
+        if error is None:
+            return fetched.result()
+        if back.future.status != "error":
+            raise OSError
+        if isinstance(error, KilledWorker):
             return Brought(Ended(Kind.LOST, error=f"{path}: its worker was lost, at last {error.last_worker.address}"))
-        except Exception as error:  # of any kind: said with its name, and the next file has its turn
-            said = (str(error).splitlines() or [""])[0]
-            return Brought(Ended(Kind.FAILED, error=f"{path}: failed unexpectedly: {type(error).__name__}: {said}"))
+        # of any kind: said with its name, and the next file has its turn
+        said = f"{path}: failed unexpectedly: {type(error).__name__}: {_line(error)}"
+        return Brought(Ended(Kind.FAILED, error=said))
 
     # Called in a thread of Dask's.
+
+    def _fetch(self, k: int, future: Future) -> None:
+        """Get what a worker holds, while everything else goes on: if it dies now, another begins anew."""
+
+        async def fetch() -> Any:  # noqa: ANN401 - what a task returned
+            gathered: Any = self._client.gather(future, asynchronous=True)
+            return await gathered
+
+        if self._client.status != "running":
+            return  # seen by who waits
+        loop: Any = self._client.loop
+        fetched = asyncio.run_coroutine_threadsafe(fetch(), loop.asyncio_loop)
+        self._fetched[k] = fetched
+        fetched.add_done_callback(lambda fetched: self._inbox.put((k, _Back(future, fetched))))
 
     def _told(self, event: tuple[float, Any]) -> None:
         """Of a worker: what it is doing."""
@@ -222,13 +317,13 @@ class Cluster:
             if "refused" in told:
                 self._inbox.put((None, f"worker {told['refused']}; it gets no files: install there what is here"))
             else:
-                self._inbox.put((told["unit"], Stage(told["stage"], told["share"])))
+                self._inbox.put((told["unit"], _Word(Stage(told["stage"], told["share"]), told["worker"])))
 
     def _changed(self, event: tuple[float, Any]) -> None:
         """Of the scheduler: a worker came or went."""
         told = event[1]
         if isinstance(told, dict) and told.get("action") == "remove-worker" and not told.get("expected"):
-            self._inbox.put((None, f"worker {told['worker']} was lost; what it fitted is begun anew by another"))
+            self._inbox.put((None, f"worker {told['worker']} was lost: {LOST}"))
 
     # And in that of the caller.
 
@@ -237,12 +332,28 @@ class Cluster:
             self._said.add(text)
             self.note(text)
 
+    def _aside(self, call: Callable[[], object], wait: float = CONNECT) -> None:
+        """Call what may never return; whether it does is waited for so long, and an error is told when it comes."""
+
+        def called() -> None:
+            try:
+                call()
+            except Exception as error:  # whatever a worker or the connection runs into: others go on
+                self._inbox.put((None, f"{self.where}: {type(error).__name__}: {_line(error)}"))
+
+        thread = Thread(target=called, name="merlfit-aside", daemon=True)
+        thread.start()
+        thread.join(wait)
+
     def _end(self) -> None:
         """Leave the cluster; workers that came from a queue are given back."""
-        with suppress(OSError, TimeoutError):
-            if self._client.status == "running":
-                self._client.unregister_worker_plugin(self._resource)
-        self._client.close(timeout=CONNECT)
+        self._watch.close()
+        if self._client.status == "running":
+            self._aside(lambda: self._client.unregister_worker_plugin(self._resource))
+        for fetched in list(self._fetched.values()):
+            fetched.cancel()
+        with suppress(OSError, RuntimeError):
+            self._client.close(timeout=CONNECT)
         if self._queue is not None:
             self._queue.close()
 
@@ -265,6 +376,10 @@ def written(unit: Unit, brought: Brought) -> Ended:
         return Ended(Kind.FAILED, error=str(error), code=ended.code)
     kept = ended.result if ended.kind in (Kind.FITTED, Kind.STOPPED) else None
     return replace(ended, result=kept, said=place.said)
+
+
+def _line(error: BaseException) -> str:
+    return (str(error).splitlines() or [""])[0]
 
 
 def _silent(k: int, stage: str) -> None:
@@ -305,9 +420,8 @@ def _slurm(where: str, jobs: int | None) -> Any:  # noqa: ANN401 - dask_jobqueue
     try:
         cluster = made.SLURMCluster()
     except (ValueError, TypeError, OSError, RuntimeError) as error:
-        why = (str(error).splitlines() or [""])[0]
         raise ClusterError(
-            f"--executor {where}: {why}; see docs/clusters.md for ~/.config/dask/jobqueue.yaml"
+            f"--executor {where}: {_line(error)}; see docs/clusters.md for ~/.config/dask/jobqueue.yaml"
         ) from None
     cluster.adapt(minimum=jobs, maximum=jobs)  # those that are lost are asked for again
     return cluster

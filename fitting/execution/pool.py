@@ -11,7 +11,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -72,7 +72,7 @@ class Pool:
                 yield k, ended
         for k in lost:
             for _, ended in self._all(units, deque([k]), 1, tell):
-                yield k, ended
+                yield k, replace(ended, error=f"{ended.error}, twice") if ended.kind is Kind.LOST else ended
         self._end()
 
     def stop(self) -> list[tuple[int, Ended]]:

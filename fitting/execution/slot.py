@@ -14,20 +14,19 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from distributed import Status, Worker, WorkerPlugin, get_worker
+from distributed import Worker, get_worker
 
 from ..support.affinity import begun_on, cores_of, spread
+from .admission import TOPIC
 
 if TYPE_CHECKING:
     from ..results.schema import Run
     from .unit import Ended, Task, Unit
 
-TOPIC = "merlfit"  # of what workers tell while they work
 PERIOD = 2.0  # seconds between two steps of one stage that are told: all of them pass through the scheduler
 _halted: set[str] = set()  # runs that are to end
 
@@ -63,26 +62,8 @@ class Brought:
     log: str = ""
 
 
-class Admission(WorkerPlugin):
-    """Gives a worker the resource that orders ask for, one at a time, if it computes as the client would."""
-
-    def __init__(self, run: str, packages: dict[str, str]) -> None:
-        self.run, self.name, self.packages = run, f"merlfit-{run}", packages
-
-    async def setup(self, worker: Worker) -> None:
-        """In a worker, when it joins."""
-        found = {name: _version(name) for name in self.packages}
-        differ = [
-            f"{name} {found[name]} instead of {ours}" for name, ours in self.packages.items() if found[name] != ours
-        ]
-        if differ:
-            worker.log_event(TOPIC, {"run": self.run, "refused": f"{worker.address} has {', '.join(differ)}"})
-            return
-        await worker.set_resources(**{self.name: 1})
-        # A scheduler looks for units that wait for a worker when one begins to run, not when it gets a resource.
-        if worker.status is Status.running:
-            worker.status = Status.paused
-            worker.status = Status.running
+def present() -> None:
+    """In a scheduler: this file is there."""
 
 
 def halt(run: str) -> None:
@@ -100,8 +81,9 @@ def fit(order: bytes, data: bytes | None) -> Brought | None:
         None if the file is not here, or another of that name.
     """
     worker = get_worker()
-    _begin(worker.state.nthreads)
     given: Order = pickle.loads(order)
+    _say(worker, given, "")  # before anything that could wait for ever
+    _begin(worker.state.nthreads)
     with TemporaryDirectory(prefix="merlfit-", dir=worker.local_directory, ignore_cleanup_errors=True) as scratch:
         path, out = given.path, Path(scratch) / "out"
         if data is not None:
@@ -138,15 +120,6 @@ def _begin(cores: int) -> None:
     use_persistent_cache(lambda text: worker.log_event(TOPIC, {"note": f"{platform.node()}: {text}"}))
 
 
-def _version(package: str) -> str:
-    if package == "python":
-        return platform.python_version()
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "missing"
-
-
 def _told(worker: Worker, order: Order) -> Callable[[str], None]:
     """Reports that the client hears, and that end the unit where its run is to end."""
     from ..support.terminal import Stopped
@@ -159,10 +132,15 @@ def _told(worker: Worker, order: Order) -> Callable[[str], None]:
         begun, now = stage.split(":")[0], time.monotonic()
         if begun != last[0] or now > last[1] + PERIOD:
             last[:] = begun, now
-            told = {"run": order.run, "unit": order.number, "stage": str(stage), "share": getattr(stage, "share", None)}
-            worker.log_event(TOPIC, told)
+            _say(worker, order, stage)
 
     return report
+
+
+def _say(worker: Worker, order: Order, stage: str) -> None:
+    """To the client: what is being done with a unit, '' for nothing yet, and where."""
+    share, by = getattr(stage, "share", None), worker.address
+    worker.log_event(TOPIC, {"run": order.run, "unit": order.number, "stage": str(stage), "share": share, "worker": by})
 
 
 def _brought(order: Order, unit: Unit, ended: Ended) -> Brought:

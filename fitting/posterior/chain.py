@@ -4,6 +4,7 @@ docs/statistics.md states the likelihood and what is asked of a chain before int
 it to the likelihood of all bins.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from arviz_stats.base.array import array_stats
 from jax import Array
+from numpy.lib.npyio import NpzFile
 
 from ...merl_io.atomic import write_atomically
 from ..objective.transforms import Layout
@@ -42,6 +44,7 @@ WAYS = 3  # of a led move, one after the other
 WAY = 1.0, 2.5  # how far each goes, in standard deviations of the posterior
 LEAPS, UNEVEN = (0.03, 0.15, 0.4), 0.5  # their length: least, to begin with, most; how much shorter some of them are
 RATE = 0.8  # share of ways that are to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
+KEYS = 624  # of a Mersenne twister
 GOLDEN = (np.sqrt(5) - 1) / 2
 LogProb = Callable[[np.ndarray], np.ndarray]
 Progress = Callable[[int, int], None]
@@ -243,11 +246,15 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
     """
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            position, cached, normal = file["random_state"]
-            random = (file["random_keys"], int(position), int(cached), float(normal))
+            theirs = _array(file, "fit_free", None)
+            size = len(theirs)
+            states = _array(file, "chain_free", None, None, size)
+            position, cached, normal = _array(file, "random_state", 3)
+            random = (_array(file, "random_keys", KEYS), int(position), int(cached), float(normal))
             chain = Chain(
-                file["chain_free"], file["log_prob"], float(file["accepted"]), file["root"], float(file["leap"]),
-                file["taught_free"], random, file["fit_free"], int(file["lessons"]) if "lessons" in file else 0,
+                states, _array(file, "log_prob", *states.shape[:2]), float(_array(file, "accepted")),
+                _array(file, "root", size, size), float(_array(file, "leap")), _array(file, "taught_free", None, size),
+                random, theirs, int(_array(file, "lessons")) if "lessons" in file else 0,
             )  # fmt: skip
     except UNSOUND as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no chain"
@@ -255,6 +262,23 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
     if chain.fit.shape != fit.shape or not np.allclose(chain.fit, fit, atol=1e-6):
         raise ChainError(f"{path}: is the chain of another fit; delete it to start a new chain")
     return chain
+
+
+def _array(file: NpzFile, name: str, *shape: int | None) -> np.ndarray:
+    """Numbers of this shape, None for any size; one that says to be larger than it is takes no memory."""
+    archive: Any = file.zip  # there as long as the file is open
+    member = archive.getinfo(f"{name}.npy")
+    with archive.open(member) as opened:
+        if np.lib.format.read_magic(opened) != (1, 0):
+            raise ValueError(name)
+        found, _, kind = np.lib.format.read_array_header_1_0(opened)
+    same = len(found) == len(shape) and all(size in (None, at) for size, at in zip(shape, found, strict=True))
+    if not same or kind.kind not in "fiu" or math.prod(found) * kind.itemsize > member.file_size:
+        raise ValueError(name)
+    array = file[name]
+    if not np.isfinite(array[array != -np.inf] if name == "log_prob" else array).all():
+        raise ValueError(name)
+    return array
 
 
 def write_chain(path: Path, arrays: dict[str, np.ndarray]) -> None:

@@ -31,6 +31,8 @@ from .upgrade import upgraded
 
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
+LARGEST = 2**26  # bytes of a result: one of a hundred channels has a thirtieth of that
+
 
 class ResultError(ValueError):
     """A result file that cannot be used; the message is one line that names the file."""
@@ -79,6 +81,8 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     """
     path = Path(path)
     try:
+        if (size := path.stat().st_size) > LARGEST:
+            raise ResultError(f"{path}: is not a merlfit result: {size / 2**20:.0f} MiB are more than one has")
         text = path.read_bytes().removeprefix(codecs.BOM_UTF8)
         version = _Versioned.model_validate_json(text).schema_version
         _check_version(path, version)

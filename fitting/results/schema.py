@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path, PurePath
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -16,6 +16,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    FailFast,
     Field,
     model_validator,
 )
@@ -35,6 +36,18 @@ OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1")  # versions that are r
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
 PLAUSIBLE_UM = 0.1, 10.0  # wavelengths: a decade around what is visible
 ROUNDING = 1e-9  # relative: by so much a value may lie beyond a bound
+
+
+class _First(FailFast):
+    """The first wrong item is told: a million of them would take a kilobyte each."""
+
+    def __hash__(self) -> int:
+        """Unions need one."""
+        return hash(self.fail_fast)
+
+
+Item = TypeVar("Item")
+Many = Annotated[list[Item], _First()]
 
 
 class _Part(BaseModel):
@@ -114,11 +127,11 @@ class Model(_Part):
     """Settings of the model by name; of the two-scale model, which physical effects it simulates."""
     acquisition: Acquisition
     """What the apparatus does to the material."""
-    channels: list[str]
+    channels: Many[str]
     """Names of the colour channels; lists by channel have this order."""
     colour_space: Literal["linear RGB of MERL, as stored"] = "linear RGB of MERL, as stored"
     """Colour space of channels and albedos. The files have no white point of their own; nothing is converted."""
-    wavelengths_um: list[float]
+    wavelengths_um: Many[float]
     """Wavelength that stands for each channel (micrometres)."""
 
     @model_validator(mode="after")
@@ -253,22 +266,22 @@ class Prior(_Part):
 class Identifiability(_Part):
     """What the data determine, by the Gaussian approximation at the fit (Laplace)."""
 
-    names: list[str]
+    names: Many[str]
     """Parameters, in the order of `parameters`."""
-    covariance: list[list[float]] | None = None
+    covariance: Many[Many[float]] | None = None
     """Covariance of the parameters, in units of theirs; from the normal equations of the fit with the prior. Of a
     parameter at a bound it is that of the approximation, which does not hold there. Null before version 1.4."""
-    correlation: list[list[float]]
+    correlation: Many[Many[float]]
     """The same as correlations."""
-    coordinates: list[str]
+    coordinates: Many[str]
     """Free coordinates, in which the prior is standard normal: the quantity that each prior is of."""
-    priors: list[Prior] | None = None
+    priors: Many[Prior] | None = None
     """Prior of each coordinate. Null before version 1.4."""
-    contraction: list[float]
+    contraction: Many[float]
     """By coordinate: one minus the standard deviation that the data leave, of which the prior's is one."""
     determined: int
     """Number of directions in which the likelihood is at least as curved as the prior."""
-    undetermined: list[Direction]
+    undetermined: Many[Direction]
     """The other directions: there the prior decides."""
 
     @model_validator(mode="after")
@@ -315,7 +328,7 @@ class Fit(_Part):
     """Whether its parameters may be used: it converged, at a bound or not, or stopped at the step limit."""
     cost: float | None
     """HP17 Eq. 56, relative to the measurement's weighted energy."""
-    cost_per_channel: list[float] | None
+    cost_per_channel: Many[float] | None
     """The cost by channel."""
     folding_scatter: float | None
     """Part of the cost by which bins at phi_d and pi - phi_d differ, which should be equal; no model can lower it."""
@@ -327,11 +340,11 @@ class Fit(_Part):
     """Bins with a weight."""
     effective_bins: float | None = None
     """How many independent residuals those of the fit count as (docs/statistics.md). Null before version 2.1."""
-    candidates: list[Candidate]
+    candidates: Many[Candidate]
     """Models and their variants that were compared."""
     weights: float | Literal["log"] | None = None
     """Exponent of the compressive weight that the fit was made with, or ``log``."""
-    cautions: list[str] = []
+    cautions: Many[str] = []
     """What a user of the parameters should know, in words."""
 
 
@@ -390,19 +403,19 @@ class PosteriorResult(_Part):
     """Draws from the chain that were weighted by the likelihood of all bins."""
     pareto_k: float | None
     """Shape of the largest weights; above 0.7 they cannot be trusted."""
-    coordinates: list[str]
+    coordinates: Many[str]
     """Free coordinates; the following lists are by coordinate."""
-    autocorrelation_steps: list[float | None]
+    autocorrelation_steps: Many[float | None]
     """Autocorrelation time of the chain, in steps."""
-    r_hat: list[float | None]
+    r_hat: Many[float | None]
     """Split R-hat of the chain."""
-    bulk_size: list[float | None]
+    bulk_size: Many[float | None]
     """Effective sample size of the chain in the bulk."""
-    tail_size: list[float | None]
+    tail_size: Many[float | None]
     """Effective sample size of the chain in the tails."""
-    effective_size: list[float | None]
+    effective_size: Many[float | None]
     """Effective sample size of the weighted draws."""
-    contraction: list[float | None]
+    contraction: Many[float | None]
     """One minus the posterior's standard deviation, of which the prior's is one."""
     chain_file: FileName
     """File beside this one with the chain and the draws (docs/result.md)."""
@@ -446,7 +459,7 @@ class Accuracy(_Part):
     were not calibrated."""
     expected_seconds: float | None
     """The same of the seconds."""
-    tried: list[Tried]
+    tried: Many[Tried]
     """Settings that the fit was taken to, one after the other."""
     settings: Choice
     """Those of the result."""
@@ -464,7 +477,7 @@ class Run(_Part):
 
     finished: str
     """When it was computed: date and time in UTC (ISO 8601)."""
-    command: list[Text]
+    command: Many[Text]
     """Command line; empty where Python called merlfit as a library."""
     folder: Text | None = None
     """Folder that it ran in, from which a relative `source.path` is seen; null before version 2.0."""
@@ -500,7 +513,7 @@ class Result(_Part):
     """The file that was fitted, and what it holds."""
     model: Model | None
     """What was fitted; null if nothing could be fitted."""
-    parameters: list[ParameterResult]
+    parameters: Many[ParameterResult]
     """Fitted numbers."""
     fit: Fit
     """How the fit ended, and what it chose."""
@@ -508,7 +521,7 @@ class Result(_Part):
     """Errors of the fit."""
     identifiability: Identifiability | None = None
     """What the data determine."""
-    derived: list[DerivedResult] = []
+    derived: Many[DerivedResult] = []
     """Quantities that follow from the parameters; empty without a posterior."""
     posterior: PosteriorResult | None
     """How the posterior was sampled; null if it was not."""

@@ -15,7 +15,7 @@ from ...model.ndf import epd
 
 MAKERS = (scaled, convolution, chebyshev, epd, numerics, quadrature)
 # What reading a broken file raises.
-UNSOUND = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, zlib.error)
+UNSOUND = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, RuntimeError, zlib.error)
 
 
 def keep_in(folder: Path | None) -> None:

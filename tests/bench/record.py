@@ -70,7 +70,8 @@ class Record:
 
     Attributes:
         section: its name. title, data, notes: in words. targets: by key. rows: of the table, all with the same keys.
-        machine: where it was measured. finished: whether all rows are there.
+        machine: where it was measured. finished: whether all rows are there. folder: for both files.
+        command: by which it is made, if not as a section of the benchmarks.
     """
 
     section: str
@@ -82,6 +83,7 @@ class Record:
     machine: dict = field(default_factory=machine)
     finished: bool = False
     folder: Path = RESULTS
+    command: str | None = None
 
     def add(self, row, details=None):
         """A row of the table, with what only the JSON tells; printed and written at once."""
@@ -111,7 +113,7 @@ class Record:
     def write(self):
         """NAME.json and NAME.md."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        held = {k: v for k, v in asdict(self).items() if k != "folder"}
+        held = {k: v for k, v in asdict(self).items() if k not in ("folder", "command")}
         held["targets"] = {name: {**held["targets"][name], "met": t.met} for name, t in self.targets.items()}
         (self.folder / f"{self.section}.json").write_text(json.dumps(held, indent=1, default=float) + "\n")
         (self.folder / f"{self.section}.md").write_text(self.markdown())
@@ -123,7 +125,7 @@ class Record:
             f"# {self.title}", "",
             f"Data: {self.data}. Machine: {m['cores']} cores of {m['processor']}, {m['memory_gib']} GiB; Python "
             f"{m['python']}, jax {m['jax']}; {m['date']}, load before {m['load_before']}. "
-            f"Made by `python -m tests.bench {self.section}`.", "",
+            f"Made by `{self.command or f'python -m tests.bench {self.section}'}`.", "",
             *([] if self.finished else ["**Unfinished: rows are missing, targets are those of the rows below.**", ""]),
             *(f"{note}\n" for note in self.notes),
         ]  # fmt: skip

@@ -1,19 +1,28 @@
-"""`python -m tests.faults [SECTION ...]`: tries faults and writes results/faults.md; `--few` for a twentieth."""
+"""`python -m tests.faults [SECTION ...]`: tries faults and writes results/faults.md.
+
+`--few` tries a twentieth and writes nothing, `--times N` has folders and kills tried so often, `--out` names a folder.
+"""
 
 import sys
+from pathlib import Path
 
 import typer
 
 from .tried import RESULTS, TITLES, Tried
 
 
-def main(sections: list[str] = typer.Argument(None), few: bool = False) -> None:
+def main(
+    sections: list[str] = typer.Argument(None), few: bool = False, times: int | None = None, out: Path = RESULTS
+) -> None:
     """Try the faults of the sections, all of them without a name."""
     from . import folders, kills, loaders
 
-    tried = Tried(None if few else RESULTS)
+    tried = Tried(None if few else out)
     for section in sections or TITLES:
-        {"loaders": loaders, "folders": folders, "kills": kills}[section].run(tried, few)
+        if section == "loaders":
+            loaders.run(tried, few)
+        else:
+            {"folders": folders, "kills": kills}[section].run(tried, few, times)
     sys.exit(1 if tried.wrong else 0)
 
 

@@ -125,10 +125,10 @@ def posterior(tried, folder, count):
            ("the program",))  # fmt: skip
 
 
-def run(tried, few=False):
+def run(tried, few=False, times=None):
     """All of them."""
     tried.begin("kills")
-    count = 4 if few else 50
+    count = times or (4 if few else 50)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         stand_ins(tried, folder, 2 * count)

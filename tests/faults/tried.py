@@ -16,7 +16,7 @@ TEXTS = {
     "own audit events (nothing is executed, compiled, unpickled or started), and the memory that is allocated. Most "
     "MERL files have the layout of a genuine one with fewer bins, so that thousands can be tried; the full ones are of "
     "full size. A wrong outcome is a traceback, a message of more than a line or without the file's name, values that "
-    "are not as documented, or memory above three times the file (and 2 MiB).",
+    "are not as documented, or memory above three times the file (and a MiB).",
     "folders": "Batches of the program with a stand-in for the fit, which writes what a fit would; all else is the "
     "program's own. After each the same command with --resume, the fault mended, has to bring every file to its end. "
     "A wrong outcome is a traceback, a failure without a line that names the file, an exit code of success although "

@@ -1,88 +1,21 @@
 """A Dask cluster: a real scheduler, and workers that are processes of this machine."""
 
-import json
-import os
 import signal
-import subprocess
-import sys
-import time
-from contextlib import contextmanager
-from pathlib import Path
 
 import psutil
 import pytest
+from clusters import ended, scheduler, units, workers
 from merlfit.fitting.execution.cluster import Cluster, ClusterError
-from merlfit.fitting.execution.unit import Kind, Unit
+from merlfit.fitting.execution.unit import Kind
 from merlfit.fitting.results.export import read_result
-from merlfit.fitting.settings.config import Config
 from worker_tasks import task
-
-TESTS = Path(__file__).parents[1]
-START = 60.0  # seconds, at the most, until something that was started is there
-
-
-def until(held, what):
-    """Wait for it."""
-    end = time.monotonic() + START
-    while not (found := held()):
-        assert time.monotonic() < end, what
-        time.sleep(0.05)
-    return found
-
-
-@contextmanager
-def program(*words, folder):
-    """A process of Dask's, in a folder of its own."""
-    folder.mkdir()
-    with open(folder / "said", "wb") as said:
-        running = subprocess.Popen(
-            [sys.executable, "-m", "dask", *map(str, words)], cwd=folder, stdout=said, stderr=said,
-            env=os.environ | {"PYTHONPATH": str(TESTS), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"},
-        )  # fmt: skip
-        try:
-            yield running
-        finally:
-            running.terminate()
-            try:
-                running.wait(START)
-            except subprocess.TimeoutExpired:
-                running.kill()
 
 
 @pytest.fixture(scope="module")
 def where(tmp_path_factory):
     """Address of a scheduler."""
-    folder = tmp_path_factory.mktemp("scheduler")
-    told = folder / "scheduler.json"
-    words = ("scheduler", "--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", told)
-    with program(*words, folder=folder / "its"):
-        address = json.loads(until(lambda: told.exists() and told.read_text(), "no scheduler"))["address"]
-        yield address.replace("tcp://", "dask://")
-
-
-@contextmanager
-def workers(where, folder, count=1):
-    """So many of them, each begun anew when it is lost."""
-    words = ("worker", where.replace("dask", "tcp"), "--nworkers", count, "--nthreads", 1, "--no-dashboard")
-    with program(*words, "--local-directory", folder / "scratch", folder=folder / "worker") as running:
-        yield running
-
-
-def units(out, *names):
-    """Of files that are there."""
-    out.mkdir(exist_ok=True)
-    found = []
-    for name in names:
-        path = out.parent / f"{name}.binary"
-        path.write_bytes(name.encode())
-        found.append(Unit(path, out, Config()))
-    return found
-
-
-def ended(cluster, found):
-    """How each of these ended, and what was told of them."""
-    told = []
-    return dict(cluster.ended(found, lambda k, stage: told.append((k, str(stage))))), told
+    with scheduler(tmp_path_factory.mktemp("scheduler")) as (_, address):
+        yield address
 
 
 def test_all_are_fitted_told_and_written_here(where, tmp_path):
@@ -111,7 +44,7 @@ def test_a_lost_worker_takes_nothing_with_it_and_a_unit_that_kills_two_is_given_
     assert ended_as[0].kind is Kind.LOST
     assert "its worker was lost" in ended_as[0].error
     assert [ended_as[k].kind for k in (1, 2, 3)] == [Kind.FITTED] * 3
-    assert sum("was lost; what it fitted is begun anew" in text for text in noted) >= 2
+    assert sum("was lost: what it fitted is begun anew" in text for text in noted) >= 2
     assert not (tmp_path / "out/killed-a.json").exists()
 
 
@@ -185,19 +118,6 @@ def test_a_worker_of_other_versions_gets_nothing(where, tmp_path, monkeypatch):
         with pytest.raises(LookupError, match=rf"jax {ours['jax']} instead of 9\.9; it gets no files: install there"):
             next(going)
         other.stop()
-
-
-def test_a_scheduler_that_goes_away_ends_the_run_with_a_line(tmp_path):
-    told = tmp_path / "scheduler.json"
-    words = ("scheduler", "--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", told)
-    with program(*words, folder=tmp_path / "its") as scheduler:
-        address = json.loads(until(lambda: told.exists() and told.read_text(), "no scheduler"))["address"]
-        going = Cluster(address.replace("tcp", "dask"), task=task).ended(
-            units(tmp_path / "out", "quick-a"), lambda k, stage: None
-        )
-        scheduler.kill()
-        with pytest.raises(ClusterError, match="the scheduler is gone; what came back is written"):
-            next(going)
 
 
 @pytest.mark.parametrize("bad", ["dask://nowhere", "dask:/host:1", "ssh://host:1", ""])
