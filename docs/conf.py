@@ -36,8 +36,8 @@ myst_fence_as_directive = ["math"]  # as code hosts write it
 myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
+nb_output_stderr = "remove"  # that programs are compiled
 nb_execution_timeout = 600
-nb_execution_excludepatterns = []
 suppress_warnings = ["myst.header"]  # sections of a page may begin at any level
 
 autodoc_member_order = "bysource"
