@@ -45,6 +45,7 @@ autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 napoleon_use_ivar = True
+smartquotes = False  # of two hyphens, one dash would be made
 nitpicky = True
 nitpick_ignore_regex = [
     ("py:.*", r"(?!merlfit\b).*"),

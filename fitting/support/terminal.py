@@ -139,7 +139,7 @@ def _divided(table: Table, console: Console) -> list[Table]:
 console = Screen(markup=False)
 if not console.is_terminal:
     console = Screen(markup=False, width=140)  # tables in logs and pipes are not squeezed to 80 columns
-errors = Screen(markup=False, stderr=True)
+errors = Screen(markup=False, stderr=True, force_jupyter=False)  # in a notebook, too, it is no output of a cell
 _shown: list[Progress] = []  # the display that is on the terminal now
 
 
