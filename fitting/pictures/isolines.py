@@ -12,7 +12,7 @@ from .style import INK, new, printable
 from .subject import Subject
 
 INCIDENCES_DEG = (30, 60)
-PIXELS = 121
+PIXELS = 101
 LEVELS_A_DECADE = 3
 DARKEST = 0.002  # share of the directions that are darker than the first isoline
 
@@ -50,7 +50,7 @@ def _row(figure: Figure, row: np.ndarray, subject: Subject, degrees: float) -> N
 
 def logarithms(subject: Subject, degrees: float) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Sines of the viewers (x, y), and the decimal logarithm of ``file`` and ``fit`` there; NaN where nothing is."""
-    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, PIXELS)])
+    x, y = np.meshgrid(np.linspace(-1, 1, PIXELS), np.linspace(0, 1, PIXELS // 2 + 1))  # the other half is alike
     widest = np.radians(WIDEST_DEG)
     seen = x**2 + y**2 < np.sin(widest) ** 2
     o = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, np.cos(widest) ** 2))], -1)
@@ -64,4 +64,5 @@ def logarithms(subject: Subject, degrees: float) -> tuple[np.ndarray, np.ndarray
     with np.errstate(invalid="ignore"):
         lit = {name: seen & (lobe > 0) for name, lobe in shown.items()}
     logs = {name: np.where(lit[name], np.log10(np.where(lit[name], x, 1)), np.nan) for name, x in shown.items()}
-    return x, y, logs
+    whole = {name: np.concatenate([log[:0:-1], log]) for name, log in logs.items()}
+    return np.concatenate([x[:0:-1], x]), np.concatenate([-y[:0:-1], y]), whole

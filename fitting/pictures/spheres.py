@@ -8,11 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from scipy.sparse import csr_array
 
 from ...merl_io.binary import Dims
 from ...merl_io.samples import folded
 from ...scene.colour import difference, displayed
-from ..assess.picture import Lighting, View, view
+from ..assess.picture import Lighting, view
 from ..objective.weights import within
 from .style import new, printable
 from .subject import Subject
@@ -38,7 +39,7 @@ def of_file_and_fit(subject: Subject) -> dict[Lighting, dict[str, np.ndarray]]:
     found: dict[Lighting, dict[str, np.ndarray]] = {}
     for lighting in SIDE:
         inside, lit = _sphere(lighting, subject.dims)
-        radiance = {name: lit.render(brdf) for name, brdf in planes.items()}
+        radiance = {name: _render(lit, brdf) for name, brdf in planes.items()}
         found[lighting] = {name: _round(displayed(pixels), inside) for name, pixels in radiance.items()}
         if len(radiance) == 2:
             apart = np.clip(difference(radiance["file"], radiance["fit"]) / LARGEST_SHOWN, 0, 1)
@@ -54,20 +55,28 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
     """
     inside, lit = _sphere("environment", subject.dims)
     above = subject.grid.above[..., : subject.dims[2] // 2]
-    radiance = {name: lit.render(np.where(above, brdf, 0.0)) for name, brdf in subject.parts.items()}
+    radiance = {name: _render(lit, np.where(above, brdf, 0.0)) for name, brdf in subject.parts.items()}
     total = sum(radiance.values(), np.zeros(1)).sum(0)
     pictures = {name: _round(displayed(pixels), inside) for name, pixels in radiance.items()}
     return pictures, {name: pixels.sum(0) / total for name, pixels in radiance.items()}
 
 
 @cache
-def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, View]:
-    """Pixels of a square that are inside the sphere's disc, and how to light them."""
+def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
+    """Pixels of a square that are inside the sphere's disc, and their weights of all bins."""
     side = SIDE[lighting]
     axis = (np.arange(side) + 0.5) / side * 2 - 1
     positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
     inside = np.sum(positions**2, -1) < 0.99
-    return inside, view(lighting, positions[inside], dims)
+    lit = view(lighting, positions[inside], dims)
+    starts = np.arange(0, lit.bins.size + 1, lit.bins.shape[1])
+    shape = len(lit.bins), dims[0] * dims[1] * (dims[2] // 2)
+    return inside, csr_array((lit.weights.astype(np.float32).ravel(), lit.bins.ravel(), starts), shape)
+
+
+def _render(lit: csr_array, brdf: np.ndarray) -> np.ndarray:
+    """Radiance over that of a white surface, (pixels, C), as `View.render` has it: ten times as fast."""
+    return np.stack([lit @ plane.ravel() for plane in brdf], -1)
 
 
 def _round(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:

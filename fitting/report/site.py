@@ -257,7 +257,7 @@ def _embedded(specs: Mapping[str, charts.Spec]) -> Page:
     """Specifications as JSON, and the charts as they are drawn."""
     return {
         "spec": {name: _json(spec) for name, spec in specs.items()},
-        "svg": {name: Markup(charts.svg(spec)) for name, spec in specs.items()},
+        "svg": {name: Markup(charts.svg(spec, name)) for name, spec in specs.items()},
     }
 
 

@@ -2,14 +2,13 @@
 
 import os
 import shutil
-import tempfile
 import time
 from pathlib import Path
 
 from .processes import MERLFIT, watch
 from .record import RECONSTRUCTIONS, Record, Target
 
-COUNTS = (10, 100)
+COUNTS = (100,)
 VARIABLE = "MERLFIT_RESULTS"
 
 
@@ -36,15 +35,14 @@ def run(folder, out, every):
         folder=out,
     )  # fmt: skip
     for count in COUNTS:
-        with tempfile.TemporaryDirectory() as scratch:
-            kept = Path(scratch) / "run"
-            kept.mkdir()
-            for path in found[:: len(found) // count][:count]:
-                shutil.copy(path, kept)
-            start = time.monotonic()
-            done = watch([MERLFIT, "report", str(kept)])
-            seconds = time.monotonic() - start
-            index, whole = size(kept / "report")
+        kept = folder / f"report-{count}"
+        kept.mkdir(parents=True, exist_ok=True)
+        for path in found[:: len(found) // count][:count]:
+            shutil.copy(path, kept)
+        start = time.monotonic()
+        done = watch([MERLFIT, "report", str(kept)])
+        seconds = time.monotonic() - start
+        index, whole = size(kept / "report")
         record.add({
             "materials": count, "seconds": seconds, "s a page": seconds / count, "index MB": index * 1.048576,
             "whole site MB": whole * 1.048576, "largest process GiB": done.peaks_mib[0] / 1024,

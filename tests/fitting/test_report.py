@@ -177,6 +177,8 @@ def test_a_chart_is_drawn_without_a_browser():
     drawn = charts.svg(charts.time_against_error(rows, {"rmse": "RMSE"}))
     assert drawn.startswith("<svg")
     assert "seconds a file" in drawn
+    assert 'id="clip' not in drawn
+    assert "aria-label" not in drawn
 
 
 @pytest.fixture(scope="module")
