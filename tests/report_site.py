@@ -6,10 +6,13 @@ two of its materials there, as a site of its own.
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from merlfit.fitting.results.export import read_result, write_result
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
@@ -64,17 +67,20 @@ def shrink(path):
 
 
 def example(results, out):
-    """A site of two materials from a folder of results."""
-    import shutil
-    from tempfile import TemporaryDirectory
-
+    """A site of two materials from a folder of results, which are copied there, without the folders of this machine."""
+    files = os.environ["MERL_RECONSTRUCTIONS"]
     with TemporaryDirectory() as scratch:
         kept = Path(scratch) / "two materials"
         kept.mkdir()
         for material in EXAMPLE:
-            for found in results.glob(f"{material}.*"):
-                shutil.copy(found, kept)
-        subprocess.run([MERLFIT, "report", str(kept), "-o", str(out), "-j", "1"], check=True)
+            result = read_result(results / f"{material}.json")
+            result.source.path = f"{material}.binary"
+            result.run.folder = None
+            words = ["merlfit", "fit", result.source.path, "-o", "merl100", "--no-posterior", "--origin", ORIGIN]
+            result.run.command = words
+            write_result(kept / f"{material}.json", result)
+        shutil.copytree(kept, out, dirs_exist_ok=True)
+        subprocess.run([MERLFIT, "report", str(out), "-o", str(out), "-j", "1", "--files", files], check=True)
 
 
 def main():
