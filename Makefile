@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: report demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults hard-cases tables lint types install schema docs docs-links clean
+.PHONY: report demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults spectral hard-cases tables lint types install schema docs docs-links clean
 
 install: $(READY)
 
@@ -77,6 +77,10 @@ cost: install
 # An hour: damaged files, full and vanishing disks, clocks that jump, killed batches; results/faults.md.
 faults: install
 	$(BIN)/python -m tests.faults
+
+# Twenty minutes: spectral materials recovered from scattered directions; results/spectral.md.
+spectral: install
+	$(BIN)/python -m tests.spectral
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases

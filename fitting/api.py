@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
-from ..merl_io.binary import Measurement, read
+from ..merl_io import inputs
+from ..merl_io.inputs import Input
 from .fitted import Fit
 from .output.keeping import claimed, place_of
 from .pipeline.run import fit_file
@@ -21,14 +22,14 @@ from .support.compilation import use_cache
 
 
 def fit(
-    file: str | os.PathLike[str] | Measurement,
+    file: str | os.PathLike[str] | Input,
     out: str | os.PathLike[str] | None = None,
     settings: Mapping[str, Any] | str | os.PathLike[str] | None = None,
     *,
     report: Report = silent,
     **replaced: Unpack[Replaced],
 ) -> Fit:
-    """Fit a MERL file, as `merlfit fit` does.
+    """Fit a file, as `merlfit fit` does.
 
     Compiled programs are kept in merlfit's cache folder, unless ``jax_compilation_cache_dir`` is set already.
 
@@ -51,7 +52,8 @@ def fit(
     if "enabled" not in config.posterior.model_fields_set:
         config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
     use_cache()
-    measurement = file if isinstance(file, Measurement) else read(Path(file).absolute(), dims=config.input.allowed)
+    named = isinstance(file, str | os.PathLike)
+    measurement = inputs.read(Path(file).absolute(), dims=config.input.allowed) if named else file
     folder = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out)
     try:
         with claimed(folder, alone=False), place_of(folder, measurement.name) as place:

@@ -28,7 +28,12 @@ app = typer.Typer(
 )  # fmt: skip
 
 # typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
-Files = Annotated[list[Path], typer.Argument(help="MERL .binary files.", show_default=False, readable=False)]
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        help="MERL .binary files, or tables (.csv, .npz: docs/tables.md).", show_default=False, readable=False
+    ),
+]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 Models = Annotated[
     str | None,
@@ -85,11 +90,11 @@ Jobs = Annotated[
 
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
 def check(files: Files, dims: Dims = None) -> None:
-    """Print what MERL files hold: dims, valid bins, bad numbers, largest values, whether they are the genuine ones."""
+    """Print what files hold: bins or samples, bad numbers, largest values, and whether they are genuine MERL files."""
     from ..merl_io.binary import MerlError
-    from ..merl_io.check import inspect_file
+    from ..merl_io.check import FileReport, inspect_file
     from .files import settings_of
-    from .output.report import check_table
+    from .output.report import check_table, scattered_table
 
     allowed = settings_of(dims=dims).input.allowed
     reports, bad = [], 0
@@ -99,8 +104,12 @@ def check(files: Files, dims: Dims = None) -> None:
         except MerlError as error:
             bad += 1
             fail(str(error))
-    if reports:
-        console.print(check_table(reports))
+    gridded = [each for each in reports if isinstance(each, FileReport)]
+    listed = [each for each in reports if not isinstance(each, FileReport)]
+    if gridded:
+        console.print(check_table(gridded))
+    if listed:
+        console.print(scattered_table(listed))
     if bad:
         raise typer.Exit(BAD_INPUT)
 
@@ -163,8 +172,11 @@ def fit(
 
     Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
     """
+    from ..merl_io.inputs import is_scattered
     from .files import aim_of, fit_files, settings_of, summarise
 
+    if posterior and (listed := [path for path in files if is_scattered(path)]):
+        raise fail(f"{listed[0]}: holds scattered directions, of which no posterior is sampled: leave --posterior out")
     settings = settings_of(
         config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
         posterior=posterior, seed=seed,

@@ -12,7 +12,8 @@ import typer
 from rich.progress import Progress, TaskID
 
 from ..merl_io.atomic import WriteError
-from ..merl_io.binary import Measurement, MerlError
+from ..merl_io.binary import MerlError
+from ..merl_io.inputs import Input, is_scattered
 from ..model.registry import made, models
 from .cost.accuracy import Aim, aim
 from .cost.request import request
@@ -166,10 +167,11 @@ def _done(unit: Unit) -> Result | None:
             sha1 = hashlib.file_digest(file, "sha1").hexdigest()
     except OSError:
         return None  # said when it is fitted
-    found = valid_result(unit.target, sha1, unit.settings)
+    settings = unit.settings.for_scattered if is_scattered(unit.path) else unit.settings
+    found = valid_result(unit.target, sha1, settings)
     if found is None or not found.fit.succeeded or (found.accuracy is None) != (unit.finish is None):
         return None
-    return found if found.posterior is not None or not unit.settings.posterior.enabled else None
+    return found if found.posterior is not None or not settings.posterior.enabled else None
 
 
 class _Run:
@@ -275,7 +277,7 @@ def chosen_models(names: str | None) -> list[str]:
     return found
 
 
-def placed(measurement: Measurement, folder: Path, settings: Config) -> Result:
+def placed(measurement: Input, folder: Path, settings: Config) -> Result:
     """Fit, and write the result where it replaces none that is more complete."""
     folder.mkdir(parents=True, exist_ok=True)
     with place_of(folder, measurement.name) as place:

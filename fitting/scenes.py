@@ -13,7 +13,7 @@ import typer
 from pydantic import ValidationError
 from rich.table import Table
 
-from ..merl_io.binary import MerlError, read
+from ..merl_io.binary import Measurement, MerlError, read
 from ..merl_io.samples import folded
 from ..model.parameters import WAVELENGTHS_UM
 from ..model.reflectance import Reflectance
@@ -421,6 +421,11 @@ def _render_result(path: Path, out: Path, vary: Sequence[str], scene: Scene, say
     say("fit")
     fitted = sphere_of(of_result(path.stem, result, path, as_measured=True), scene)
     say("file")
-    measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(result.source.read(file))))
+    read_again = result.source.read(file)
+    if not isinstance(read_again, Measurement):
+        note(f"{path}: the fit alone; {file} holds scattered directions, of which no picture is rendered")
+        images.write_png(target, fitted)
+        return target
+    measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(read_again)))
     images.write_png(target, beside(sphere_of(measured, scene), fitted))
     return target

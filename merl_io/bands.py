@@ -2,6 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
+
+ColourSpace = Literal["linear RGB of MERL, as stored", "linear RGB, as stored", "none: a channel is a wavelength"]
+"""Of a measurement's channels; nothing is converted."""
 
 
 @dataclass(frozen=True)

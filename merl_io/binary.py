@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import numpy as np
 
 from .atomic import WriteError, write_atomically
-from .bands import MERL, Bands
+from .bands import MERL, Bands, ColourSpace
 
 Dims = tuple[int, int, int]
 DIMS: Dims = (90, 90, 180)
@@ -113,6 +113,16 @@ class Measurement:
         """Numbers of bins."""
         h, d, p = self.valid.shape
         return h, d, p
+
+    @property
+    def format(self) -> Literal["MERL"]:
+        """Of the file."""
+        return "MERL"
+
+    @property
+    def colour_space(self) -> ColourSpace:
+        """Of the channels."""
+        return "linear RGB of MERL, as stored"
 
     @property
     def bands(self) -> Bands:

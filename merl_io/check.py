@@ -1,4 +1,4 @@
-"""What a MERL file holds, in a few numbers."""
+"""What a file holds, in a few numbers."""
 
 import os
 from dataclasses import dataclass
@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .binary import Dims, Measurement, read
+from .binary import Dims, Measurement
+from .inputs import read
+from .scattered import ScatteredMeasurement, half_difference
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,39 @@ class FileReport:
     genuine: str | None
 
 
+@dataclass(frozen=True)
+class ScatteredReport:
+    """Summary of a file of scattered directions.
+
+    Attributes:
+        format: as of the measurement. samples: directions. channels: first and last, and how many. left_out: how many
+            wavelengths of the file are not read. fraction_valid: of the values. theta_i, theta_o, theta_h: least and
+            largest (deg). largest: value, 1/sr.
+    """
+
+    path: Path
+    format: str
+    samples: int
+    channels: tuple[str, str, int]
+    left_out: int
+    fraction_valid: float
+    theta_i: tuple[float, float]
+    theta_o: tuple[float, float]
+    theta_h: tuple[float, float]
+    largest: float
+
+
+def summarise_scattered(m: ScatteredMeasurement) -> ScatteredReport:
+    """The summary of a file that was read."""
+    theta_h = half_difference(m.theta_i, m.theta_o, m.phi)[0]
+    i, o, h = ((float(np.degrees(x.min())), float(np.degrees(x.max()))) for x in (m.theta_i, m.theta_o, theta_h))
+    names = m.bands.names
+    return ScatteredReport(
+        m.path, m.format, len(m.theta_i), (names[0], names[-1], len(names)), m.left_out, float(m.valid.mean()),
+        i, o, h, float(np.nanmax(m.values)),
+    )  # fmt: skip
+
+
 def summarise(measurement: Measurement) -> FileReport:
     """The summary of a file that was read."""
     largest = [float(np.nanmax(plane)) for plane in measurement.values]
@@ -33,6 +68,7 @@ def summarise(measurement: Measurement) -> FileReport:
     )  # fmt: skip
 
 
-def inspect_file(path: str | os.PathLike[str], dims: Dims | None = None) -> FileReport:
+def inspect_file(path: str | os.PathLike[str], dims: Dims | None = None) -> FileReport | ScatteredReport:
     """Read and summarise; raises :class:`merlfit.merl_io.binary.MerlError` as :func:`read` does."""
-    return summarise(read(path, dims=dims))
+    found = read(path, dims=dims)
+    return summarise(found) if isinstance(found, Measurement) else summarise_scattered(found)

@@ -441,14 +441,18 @@ class Reads(NamedTuple):
     tables: Mapping[str, tuple[str, ...]]
 
 
-def reads(model: Reflectance) -> Reads:
-    """Found by evaluating them once, abstractly; a factor that looks up a table reads the table's parameters, too."""
-    return _reads(model.coarse(LEAST_ORDER))  # on which it does not depend
+def reads(model: Reflectance, scattered: bool = False) -> Reads:
+    """Found by evaluating them once, abstractly; a factor that looks up a table reads the table's parameters, too.
+
+    Args:
+        scattered: whether the tables are `Reflectance.curves`.
+    """
+    return _reads(model.coarse(LEAST_ORDER), scattered)  # on which it does not depend
 
 
 @cache
-def _reads(model: Reflectance) -> Reads:
-    names, tables = [q.name for q in model.parameters], model.tables()
+def _reads(model: Reflectance, scattered: bool) -> Reads:
+    names, tables = [q.name for q in model.parameters], model.curves() if scattered else model.tables()
     angle = np.full((1, 1, 1), 0.3)
     example = {
         q.name: np.full(len(WAVELENGTHS_UM), q.default) if q.per_channel else q.default for q in model.parameters

@@ -32,6 +32,7 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
     return schema.Result(
         source=schema.Source(
             path=path, material=material, sha1=sha1, git_blob_sha1="0" * 40, genuine_merl=None, dims=DIMS,
+            format="MERL",
             fraction_valid=0.9, outliers=0,
         ),
         model=schema.Model.of(

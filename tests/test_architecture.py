@@ -18,7 +18,7 @@ LIBRARIES = {
 STANDARD = {
     "abc", "argparse", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib",
     "inspect", "itertools", "json", "math", "operator", "os", "pathlib", "re", "stat", "struct", "tempfile",
-    "threading", "time", "tomllib", "types", "typing",
+    "threading", "time", "tomllib", "types", "typing", "zipfile", "csv", "io",
 }  # fmt: skip
 
 

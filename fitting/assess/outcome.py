@@ -7,7 +7,8 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
-from ...merl_io.binary import OUTLIER, Measurement
+from ...merl_io.binary import OUTLIER
+from ...merl_io.inputs import Input
 from ...model.reflectance import Reflectance
 from ..objective.transforms import ODDS, Layout
 from ..objective.weights import BEND, Bend
@@ -94,7 +95,7 @@ class Fitted:
         return Status.CONVERGED if set(self.at_bound) == {"no"} else Status.AT_BOUND
 
 
-def said(status: Status, measurement: Measurement) -> str:
+def said(status: Status, measurement: Input) -> str:
     """What a status says, and what is wrong with the file however the fit ended."""
     if not (count := measurement.outliers):
         return status.value
@@ -106,7 +107,8 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
     found, peak = [], fitted.errors.highlight
     if np.isfinite(peak) and lost(peak):
         adaptive = config.fit.weights == "adaptive"
-        mend = "no exponent of the weights keeps it" if adaptive else "fit with --weights adaptive"
+        other = "none" if np.isnan(fitted.errors.picture) else "adaptive"  # which compares pictures
+        mend = "no exponent of the weights keeps it" if adaptive else f"fit with --weights {other}"
         found.append(f"the highlight is lost: the fit's peak is {peak:.2g} times as bright as the file's; {mend}")
     found += others(fitted)
     if fitted.status is Status.STEP_LIMIT:

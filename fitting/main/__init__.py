@@ -21,7 +21,8 @@ if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file l
     from .fitting.results.export import ResultError
     from .fitting.settings.config import ConfigError
     from .merl_io.atomic import WriteError
-    from .merl_io.binary import Measurement, MerlError, read, write
+    from .merl_io.binary import Measurement, MerlError, write
+    from .merl_io.inputs import read
     from .model.geometry import Geometry
     from .model.reflectance import evaluate
     from .model.registry import models
@@ -34,7 +35,8 @@ _HOMES = {
     "fitting.pictures.subject": ("NoPicture",),
     "fitting.posterior.chain": ("ChainError",),
     "merl_io.atomic": ("WriteError",),
-    "merl_io.binary": ("Measurement", "MerlError", "read", "write"),
+    "merl_io.binary": ("Measurement", "MerlError", "write"),
+    "merl_io.inputs": ("read",),
     "model.geometry": ("Geometry",),
     "model.reflectance": ("evaluate",),
     "model.registry": ("models",),

@@ -3,10 +3,10 @@
     E^2 = sum over bins and channels of w (measured - p(i,o) predicted)^2
 
 w are those of `weights`. The sum over azimuths is a quadratic form of a few of them (``merl_io.azimuth``), so that
-all bins count and few are evaluated.
+all bins count and few are evaluated. Scattered samples are rows of their own, of one azimuth.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 import equinox as eqx
@@ -18,6 +18,7 @@ from jax import Array
 from ...merl_io.azimuth import gather
 from ...merl_io.bands import MERL, Bands
 from ...merl_io.samples import Samples
+from ...merl_io.scattered import ScatteredSamples
 from ...model.acquisition import grazing_log_base
 from ...model.geometry import Geometry
 from ..support.threads import SHARES
@@ -33,14 +34,16 @@ class Directions(eqx.Module):
     """Directions of a grid in blocks of theta_h rows, leading axis the block.
 
     Attributes:
-        geometry: theta_h (N, h, 1, 1), theta_d (N, 1, D, 1), cosines (N, h, D, K).
+        geometry: theta_h (N, h, 1, 1), theta_d (N, 1, D, 1), cosines (N, h, D, K); of scattered directions all of them
+            (N, h, D, 1).
         log_base: of the grazing loss, (N, h, D, K).
-        bands: that are predicted in them; static.
+        bands: that are predicted in them; static. scattered: whether they share no theta_d; static.
     """
 
     geometry: Geometry
     log_base: Array
     bands: Bands = eqx.field(static=True)
+    scattered: bool = eqx.field(static=True, default=False)
 
 
 class Part(eqx.Module):
@@ -69,19 +72,24 @@ class Problem(eqx.Module):
     scatter: Array
 
 
-def energy(samples: Samples) -> float:
+def energy(samples: Samples | ScatteredSamples) -> float:
     """The unit of cost: the measurement's weighted energy."""
     return float(np.sum(samples.weight * samples.value**2)) + samples.scatter
 
 
-def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precision = "float64") -> Problem:
+def make_problem(
+    samples: Samples | ScatteredSamples, azimuths: int = AZIMUTHS, precision: Precision = "float64", columns: int = 1
+) -> Problem:
     """Quadratic forms of samples on the device.
 
     Args:
         azimuths: nodes that a row of azimuths is gathered in (`merl_io.azimuth.gather`).
         precision: in which the model is evaluated at the nodes.
+        columns: of scattered samples, each of about one theta_d.
     """
     unit = energy(samples)
+    if isinstance(samples, ScatteredSamples):
+        return _of_scattered(samples, unit, precision, columns)
     rows = gather(replace(samples, weight=samples.weight / unit), azimuths)
     where = directions(rows.theta_h, rows.theta_d, rows.cos_i, rows.cos_o, samples.bands, precision)
     blocks = len(where.log_base)
@@ -91,6 +99,75 @@ def make_problem(samples: Samples, azimuths: int = AZIMUTHS, precision: Precisio
 
     parts = shares(Part(where, jnp.asarray(split(rows.root)), jnp.asarray(split(rows.target))), where.log_base.size)
     return Problem(tuple(parts), jnp.asarray(rows.rest), jnp.asarray(samples.scatter / unit))
+
+
+def _of_scattered(samples: ScatteredSamples, unit: float, precision: Precision, columns: int) -> Problem:
+    if columns > 1:
+        samples = samples.taken(np.argsort(samples.theta_d, kind="stable"))
+    arranged = Arrangement.of(len(samples.theta_h), len(samples.bands), columns)
+    where = _scattered_directions(samples, arranged, precision)
+    root = np.sqrt(samples.weight / unit)
+
+    def split(x: np.ndarray) -> Array:
+        return jnp.asarray(arranged.split(x, 0.0).swapaxes(0, 1).astype(precision))
+
+    part = Part(where, split(root)[..., None], split(root * samples.value))
+    nothing = jnp.zeros(len(samples.bands))
+    return Problem(tuple(shares(part, arranged.threads_for)), nothing, jnp.asarray(samples.scatter / unit))
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """Scattered directions in blocks (N, h, D, 1), the last ones empty: sizes go in steps of an eighth of an octave.
+
+    So a program that is compiled for one file serves others of about its size.
+    """
+
+    count: int
+    blocks: int
+    height: int
+    columns: int
+
+    @classmethod
+    def of(cls, count: int, channels: int, columns: int = 1) -> "Arrangement":
+        """For so many directions; blocks are as large as stays in a core's cache."""
+        rows = _stepped(-(-count // columns))
+        largest = 1 << max(4, (3 * BLOCK // (channels * columns)).bit_length() - 1)
+        if rows <= largest or columns > 1:
+            return cls(count, 1, rows, columns)
+        return cls(count, _stepped(-(-count // largest)), largest, columns)
+
+    @property
+    def threads_for(self) -> int:
+        """Size that is worth two threads at the most: each computes the tables of scattered directions anew."""
+        return min(self.blocks * self.height * self.columns, 2 * LEAST_SHARE)
+
+    def split(self, x: np.ndarray, empty: float | None = None) -> np.ndarray:
+        """(..., S) as (..., N, h, D, 1); what is empty is the last one, or ``empty``."""
+        lacking = self.blocks * self.height * self.columns - self.count
+        last = x[..., -1:] if empty is None else np.full_like(x[..., -1:], empty)
+        padded = np.concatenate([x, np.repeat(last, lacking, -1)], -1)
+        return padded.reshape(*x.shape[:-1], self.blocks, self.columns, self.height, 1).swapaxes(-3, -2)
+
+
+def _stepped(count: int) -> int:
+    """No less, in eight steps an octave."""
+    step = max(1, 1 << max(0, count.bit_length() - 4))
+    return -(-count // step) * step
+
+
+def _scattered_directions(samples: ScatteredSamples, arranged: Arrangement, precision: Precision) -> Directions:
+    angles = (samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    geometry = Geometry(*(jnp.asarray(arranged.split(x).astype(precision)) for x in angles))
+    return Directions(geometry, jax.jit(grazing_log_base)(geometry), samples.bands, scattered=True)
+
+
+def directions_of(samples: Samples | ScatteredSamples) -> Directions:
+    """Of all samples, one by one."""
+    if isinstance(samples, ScatteredSamples):
+        arranged = Arrangement.of(len(samples.theta_h), len(samples.bands))
+        return _scattered_directions(samples, arranged, "float64")
+    return directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o, samples.bands)
 
 
 def _threads(size: int) -> int:

@@ -16,11 +16,13 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from ...merl_io.samples import Samples
+from ...merl_io.scattered import ScatteredSamples
 from ...model import reflectance
 from ...model.materialised import materialised, true_of
-from ...model.reflectance import Reflectance, Setting, reads
+from ...model.reflectance import Factor, Reflectance, Setting, reads
 from ..support.threads import side_by_side
-from .problem import Directions, Part, Problem, shares
+from .problem import LEAST_SHARE, Directions, Part, Problem, directions_of, shares
 from .transforms import Layout
 
 Numbers = np.ndarray | Array
@@ -28,10 +30,18 @@ Numbers = np.ndarray | Array
 
 def predict(model: Reflectance, values: Mapping[str, Array], where: Directions) -> np.ndarray:
     """What the apparatus would have measured, (C, H, D, K)."""
-    parts, given = shares(where, where.log_base.size), model.generalised(values)
+    size = where.log_base.size
+    parts = shares(where, min(size, 2 * LEAST_SHARE) if where.scattered else size)
+    given = model.generalised(values)
     found = side_by_side(lambda part: np.asarray(_predict(model.general, given, part)), parts)
     blocks = np.moveaxis(np.concatenate(found), 1, 0)
     return blocks.reshape(len(blocks), -1, *blocks.shape[3:])
+
+
+def predict_samples(model: Reflectance, values: Mapping[str, Array], samples: Samples | ScatteredSamples) -> np.ndarray:
+    """The same for samples, of the shape of their values."""
+    found = predict(model, values, directions_of(samples))
+    return found[:, : samples.value.shape[1], 0, 0] if isinstance(samples, ScatteredSamples) else found
 
 
 @partial(jax.jit, static_argnums=0)
@@ -187,7 +197,11 @@ def _setting(model: Reflectance, b: Directions) -> Setting:
 def with_tables(model: Reflectance, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
     """Values and what all blocks look up."""
     s = _setting(model, jax.tree.map(lambda x: x[0], where))
-    return {**values, **{name: table(values, s) for name, table in model.tables().items()}}
+    return {**values, **{name: table(values, s) for name, table in _tables(model, where).items()}}
+
+
+def _tables(model: Reflectance, where: Directions) -> Mapping[str, Factor]:
+    return model.curves() if where.scattered else model.tables()
 
 
 def _rates(
@@ -197,8 +211,8 @@ def _rates(
     s = _setting(model, jax.tree.map(lambda x: x[0], where))
     rates = {q.name: {q.name: jnp.ones_like(values[q.name])} for q in model.parameters}
     found = {}
-    for name, table in model.tables().items():
-        own = reads(model).parameters[name]
+    for name, table in _tables(model, where).items():
+        own = reads(model, where.scattered).parameters[name]
         still = {q: jnp.zeros_like(values[q]) for q in own}
         tangents = [{**still, q: rates[q][q]} for q in own]
         compute = lambda own, table=table: table({**values, **own}, s)  # noqa: E731
@@ -215,7 +229,7 @@ def _block_gram(
     """Normal equations of one block, one row and column a parameter group and one for the residual."""
 
     def factor_derivatives(values: Mapping[str, Array], b: Directions) -> tuple[dict[str, Array], dict[str, Array]]:
-        s, read = _setting(model, b), reads(model)
+        s, read = _setting(model, b), reads(model, b.scattered)
         shaped = reflectance.shaped(values, s)
         at, slopes = {}, {}
         for name, factor in model.factors().items():

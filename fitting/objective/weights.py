@@ -11,13 +11,15 @@ bins out, and they would carry most of the cost.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 
 from ...merl_io.binary import Measurement
 from ...merl_io.grid import MerlGrid, merl_grid
+from ...merl_io.inputs import Input
 from ...merl_io.samples import Samples, fold
+from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples, scattered
 from ..support.threads import side_by_side
 
 THETA_MAX = 1.4  # rad: HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
@@ -54,14 +56,26 @@ def within(grid: MerlGrid, theta_max: float) -> np.ndarray:
     return grid.above & (np.minimum(grid.cos_i, grid.cos_o) > np.cos(theta_max))
 
 
-def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: float = THETA_MAX) -> Samples:
-    """Folded samples of a file with their weights.
+@overload
+def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: float = THETA_MAX) -> Samples: ...
+
+
+@overload
+def weighted_samples(
+    measurement: Input, bend: Bend = BEND, theta_max: float = THETA_MAX
+) -> Samples | ScatteredSamples: ...
+
+
+def weighted_samples(measurement: Input, bend: Bend = BEND, theta_max: float = THETA_MAX) -> Samples | ScatteredSamples:
+    """Folded samples of a file, or those of scattered directions, with their weights.
 
     Each channel is compared with its own median, so that no channel is fitted at the expense of another.
 
     Args:
         bend: exponent of the compressive weight, or ``log``. theta_max: of light and viewer (rad).
     """
+    if isinstance(measurement, ScatteredMeasurement):
+        return _scattered_samples(measurement, bend, theta_max)
     grid = merl_grid(measurement.dims)
     used = measurement.valid & within(grid, theta_max) & (grid.weight > 0)
     bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
@@ -77,6 +91,18 @@ def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: flo
     value, weight = (np.concatenate([getattr(each, name) for each in planes]) for name in ("value", "weight"))
     scatter = sum(each.scatter for each in planes)
     return replace(planes[0], value=value, weight=weight, scatter=scatter, bands=measurement.bands)
+
+
+def _scattered_samples(measurement: ScatteredMeasurement, bend: Bend, theta_max: float) -> ScatteredSamples:
+    """A sample weighs its share times the weight of its value."""
+    low = np.maximum(measurement.theta_i, measurement.theta_o) > theta_max
+    used = measurement.valid & ~low & (measurement.share > 0)
+    weigh = _logarithmic if bend == "log" else _compressive(float(bend))
+    weight = np.zeros(used.shape)
+    for plane, counted, found in zip(measurement.values, used, weight, strict=True):
+        if counted.any():
+            found[counted] = measurement.share[counted] * weigh(plane[counted], np.cos(measurement.theta_i[counted]))
+    return scattered(measurement, measurement.values, weight, used)
 
 
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -12,23 +12,29 @@ from html import escape
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from rich import box
 from rich.table import Table
 
+from ...merl_io import inputs
 from ...merl_io.atomic import write_text
-from ...merl_io.binary import read
+from ...merl_io.binary import Measurement
 from ...merl_io.grid import merl_grid
+from ...merl_io.inputs import is_scattered
+from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.reflectance import evaluate
+from ..assess import scattered
 from ..assess.metrics import by_incidence, errors
 from ..assess.selection import ALIKE, SEEN, least, lost
-from ..objective.weights import THETA_MAX
+from ..objective.residuals import predict_samples
+from ..objective.weights import THETA_MAX, weighted_samples
 from ..pictures.style import save
 from ..pipeline.comparison import FIT, Row, angles, row_of
 from ..results.export import ResultError
-from ..results.schema import Result
+from ..results.schema import Model, Result
 from .report import number
 from .synthesis import tabulate
 
@@ -341,7 +347,9 @@ def judged_result(path: Path, result: Result, against: Path, theta_max: float = 
     """
     if (model := result.model) is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
-    measurement = read(against, dims=result.source.dims)
+    measurement = inputs.read(against, dims=result.source.dims)
+    if not isinstance(measurement, Measurement):
+        return _judged_scattered(path, result, model, measurement, theta_max)
     values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
     grid, valid = merl_grid(measurement.dims), measurement.valid
     found = errors(measurement.values, values, valid, grid, theta_max)
@@ -349,10 +357,26 @@ def judged_result(path: Path, result: Result, against: Path, theta_max: float = 
     return Judged(path, replace(row_of(result), errors=found), *curve)
 
 
+def _judged_scattered(
+    path: Path, result: Result, model: Model, measurement: ScatteredMeasurement, theta_max: float
+) -> Judged:
+    """On the samples themselves; there are too few of an incidence for a curve."""
+    if len(model.channels) != len(measurement.bands):
+        raise ResultError(
+            f"{path}: has {len(model.channels)} channels, and {measurement.path} {len(measurement.bands)}"
+        )
+    samples = weighted_samples(measurement, theta_max=theta_max)
+    assert isinstance(samples, ScatteredSamples)
+    values = {name: jnp.asarray(x) for name, x in result.values().items()}
+    found = scattered.errors(samples, predict_samples(model.measured, values, samples))
+    return Judged(path, replace(row_of(result), errors=found), np.zeros(0), np.zeros(0))
+
+
 def metrics_table(found: Sequence[Judged], against: Path) -> Table:
     """What `merlfit metrics` prints."""
+    where = "its samples" if is_scattered(against) else angles()
     table = Table(
-        title=f"errors against {against} over {angles()}, both directions at theta < {THETA_MAX:g} rad",
+        title=f"errors against {against} over {where}, both directions at theta < {THETA_MAX:g} rad",
         title_justify="left", box=box.SIMPLE_HEAD, caption=WHAT, caption_justify="left",
     )  # fmt: skip
     for head in ("result", "model", *FIGURES.values()):
@@ -376,6 +400,8 @@ def write_metrics(found: Sequence[Judged], folder: Path) -> list[Path]:
         writer.writeheader()
         writer.writerows({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in line.items()} for line in table)
         write_text(path, out.getvalue())
+        if not curves:
+            return written[:1]
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axis = figure.subplots()
     for each in found:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ...merl_io.atomic import WriteError
 from ..pictures import style
-from ..pictures.all import PICTURES
+from ..pictures.all import PICTURES, SCATTERED
 from ..pictures.subject import NoPicture, Subject, subject_of
 from ..results.schema import Result
 from ..support.compilation import use_persistent_cache
@@ -48,14 +48,15 @@ def show(
         return True
     writable_folder(out)
     subject = subject_of(result, path, file)
-    if "measurement" in subject.lacks:
+    kinds = PICTURES if subject.scattered is None else SCATTERED
+    if "measurement" in subject.lacks and subject.scattered is None:
         note(f"the file is not shown: {subject.lacks['measurement']}; name the file with --file")
-    drawn = draw(subject, out, kind, only or [*PICTURES])
+    drawn = draw(subject, out, kind, only or [*kinds])
     if drawn:
         console.print(pictures_table(drawn))
     else:
         note("nothing was drawn")
-    return bool(drawn) and (subject.measurement is not None or not needs_file)
+    return bool(drawn) and (subject.lacks.get("measurement") is None or subject.scattered is not None or not needs_file)
 
 
 def draw(subject: Subject, out: Path, kind: str, names: Sequence[str]) -> dict[Path, str]:
@@ -64,7 +65,7 @@ def draw(subject: Subject, out: Path, kind: str, names: Sequence[str]) -> dict[P
     for name in names:
         target = out / f"{subject.result.source.material}.{name}.{kind}"
         try:
-            style.save(PICTURES[name].draw(subject), target)
+            style.save(({**PICTURES, **SCATTERED})[name].draw(subject), target)
         except NoPicture as error:
             missing.setdefault(str(error), []).append(name)
             continue
@@ -73,7 +74,7 @@ def draw(subject: Subject, out: Path, kind: str, names: Sequence[str]) -> dict[P
         except ValueError as error:  # text that was edited into what is no formula
             note(f"{target}: cannot be drawn ({str(error).strip().splitlines()[0]})")
             continue
-        written[target] = PICTURES[name].words
+        written[target] = ({**PICTURES, **SCATTERED})[name].words
     for why, those in missing.items():
         told = "they need the file" if why == subject.lacks.get("measurement") else why
         note(f"not drawn: {', '.join(those)} ({told})")

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ...merl_io.binary import BRIGHTEST, OUTLIER, said
-from ...merl_io.check import FileReport
+from ...merl_io.check import FileReport, ScatteredReport
 from ...model.registry import models
 from ..assess.identifiability import in_words
 from ..results.schema import Accuracy, DerivedResult, Model, ParameterResult, Result
@@ -55,6 +55,23 @@ def check_table(reports: Sequence[FileReport]) -> Table:
             str(r.negative), str(r.nan), str(r.inf), str(r.outliers),
             *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no",
         )  # fmt: skip
+    return table
+
+
+def scattered_table(reports: Sequence[ScatteredReport]) -> Table:
+    """What `merlfit check` prints of files of scattered directions."""
+    table = Table(
+        title="files of scattered directions (angles: least and largest, degrees; max: largest value, 1/sr)",
+        title_justify="left",
+    )
+    for head in ("file", "format", "samples", "channels", "valid", "theta_i", "theta_o", "theta_h", "max"):
+        table.add_column(head, justify="left" if head in ("file", "channels") else "right", overflow="fold")
+    for r in reports:
+        first, last, count = r.channels
+        channels = f"{count}: {first} to {last}" if count > 1 else first
+        angles = (f"{low:.1f} {high:.1f}" for low, high in (r.theta_i, r.theta_o, r.theta_h))
+        row = (str(r.path), r.format, str(r.samples), channels, f"{r.fraction_valid:.1%}")
+        table.add_row(*row, *angles, number(r.largest))
     return table
 
 
@@ -138,7 +155,9 @@ def fitted_line(m: Model) -> str:
 def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
-    console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of bins valid")
+    grid = s.format == "MERL"
+    what = "bins" if grid else "values of a table of scattered directions"
+    console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of {what} valid")
     console.print(f"data: {result.data_words}", markup=False)
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
@@ -148,11 +167,13 @@ def print_result(console: Console, result: Result) -> None:
     console.print(f"{f.status}: {f.message}")
     console.print(
         f"cost {number(f.cost)} (share of the weighted energy), RMSE {number(result.metrics.rmse)} 1/sr, "
-        f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} bins, {f.steps} steps on the last grid"
+        f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} {'bins' if grid else 'samples'}, "
+        f"{f.steps} steps on the last grid"
     )
     e = result.metrics
+    picture = f"mean CIELAB distance {number(e.picture, 3)}" if grid else "none of scattered directions"
     console.print(
-        f"picture: mean CIELAB distance {number(e.picture, 3)}; highlight {number(e.highlight, 3)} times the file's; "
+        f"picture: {picture}; highlight {number(e.highlight, 3)} times the file's; "
         f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
     )
     for caution in f.cautions:
@@ -168,7 +189,7 @@ def print_result(console: Console, result: Result) -> None:
     if result.accuracy is not None:
         console.print(accuracy_line(result.accuracy))
     if result.posterior is None:
-        console.print("posterior: not sampled")
+        console.print("posterior: not sampled" + ("" if grid else ": none of scattered directions is"))
         return
     if result.derived:
         console.print(derived_table(result))

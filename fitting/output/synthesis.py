@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ...merl_io.binary import DIMS, Dims
+from ...merl_io.binary import CHANNELS, DIMS, Dims
 from ...merl_io.grid import merl_grid
 from ...model import published
 from ...model.geometry import Geometry
@@ -57,6 +57,8 @@ def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
+    if len(m.channels) != CHANNELS:
+        raise ResultError(f"{path}: has {len(m.channels)} channels, and a MERL file has R, G and B")
     model = m.measured if grazing_loss else m.material
     values = tabulate(lambda g: evaluate(model, params, g, m.wavelengths_um))
     said = f"synthetic MERL file from the {m.name} fit of {result.source.material}"

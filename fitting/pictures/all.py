@@ -11,6 +11,7 @@ from .isolines import isolines
 from .lobes import lobes
 from .peak import peak
 from .residuals import errors, residuals
+from .samples import samples
 from .spheres import spheres
 from .subject import Subject
 from .trace import trace
@@ -24,6 +25,8 @@ class Picture:
     draw: Callable[[Subject], Figure]
 
 
+SCATTERED = {"samples": Picture("samples and fit, their ratio, and parameters over the wavelength", samples)}
+"""Of files of scattered directions; those below are of files of bins."""
 PICTURES = {
     "spheres": Picture("spheres of file and fit, and their CIELAB difference", spheres),
     "lobes": Picture("lobes in the plane of incidence, with the posterior's bands", lobes),

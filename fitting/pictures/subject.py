@@ -10,6 +10,7 @@ import numpy as np
 
 from ...merl_io.binary import DIMS, Dims, Measurement, MerlError
 from ...merl_io.grid import MerlGrid, merl_grid
+from ...merl_io.scattered import ScatteredMeasurement
 from ..objective.weights import THETA_MAX
 from ..pipeline.run import chain_of
 from ..results.schema import Model, Result
@@ -29,8 +30,9 @@ class Subject:
     """A fit to picture.
 
     Attributes:
-        measurement: the file. chain: weighted draws from the posterior (`chain_file`). walkers: their states in free
-            coordinates, (steps, walkers, P). lacks: why one of them is not there, by its name.
+        measurement: the file, of bins; or scattered: the file, of scattered directions. chain: weighted draws from the
+            posterior (`chain_file`). walkers: their states in free coordinates, (steps, walkers, P). lacks: why one of
+            them is not there, by its name.
     """
 
     result: Result
@@ -38,6 +40,7 @@ class Subject:
     chain: Chain | None = None
     walkers: np.ndarray | None = None
     lacks: Mapping[str, str] = field(default_factory=dict)
+    scattered: ScatteredMeasurement | None = None
 
     @property
     def model(self) -> Model:
@@ -114,16 +117,20 @@ def subject_of(result: Result, path: Path, file: Path) -> Subject:
     Args:
         path: of the result. file: the MERL file that was fitted.
     """
-    measurement, chain, lacks = None, None, {}
+    measurement, scattered, chain, lacks = None, None, None, {}
     try:
-        measurement = result.source.read(file)
+        found = result.source.read(file)
+        if isinstance(found, Measurement):
+            measurement = found
+        else:
+            scattered, lacks["measurement"] = found, "it holds scattered directions"
     except MerlError as error:
         lacks["measurement"] = str(error)
     try:
         chain = chain_file(result, path)
     except NoPicture as error:
         lacks["chain"] = str(error)
-    return Subject(result, measurement, chain, None if chain is None else states(result, path), lacks)
+    return Subject(result, measurement, chain, None if chain is None else states(result, path), lacks, scattered)
 
 
 def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:

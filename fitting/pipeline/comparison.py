@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ...merl_io.binary import Measurement, read
+from ...merl_io import inputs
 from ...merl_io.grid import merl_grid
+from ...merl_io.inputs import Input
+from ...merl_io.scattered import ScatteredMeasurement
 from ...model import published
 from ...model.registry import made
 from ...model.two_scale import TwoScale
@@ -20,7 +22,7 @@ from ..results.export import finite, valid_result
 from ..results.schema import Result
 from ..settings.config import Config, ConfigError, parse
 from ..support.clock import Report, Stage, silent
-from .run import fit_file
+from .run import fit_file, settled
 
 KEYS = ("material", "model", "variant", "origin", "weights", "status", "numbers")
 FIT = "fit"
@@ -87,8 +89,8 @@ def config_of(config: Config, name: str) -> Config:
 
 
 def compare_file(
-    path: Path | Measurement, names: Sequence[str], config: Config, out: Path, report: Report = silent,
-    with_published: bool = True, fit: Callable[[Measurement, Path, Config], Result] = fit_file,
+    path: Path | Input, names: Sequence[str], config: Config, out: Path, report: Report = silent,
+    with_published: bool = True, fit: Callable[[Input, Path, Config], Result] = fit_file,
 ) -> tuple[list[Row], dict[str, Result]]:  # fmt: skip
     """Rows of one file, models first, in the order of their names; results are written to ``out/MODEL/NAME.json``.
 
@@ -102,7 +104,9 @@ def compare_file(
     """
     settings = [config_of(config, name) for name in names]
     report("reading")
-    measurement = path if isinstance(path, Measurement) else read(path, dims=config.input.allowed)
+    measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, Path) else path
+    if isinstance(measurement, ScatteredMeasurement):
+        settings, with_published = [settled(measurement, each) for each in settings], False
     results: dict[str, Result] = {}
     for k, name in enumerate(names):
         report(Stage(f"{name} ({k + 1} of {len(names)} models)", k / len(names)))
@@ -112,6 +116,7 @@ def compare_file(
     rows = [row_of(result) for result in results.values() if result.model is not None]
     if with_published and (sources := sources_of(measurement.name)):
         report("published parameters")
+        assert not isinstance(measurement, ScatteredMeasurement)
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
         for source in sources:
             errors, cost = judged(source, measurement, samples, config.fit.theta_max)

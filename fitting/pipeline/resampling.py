@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from ...merl_io.samples import Samples
 from ..objective.problem import make_problem
 from ..objective.residuals import Objective
 from ..objective.weights import weighted_samples
@@ -34,12 +35,15 @@ def resample(
         raise export.ResultError(
             f"{path}: has a posterior, but its chain {chain_of(path).name} is not beside it: put it back, or fit again"
         )
+    if result.source.format != "MERL":
+        raise export.ResultError(f"{path}: is of scattered directions, whose posterior merlfit does not sample")
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = result.source.read(file)
     samples = weighted_samples(
         measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
     )
+    assert isinstance(samples, Samples)
     layout = config.layout_of(
         result.model.measured, result.model.bands
     )  # which may have been carried on with other settings

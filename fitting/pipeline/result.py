@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
-from ...merl_io.binary import Measurement
+from ...merl_io.inputs import Input
 from ...merl_io.samples import Samples
+from ...merl_io.scattered import ScatteredSamples
 from ...model.measured import Measured
 from ..assess.identifiability import identifiability
 from ..assess.outcome import Fitted, cautions, said
@@ -22,8 +23,8 @@ if TYPE_CHECKING:  # the sampler's libraries take a second to load
 
 
 def make_result(
-    measurement: Measurement,
-    samples: Samples,
+    measurement: Input,
+    samples: Samples | ScatteredSamples,
     fitted: Fitted | None,
     sampled: "Sampled | None",
     config: Config,
@@ -33,7 +34,7 @@ def make_result(
     """Everything that is known about one material, as it goes to JSON."""
     source = schema.Source(
         path=str(measurement.path), material=measurement.name, sha1=measurement.sha1,
-        git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
+        format=measurement.format, git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
         dims=measurement.dims, fraction_valid=float(measurement.valid.mean()), outliers=measurement.outliers,
     )  # fmt: skip
     bins = int(np.any(samples.weight > 0, axis=0).sum())
@@ -61,8 +62,8 @@ def make_result(
     errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, fitted.count, fitted.covariance)
     return schema.Result(
-        model=_model_part(fitted.layout, s.z), parameters=parameter_results(fitted), fit=fit_part,
-        metrics=errors, identifiability=found, posterior=None, **common,
+        model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
+        fit=fit_part, metrics=errors, identifiability=found, posterior=None, **common,
     ).model_copy(update={} if sampled is None else posterior_parts(fitted, sampled, measurement.name))  # fmt: skip
 
 
@@ -108,9 +109,9 @@ def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedRe
     return found
 
 
-def _model_part(layout: Layout, z: np.ndarray) -> schema.Model:
+def _model_part(layout: Layout, z: np.ndarray, colour_space: schema.ColourSpace) -> schema.Model:
     measured = layout.model if isinstance(layout.model, Measured) else Measured(layout.model, "off")
-    return schema.Model.of(measured, layout.values(jnp.asarray(z)), layout.bands)
+    return schema.Model.of(measured, layout.values(jnp.asarray(z)), layout.bands, colour_space)
 
 
 def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, object]:

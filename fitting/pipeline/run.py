@@ -10,15 +10,20 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from ...merl_io.binary import Measurement, read
+from ...merl_io import inputs, scattered
+from ...merl_io.binary import Measurement, MerlError
+from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
+from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.reflectance import Clues
 from ..assess import metrics
+from ..assess import scattered as judged
 from ..assess.outcome import Fitted
 from ..assess.published import judge
 from ..assess.selection import choose, nearest, score
-from ..objective.problem import Problem, directions, make_problem
-from ..objective.residuals import Objective, predict
+from ..objective.problem import Problem, make_problem
+from ..objective.residuals import Objective
+from ..objective.residuals import predict_samples as predicted_by
 from ..objective.transforms import Layout
 from ..objective.weights import THETA_MAX, weighted_samples
 from ..results import export, schema
@@ -36,6 +41,10 @@ GRIDS = {"fine": (1, 1, 1), "medium": ((*(1,) * 12, *(3,) * 26), 3, 1), "coarse"
 COARSE_AZIMUTHS, COARSE_ORDER = 4, 16  # nodes of a row, order of the convolution
 CANDIDATES = ((1, 1, 1, 1, 2, 3, 3, *(13,) * 6), 10, 1)  # 13 x 9 rows, to compare starting points
 CANDIDATE_AZIMUTHS, CANDIDATE_ORDER = 2, 8
+# Of scattered samples: how many of them do for these grids, candidates in columns of about one theta_d; or which share.
+SCATTERED, COLUMNS = {COARSE: 1536, CANDIDATES: 240}, 12
+SHARES_OF = {GRIDS["fine"]: 1, GRIDS["medium"]: 7}
+AnySamples = Samples | ScatteredSamples
 # The race on the coarse grid, steps and runners: most basins tell themselves apart within ten steps.
 RUNNERS_EACH, FIRST_LAP, SECOND_LAP = 3, 6, 14  # the first: runners for each of `fit.starts`, which run the second lap
 FAR = 1.6, 1.3  # times the lowest after the first and after the second lap: who is so much behind gives up
@@ -44,13 +53,13 @@ Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, schema.Accuracy 
 
 
 def fit_file(
-    path: str | os.PathLike[str] | Measurement,
+    path: str | os.PathLike[str] | Input,
     out: str | os.PathLike[str],
     config: Config,
     report: Report = silent,
     finish: Finish | None = None,
 ) -> schema.Result:
-    """Fit one MERL file, or what was read of it, and sample its posterior: ``out/NAME.json`` and the chain beside it.
+    """Fit one file, or what was read of it, and sample its posterior: ``out/NAME.json`` and the chain beside it.
 
     Args:
         report: told in a few words what is being done.
@@ -62,12 +71,15 @@ def fit_file(
     clock = Clock()
     with clock.stage("read"):
         report("reading")
-        measurement = path if isinstance(path, Measurement) else read(path, dims=config.input.allowed)
+        measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
+        if isinstance(measurement, ScatteredMeasurement):
+            config = settled(measurement, config, finish)
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
     if fitted is not None and fitted.bend != config.rungs[0]:
         samples = weighted_samples(measurement, fitted.bend, config.fit.theta_max)
-    if fitted is not None and finish is not None:
+    if fitted is not None and finish is not None and isinstance(measurement, Measurement):
+        assert isinstance(samples, Samples)
         with clock.stage("accuracy"):
             report("accuracy")
             fitted, accuracy = finish(fitted, measurement, samples)
@@ -77,6 +89,7 @@ def fit_file(
     target = out / f"{measurement.name}.json"
     export.write_result(target, result)  # before the sampling, which may be interrupted
     if fitted is not None and config.posterior.enabled and fitted.status.succeeded:
+        assert isinstance(samples, Samples)
         with clock.stage("posterior"):
             try:
                 from ..posterior.sampling import sample  # its libraries take a second to load
@@ -93,8 +106,8 @@ def fit_file(
 
 @one_core_a_call
 def fit(
-    measurement: Measurement,
-    samples: Samples,
+    measurement: Input,
+    samples: AnySamples,
     config: Config,
     report: Report = silent,
     clock: Clock | None = None,
@@ -127,7 +140,7 @@ def fit(
 
 @one_core_a_call
 def descend(
-    layout: Layout, z: np.ndarray, measurement: Measurement, samples: Samples, config: Config, clock: Clock
+    layout: Layout, z: np.ndarray, measurement: Input, samples: AnySamples, config: Config, clock: Clock
 ) -> list[Fitted]:
     """The last grid, with one weight after the other, each from where the one before it ended.
 
@@ -155,18 +168,41 @@ def chain_of(result: Path) -> Path:
     return result.with_name(f"{result.stem}.chain.npz")
 
 
-def thinned(samples: Samples, runs: tuple[Runs, Runs, Runs]) -> Samples:
-    """`thin` by runs of MERL's bins, or by what corresponds to them on another grid."""
-    return thin(samples, runs_for(samples, runs))
+def settled(measurement: ScatteredMeasurement, config: Config, finish: object = None) -> Config:
+    """Settings for scattered directions.
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: they ask for what there is not without a grid.
+    """
+    if config.fit.weights == "adaptive":
+        raise MerlError(
+            f"{measurement.path}: holds scattered directions, of which no picture is rendered, and --weights adaptive "
+            "compares pictures: choose compressive, log or none"
+        )
+    if finish is not None:
+        raise MerlError(
+            f"{measurement.path}: holds scattered directions, and --accuracy and --time are calibrated on MERL's grid: "
+            "leave them out"
+        )
+    return config.for_scattered
 
 
-def make_coarse(samples: Samples) -> tuple[Problem, Problem]:
+def thinned(samples: AnySamples, runs: tuple[Runs, Runs, Runs]) -> AnySamples:
+    """`thin` by runs of MERL's bins, or by what corresponds to them on another grid or among scattered samples."""
+    if isinstance(samples, Samples):
+        return thin(samples, runs_for(samples, runs))
+    if runs in SCATTERED:
+        return scattered.thin(samples, SCATTERED[runs])
+    return scattered.thin(samples, max(SCATTERED[COARSE], len(samples.theta_h) // SHARES_OF[runs]))
+
+
+def make_coarse(samples: AnySamples) -> tuple[Problem, Problem]:
     """Problems of the race and of the candidates for its starting points."""
-    few = thinned(samples, CANDIDATES)
-    return make_problem(thinned(samples, COARSE), COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS)
+    few, coarse = thinned(samples, CANDIDATES), thinned(samples, COARSE)
+    return make_problem(coarse, COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS, columns=COLUMNS)
 
 
-def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> tuple[list[schema.Candidate], int]:
+def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -> tuple[list[schema.Candidate], int]:
     """Fits of the same samples, the simplest model first, and which of them to take (`selection`)."""
     materials = [layout.material for layout in layouts]
     if len(found) == 1:
@@ -175,7 +211,8 @@ def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> t
     predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
     objectives = [float(np.nan_to_num(s.objective, nan=np.inf)) for s in found]
     count = count_of(samples, predicted[int(np.argmin(objectives))])
-    roots = [metrics.cube_root_error(samples, p) for p in predicted]
+    cube_root = judged.cube_root_error if isinstance(samples, ScatteredSamples) else metrics.cube_root_error
+    roots = [cube_root(samples, p) for p in predicted]  # pyright: ignore[reportArgumentType] - each of its own kind
     scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
     candidates = [
         schema.Candidate(
@@ -188,7 +225,7 @@ def compare(layouts: list[Layout], found: list[Solution], samples: Samples) -> t
 
 
 def assess(
-    layout: Layout, solution: Solution, measurement: Measurement, samples: Samples, theta_max: float = THETA_MAX
+    layout: Layout, solution: Solution, measurement: Input, samples: AnySamples, theta_max: float = THETA_MAX
 ) -> Fitted:
     """A solution with its cost on all bins, its errors and the effective count of its residuals."""
     predicted = predict_samples(layout, solution.z, samples)
@@ -289,12 +326,13 @@ def cheaper(layout: Layout, order: int) -> Layout:
     return replace(layout, model=layout.model.coarse(order))
 
 
-def predict_samples(layout: Layout, z: np.ndarray, samples: Samples) -> np.ndarray:
-    """Prediction with the acquisition's loss on the grid of ``samples``, (C, H, D, P), 1/sr."""
-    where = directions(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o, samples.bands)
-    return predict(layout.model, layout.values(jnp.asarray(z)), where)
+def predict_samples(layout: Layout, z: np.ndarray, samples: AnySamples) -> np.ndarray:
+    """Prediction with the acquisition's loss, 1/sr, of the shape of the values of ``samples``."""
+    return predicted_by(layout.model, layout.values(jnp.asarray(z)), samples)
 
 
-def count_of(samples: Samples, predicted: np.ndarray) -> float:
+def count_of(samples: AnySamples, predicted: np.ndarray) -> float:
     """Effective sample count of the residuals."""
+    if isinstance(samples, ScatteredSamples):
+        return judged.effective_count(samples, predicted)
     return metrics.effective_count(np.sqrt(samples.weight) * (samples.value - predicted), samples.weight > 0)

@@ -134,7 +134,9 @@ def make_page(job: Job) -> list[str]:
     if job.origin is not None:
         result.config["input"] = {**result.config.get("input", {}), "origin": job.origin}  # which its page then repeats
     page, lacks = _page_of(job, result), []
-    if result.model is not None:
+    if result.source.format != "MERL":
+        lacks = ["pictures and charts: the file holds scattered directions; `merlfit inspect` draws its samples"]
+    elif result.model is not None:
         subject = subject_of(result, job.path, job.file or file_of(job.path, result))
         said = {"measurement": "the file is not shown", "chain": "the posterior is not shown"}
         lacks = [f"{said[what]}: {why}" for what, why in subject.lacks.items() if what != "chain" or result.posterior]

@@ -21,8 +21,8 @@ from pydantic import (
     model_validator,
 )
 
-from ...merl_io.bands import Bands
-from ...merl_io.binary import Measurement, read
+from ...merl_io import inputs
+from ...merl_io.bands import Bands, ColourSpace
 from ...model.acquisition import APPARATUS, Apparatus
 from ...model.measured import GrazingLoss, Measured
 from ...model.reflectance import Reflectance, Values
@@ -79,6 +79,8 @@ def _same_length(first: str, size: int, **lists: Sized) -> None:
 class Source(_Part):
     """Where the data came from."""
 
+    format: Literal["MERL", "table"]
+    """Of the file: bins as MERL has them, or a table of scattered directions (docs/tables.md)."""
     path: Text
     """File that was fitted, as it was named; relative to where the fit ran, unless it is absolute."""
     material: FileName
@@ -90,19 +92,19 @@ class Source(_Part):
     genuine_merl: str | None
     """Name of the MERL material whose published file this is, bit by bit; null for any other file."""
     dims: tuple[int, int, int] | None
-    """Numbers of bins of theta_h, theta_d and phi_d in the file."""
+    """Numbers of bins of theta_h, theta_d and phi_d in the file; null of scattered directions."""
     fraction_valid: float
-    """Share of the bins that hold a datum in every channel."""
-    outliers: int
-    """Number of valid bins that are very much brighter than their neighbours."""
+    """Share of the bins that hold a datum in every channel; of scattered directions that of values that are data."""
+    outliers: int | None
+    """Number of valid bins that are very much brighter than their neighbours; null of scattered directions."""
 
-    def read(self, file: Path) -> Measurement:
+    def read(self, file: Path) -> inputs.Input:
         """The data again, from a file that has to be the one that was fitted.
 
         Raises:
             merlfit.merl_io.binary.MerlError: it cannot be used, or is another one.
         """
-        return read(file, self.sha1, self.dims)
+        return inputs.read(file, self.sha1, self.dims)
 
 
 class Acquisition(_Part):
@@ -129,7 +131,7 @@ class Model(_Part):
     """What the apparatus does to the material."""
     channels: Many[str]
     """Names of the colour channels; lists by channel have this order."""
-    colour_space: Literal["linear RGB of MERL, as stored"] = "linear RGB of MERL, as stored"
+    colour_space: ColourSpace = "linear RGB of MERL, as stored"
     """Colour space of channels and albedos. The files have no white point of their own; nothing is converted."""
     wavelengths_um: Many[float]
     """Wavelength that stands for each channel (micrometres)."""
@@ -150,7 +152,9 @@ class Model(_Part):
         return self
 
     @classmethod
-    def of(cls, model: Measured, values: Values, bands: Bands) -> Self:
+    def of(
+        cls, model: Measured, values: Values, bands: Bands, colour_space: ColourSpace = "linear RGB of MERL, as stored"
+    ) -> Self:
         """What a fit with these parameter values was of."""
         material, derived = model.material, model.grazing_loss == "derived"
         return cls(
@@ -160,7 +164,7 @@ class Model(_Part):
                 grazing_loss=model.grazing_loss, apparatus=model.apparatus if derived else None,
                 exponents={lobe: float(model.exponent(lobe, values, bands.wavelengths_um)) for lobe in model.lobes},
             ),
-            channels=list(bands.names), wavelengths_um=list(bands.wavelengths_um),
+            channels=list(bands.names), colour_space=colour_space, wavelengths_um=list(bands.wavelengths_um),
         )  # fmt: skip
 
     @cached_property
@@ -506,7 +510,7 @@ class Result(_Part):
     """Version of this format. Older ones are read as this one: 1.0 had no `accuracy`; 1.1 no `identifiability` and no
     `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
     and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`;
-    2.1 no `source.dims`."""
+    2.1 no `source.dims` and `source.format`."""
     run: Run | None = Field(default_factory=this_run)
     """When and how it was computed; null before version 1.4."""
     source: Source

@@ -9,13 +9,13 @@ def upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
     """An older version as 2.2; what is missing or wrong is left for the reader of that to complain about.
 
     1.x knew the two-scale model alone, and had the acquisition among its effects; 2.0 lacked a field that may be null;
-    before 2.2 no file had other dims than MERL's.
+    before 2.2 every file was MERL's.
     """
     if not isinstance(data, dict):
         return data
     found = {**data, "schema_version": "2.2"}
     if isinstance(source := data.get("source"), dict):
-        found["source"] = {"dims": DIMS, **source}
+        found["source"] = {"format": "MERL", "dims": DIMS, **source}
     if data.get("schema_version") in ("2.0", "2.1"):
         return found
     model, fit, config = (data.get(key) for key in ("model", "fit", "config"))

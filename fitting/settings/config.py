@@ -26,7 +26,7 @@ from ..objective.weights import RUNGS, THETA_MAX, Bend, Weights
 from ..solve.levenberg_marquardt import Backend
 
 UNIONS = {
-    "acquisition.grazing_loss": "'off', 'free', 'derived' or a number in [0, 1]",
+    "acquisition.grazing_loss": "'auto', 'off', 'free', 'derived' or a number in [0, 1]",
     "model.name": "a model's name, or a list of them",
 }
 MOVED = {"effects.acquisition": "acquisition.grazing_loss"}
@@ -137,9 +137,14 @@ class EffectsSection(_Section):
 
 
 class AcquisitionSection(_Section):
-    """[acquisition]: what the apparatus does to a material (:class:`merlfit.model.measured.Measured`)."""
+    """[acquisition]: what the apparatus does to a material (:class:`merlfit.model.measured.Measured`).
 
-    grazing_loss: GrazingLoss | Annotated[float, Field(ge=0, le=1)] = "free"
+    Attributes:
+        grazing_loss: ``auto`` is ``free`` on files like MERL's and ``off`` on scattered directions, which another
+            apparatus measured.
+    """
+
+    grazing_loss: Literal["auto"] | GrazingLoss | Annotated[float, Field(ge=0, le=1)] = "auto"
 
 
 class ApparatusSection(_Section):
@@ -296,7 +301,16 @@ class Config(_Section):
 
     def measured(self, material: Reflectance) -> Measured:
         """A material as the apparatus sees it."""
-        return Measured(material, self.acquisition.grazing_loss, Apparatus(**self.apparatus.model_dump()))
+        loss = self.acquisition.grazing_loss
+        return Measured(material, "free" if loss == "auto" else loss, Apparatus(**self.apparatus.model_dump()))
+
+    @property
+    def for_scattered(self) -> "Config":
+        """The same for scattered directions: without MERL's loss unless it is asked for, and without a posterior."""
+        found = self.model_copy(update={"posterior": self.posterior.model_copy(update={"enabled": False})})
+        if self.acquisition.grazing_loss != "auto" or not any(model.lobes for model in self.candidates):
+            return found
+        return found.model_copy(update={"acquisition": AcquisitionSection(grazing_loss="off")})
 
     def layout_of(self, model: Reflectance, bands: Bands = MERL) -> Layout:
         """The parameters of a model to fit, in the coordinates that the priors make."""

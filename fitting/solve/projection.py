@@ -112,7 +112,7 @@ def _added(parts: Sequence[T]) -> T:
 def _project(parted: Separated, problem: Problem, sums: Sums) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Of one model and batch, and only what is per channel."""
     squares, products, energy = sums[:3]
-    cos_d = tuple(np.cos(np.asarray(problem.parts[0].directions.geometry.theta_d[0, 0, :, 0])).tolist())
+    cos_d = tuple(_columns(problem).tolist())
     constants = tuple((name, tuple(x.tolist())) for name, x in parted.constants.items())
     reflectance = _reflectances(parted.reflectance, constants, cos_d)  # (tried, D)
     lobes = energy[:, None] - 2 * products @ reflectance.T + squares @ (reflectance**2).T  # (N, C, tried)
@@ -131,6 +131,12 @@ def _project(parted: Separated, problem: Problem, sums: Sums) -> tuple[np.ndarra
     if under is not None:
         found[parted.albedo] = ALBEDOS[np.argmin(chosen, -1)]
     return chosen.min(-1).sum(-1) + rest, found
+
+
+def _columns(problem: Problem) -> np.ndarray:
+    """cos(theta_d) of every column, (D,): of scattered directions, which it is alike for, the mean."""
+    cosines = np.cos(np.asarray(problem.parts[0].directions.geometry.theta_d[0, :, :, 0]))
+    return cosines[0] if len(cosines) == 1 else cosines.mean(0)
 
 
 @cache

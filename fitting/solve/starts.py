@@ -17,6 +17,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats.qmc import Sobol
 
 from ...merl_io.samples import Samples
+from ...merl_io.scattered import ScatteredSamples
 from ...model.reflectance import Clues
 from ..objective.problem import Problem
 from ..objective.residuals import Objective
@@ -28,12 +29,15 @@ OWN = 16  # points of the parameters per channel, for every candidate whose chan
 NEAR = 0.3  # standard deviation of the coordinates that another reading of the clues fixes
 SCATTER = 1.5  # standard deviation of candidates in units of the prior's
 DARK_QUANTILE = 0.1  # of the bins away from the lobe: taken for the body
+LEAST_THETA_D, NEAREST, GROUPS = np.radians(15.0), 0.25, 40  # of scattered samples that show the highlight's width
 RIM = 1e-3  # of the places of candidates between 0 and 1
 Found = tuple[np.ndarray, dict[str, np.ndarray]]
 
 
-def clues_of(samples: Samples) -> Clues:
+def clues_of(samples: Samples | ScatteredSamples) -> Clues:
     """What the data say of where to start."""
+    if isinstance(samples, ScatteredSamples):
+        return Clues(_scattered_half_width(samples))
     return Clues(half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0))
 
 
@@ -50,6 +54,21 @@ def half_width(theta_h: np.ndarray, theta_d: np.ndarray, value: np.ndarray, used
     away = away if away.any() else used[0]
     dark = np.array([np.quantile(plane[away], DARK_QUANTILE) if away.any() else 0.0 for plane in value])
     brightness = np.maximum(lobe - dark[:, None], 0.0).mean(0)
+    below = np.flatnonzero(brightness < brightness[:2].max() / 2)
+    tangent = np.tan(np.minimum(theta_h, 1.5))
+    return float(np.clip(tangent[below[0]] if len(below) and below[0] > 0 else tangent[0], 2e-3, 2.0))
+
+
+def _scattered_half_width(samples: ScatteredSamples) -> float:
+    """The same of samples in no rows: groups of them by theta_h, from those whose theta_d is among the smallest."""
+    near = samples.theta_d <= max(LEAST_THETA_D, float(np.quantile(samples.theta_d, NEAREST)))
+    rank = np.argsort(samples.theta_h[near], kind="stable")
+    groups = np.array_split(rank, min(GROUPS, len(rank)))
+    theta_h = np.array([samples.theta_h[near][group].mean() for group in groups])
+    counted = samples.weight[:, near] > 0
+    value = np.where(counted, samples.value[:, near], 0.0)
+    lobe = np.array([value[:, g].sum(1) / np.maximum(counted[:, g].sum(1), 1) for g in groups])  # (G, C)
+    brightness = np.maximum(lobe - np.quantile(lobe, DARK_QUANTILE, axis=0), 0.0).mean(1)
     below = np.flatnonzero(brightness < brightness[:2].max() / 2)
     tangent = np.tan(np.minimum(theta_h, 1.5))
     return float(np.clip(tangent[below[0]] if len(below) and below[0] > 0 else tangent[0], 2e-3, 2.0))

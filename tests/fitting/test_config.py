@@ -28,7 +28,10 @@ ROOT = Path(__file__).parents[2]
         ("[fit\n", "is not TOML"),
         ('[fit]\nmax_steps = "40"\n', "fit.max_steps"),
         ("[effects]\norder = true\n", "effects.order"),
-        ("[acquisition]\ngrazing_loss = 2\n", "grazing_loss: should be 'off', 'free', 'derived' or a number in"),
+        (
+            "[acquisition]\ngrazing_loss = 2\n",
+            "grazing_loss: should be 'auto', 'off', 'free', 'derived' or a",
+        ),
         ("seed = -1\n", "seed"),
         ('[effects]\nindex = "usual"\n', "effects.index"),
         ('[fit]\nweights = "squared"\n', "fit.weights"),
@@ -86,7 +89,7 @@ def test_settings_of_effects_are_those_of_the_model():
 
 
 def test_settings_of_the_acquisition_are_those_of_the_model():
-    assert Config().acquisition.grazing_loss == Measured.grazing_loss
+    assert {model.grazing_loss for model in Config().candidates} == {Measured.grazing_loss}
     assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
     derived = {"acquisition": {"grazing_loss": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
     lamp = parse(derived, "here").two_scale(("complex", "none"))
@@ -185,7 +188,10 @@ def test_models_are_candidates_the_fewest_parameters_first():
             {"model": {"name": "oren-nayar-qualitative"}, "acquisition": {"grazing_loss": 0.5}},
             "of which the model has no",
         ),
-        ({"acquisition": {"grazing_loss": 2}}, "acquisition.grazing_loss: should be 'off', 'free', 'derived' or a"),
+        (
+            {"acquisition": {"grazing_loss": 2}},
+            "acquisition.grazing_loss: should be 'auto', 'off', 'free', 'derived'",
+        ),
     ],
     ids=str,
 )

@@ -1,0 +1,30 @@
+"""Measurements in files of any format that is read: by the ending of their names."""
+
+import os
+from pathlib import Path
+
+from . import binary, table
+from .binary import Dims, Measurement
+from .scattered import ScatteredMeasurement
+
+Input = Measurement | ScatteredMeasurement
+TABLES = (".csv", ".npz")
+
+
+def is_scattered(path: str | os.PathLike[str]) -> bool:
+    """Whether a file of this name holds scattered directions; every other one is read as MERL's."""
+    return Path(path).suffix.lower() in TABLES
+
+
+def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dims | None = None) -> Input:
+    """Read a measurement.
+
+    Args:
+        fitted_sha1: of the file that was fitted, if it must be that one. dims: as of `binary.read`.
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: it cannot be used; the message is one line.
+    """
+    if is_scattered(path):
+        return table.read(Path(path), fitted_sha1)
+    return binary.read(path, fitted_sha1, dims)

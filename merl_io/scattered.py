@@ -1,0 +1,151 @@
+"""Measurements and samples in directions of no grid: each sample has a direction of light and one of viewer.
+
+Nothing is resampled. The share of the fitting measure that a sample stands for cannot be known of scattered directions;
+it is what the file says (a weight), or the same for every sample.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from .bands import MERL, Bands, ColourSpace
+
+LEAF = 4  # samples that need no order among themselves
+
+
+@dataclass(frozen=True)
+class ScatteredMeasurement:
+    """One measured material.
+
+    Attributes:
+        path: where it was read. format: of the file.
+        theta_i, theta_o: of light and viewer (rad), (N,). phi: difference of their azimuths (rad), pi in the mirror's
+            direction, (N,). values: BRDF (1/sr), (C, N), NaN where there is no datum.
+        share: of the fitting measure, in any unit, (N,).
+        bands: of the values. left_out: how many wavelengths of the file are not read.
+        sha1, blob_sha1: as of `binary.Measurement`.
+    """
+
+    path: Path
+    format: Literal["table"]
+    theta_i: np.ndarray
+    theta_o: np.ndarray
+    phi: np.ndarray
+    values: np.ndarray
+    share: np.ndarray
+    bands: Bands
+    sha1: str
+    blob_sha1: str
+    left_out: int = 0
+    dims: None = None
+    genuine: None = None
+    outliers: None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the material: that of the file without its ending."""
+        return self.path.stem
+
+    @cached_property
+    def valid(self) -> np.ndarray:
+        """Which values are data, (C, N)."""
+        return np.isfinite(self.values)
+
+    @property
+    def colour_space(self) -> ColourSpace:
+        """Of the channels."""
+        return "linear RGB, as stored" if self.bands.names == MERL.names else "none: a channel is a wavelength"
+
+
+@dataclass(frozen=True)
+class ScatteredSamples:
+    """Samples with weights, in an order in which neighbours have like directions (`order`).
+
+    Attributes:
+        theta_h, theta_d: (rad), (S,). cos_i, cos_o: of light and viewer, (S,).
+        value: BRDF (1/sr), (C, S), 0 where no datum is valid. weight: (C, S), 0 there. share: see above, (S,).
+        bands: of the channels. scatter: of folding, which there is none of.
+    """
+
+    theta_h: np.ndarray
+    theta_d: np.ndarray
+    cos_i: np.ndarray
+    cos_o: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+    share: np.ndarray
+    bands: Bands
+    scatter: float = 0.0
+
+    def taken(self, rows: np.ndarray) -> "ScatteredSamples":
+        """Some of them, in another order."""
+        return replace(
+            self, theta_h=self.theta_h[rows], theta_d=self.theta_d[rows], cos_i=self.cos_i[rows],
+            cos_o=self.cos_o[rows], value=self.value[:, rows], weight=self.weight[:, rows], share=self.share[rows],
+        )  # fmt: skip
+
+
+def half_difference(
+    theta_i: np.ndarray, theta_o: np.ndarray, phi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rusinkiewicz' theta_h, theta_d and phi_d (rad), the last one folded to [0, pi/2], of pairs of directions."""
+    i = np.stack([np.sin(theta_i), np.zeros_like(theta_i), np.cos(theta_i)], -1)
+    o = np.stack([np.sin(theta_o) * np.cos(phi), np.sin(theta_o) * np.sin(phi), np.cos(theta_o)], -1)
+    h = i + o
+    theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    theta_d = np.arctan2(np.linalg.norm(i - o, axis=-1), np.linalg.norm(h, axis=-1))
+    across = 2 * np.sin(theta_h) * np.sin(theta_d)
+    cos_phi = np.abs(o[..., 2] - i[..., 2]) / np.maximum(across, 1e-12)
+    return theta_h, theta_d, np.arccos(np.clip(cos_phi, 0, 1))
+
+
+def scattered(
+    measured: ScatteredMeasurement, values: np.ndarray, weight: np.ndarray, used: np.ndarray
+) -> ScatteredSamples:
+    """Samples in order, without those that have no weight in any channel.
+
+    Args:
+        values, weight: (C, N), anything where not used. used: which of them count, (C, N).
+    """
+    some = used.any(0)
+    angles = [x[some] for x in (measured.theta_i, measured.theta_o, measured.phi)]
+    theta_h, theta_d, phi_d = half_difference(*angles)
+    found = ScatteredSamples(
+        theta_h, theta_d, np.cos(angles[0]), np.cos(angles[1]), np.where(used, values, 0.0)[:, some],
+        np.where(used, weight, 0.0)[:, some], measured.share[some], measured.bands,
+    )  # fmt: skip
+    return found.taken(order(np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2)))
+
+
+def order(points: np.ndarray) -> np.ndarray:
+    """A permutation of points (3, N) in which any dyadic run is a box: halves by the widest extent, again and again."""
+    found, waiting = [], [np.arange(points.shape[1])]
+    while waiting:
+        rows = waiting.pop()
+        if len(rows) <= LEAF:
+            found.append(rows)
+            continue
+        inside = points[:, rows]
+        widest = int(np.argmax(np.ptp(inside, axis=1)))
+        ranked = rows[np.argsort(inside[widest], kind="stable")]
+        waiting += [ranked[len(rows) // 2 :], ranked[: len(rows) // 2]]
+    return np.concatenate(found) if found else np.arange(0)
+
+
+def thin(samples: ScatteredSamples, count: int) -> ScatteredSamples:
+    """So many samples at the most: of every run of neighbours its middle one, which stands for the share of all.
+
+    Values are not averaged.
+    """
+    size = len(samples.theta_h)
+    if size <= count:
+        return samples
+    edges = np.round(np.linspace(0, size, count + 1)).astype(int)
+    middle = (edges[:-1] + edges[1:]) // 2
+    whole = np.add.reduceat(samples.share, edges[:-1])
+    found = samples.taken(middle)
+    factor = np.where(found.share > 0, whole / np.where(found.share > 0, found.share, 1.0), 0.0)
+    return replace(found, weight=found.weight * factor, share=whole)

@@ -1,0 +1,197 @@
+"""Tables of scattered directions, CSV or NPZ, one column a wavelength: docs/tables.md is the format."""
+
+import csv
+import hashlib
+import io
+import math
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from .bands import MERL, Bands
+from .binary import MerlError
+from .scattered import ScatteredMeasurement
+
+ANGLES = ("theta_i_deg", "theta_o_deg", "phi_deg")
+WEIGHT = "weight"
+LARGEST = 2**30  # bytes of an archive's arrays
+PLAUSIBLE_UM = 0.1, 10.0
+UNITS_UM = {"nm": 1e-3, "um": 1.0}
+
+
+def contents(path: Path, fitted_sha1: str | None = None) -> tuple[bytes, str, str]:
+    """Bytes of a file, their SHA-1 and that of git's blob.
+
+    Raises:
+        MerlError: it cannot be read, or is not the one that was fitted.
+    """
+    try:
+        if path.is_dir():
+            raise MerlError(f"{path}: is a directory; name the files in it")
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise MerlError(f"{path}: no such file") from None
+    except PermissionError:
+        raise MerlError(f"{path}: no permission to read it; check its mode and owner") from None
+    except OSError as error:
+        raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except MerlError:
+        raise
+    except ValueError:  # a NUL in it
+        raise MerlError(f"{str(path)!r}: is not the name of a file") from None
+    sha1 = hashlib.sha1(data).hexdigest()
+    if fitted_sha1 not in (None, sha1):
+        raise MerlError(f"{path}: is not the file that was fitted (other SHA-1)")
+    return data, sha1, hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
+
+
+def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasurement:
+    """Read a table.
+
+    Raises:
+        MerlError: it cannot be read, or is none; the message names the line, the column and what is wrong.
+    """
+    path = Path(path)
+    data, sha1, blob = contents(path, fitted_sha1)
+    columns, values, bands = (_npz if path.suffix.lower() == ".npz" else _csv)(path, data)
+    _check(path, columns, values)
+    values = np.where(values >= 0, values, np.nan)
+    share = columns.get(WEIGHT, np.ones(values.shape[1]))
+    if not np.any(np.isfinite(values) & (share > 0)):
+        raise MerlError(f"{path}: holds no datum: every value is negative, or has no weight")
+    theta_i, theta_o, phi = (np.radians(columns[name]) for name in ANGLES)
+    return ScatteredMeasurement(path, "table", theta_i, theta_o, phi, values, share, bands, sha1, blob)
+
+
+def bands_of(path: Path, names: list[str]) -> Bands:
+    """Channels by the names of their columns: ``550nm`` or ``0.55um``, or R, G and B.
+
+    Raises:
+        MerlError: something else, or two of the same.
+    """
+    if tuple(names) == MERL.names:
+        return MERL
+    found = []
+    for name in names:
+        match = re.fullmatch(r"(\d+\.?\d*|\.\d+)(nm|um)", name)
+        if match is None:
+            raise MerlError(
+                f"{path}: column {name!r} is none of {', '.join(ANGLES)}, {WEIGHT}, a wavelength such as 550nm or "
+                "0.55um, or R, G and B"
+            )
+        found.append(round(float(match[1]) * UNITS_UM[match[2]], 9))
+    return spectral(path, found)
+
+
+def spectral(path: Path, wavelengths_um: list[float]) -> Bands:
+    """Bands of wavelengths, named after these.
+
+    Raises:
+        MerlError: there are none, two are the same, or one is none.
+    """
+    for x in wavelengths_um:
+        if not (math.isfinite(x) and PLAUSIBLE_UM[0] <= x <= PLAUSIBLE_UM[1]):
+            raise MerlError(f"{path}: wavelength {x:g} um is not between {PLAUSIBLE_UM[0]:g} and {PLAUSIBLE_UM[1]:g}")
+    names = tuple(f"{round(1e3 * x, 4):g}nm" for x in wavelengths_um)
+    if not names:
+        raise MerlError(f"{path}: has no column of values, such as 550nm")
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise MerlError(f"{path}: wavelength {twice[0]} is there twice")
+    return Bands(names, tuple(wavelengths_um))
+
+
+Read = tuple[dict[str, np.ndarray], np.ndarray, Bands]  # angles and weights by name (N,), values (C, N), bands
+
+
+def _csv(path: Path, data: bytes) -> Read:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise MerlError(f"{path}: is not a table: it is no UTF-8 text") from None
+    lines = enumerate(csv.reader(io.StringIO(text, newline="")), 1)
+    head, rows = None, []
+    try:
+        for number, cells in lines:
+            if not cells or cells[0].lstrip().startswith("#"):
+                continue
+            if head is None:
+                head = _heads(path, cells)
+                continue
+            rows.append(_numbers(path, number, head, cells))
+    except csv.Error as error:
+        raise MerlError(f"{path}: is not a table: {error}") from None
+    if head is None or not rows:
+        raise MerlError(f"{path}: is not a table: it has {'no lines of numbers' if head else 'no line of names'}")
+    table = np.array(rows).T
+    columns = {name: table[k] for k, name in enumerate(head) if name in (*ANGLES, WEIGHT)}
+    channels = [k for k, name in enumerate(head) if name not in columns]
+    return columns, table[channels], bands_of(path, [head[k] for k in channels])
+
+
+def _heads(path: Path, cells: list[str]) -> list[str]:
+    head = [cell.strip() for cell in cells]
+    if missing := [name for name in ANGLES if name not in head]:
+        raise MerlError(f"{path}: its first line names no column {missing[0]}; it needs {', '.join(ANGLES)}")
+    if twice := [name for k, name in enumerate(head) if name in head[:k]]:
+        raise MerlError(f"{path}: column {twice[0]!r} is there twice")
+    return head
+
+
+def _numbers(path: Path, line: int, head: list[str], cells: list[str]) -> list[float]:
+    if len(cells) != len(head):
+        raise MerlError(f"{path}: line {line} has {len(cells)} cells, and there are {len(head)} columns")
+    try:
+        found = [float(cell) for cell in cells]
+    except ValueError:
+        found = [_number(cell) for cell in cells]
+    for name, cell, x in zip(head, cells, found, strict=True):
+        if not math.isfinite(x):
+            raise MerlError(f"{path}: line {line}: {name} is {cell.strip()!r}, not a finite number")
+    return found
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def _npz(path: Path, data: bytes) -> Read:
+    names = (*ANGLES, "wavelengths_um", "values", WEIGHT)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(info.file_size for info in archive.infolist())
+        if size > LARGEST:
+            raise MerlError(f"{path}: holds {size} bytes, more than the {LARGEST} that a table may have")
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            found = {name: np.asarray(arrays[name], float) for name in names if name in arrays.files}
+    except MerlError:
+        raise
+    except Exception as error:  # of any kind: zipfile, zlib and NumPy raise many
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise MerlError(f"{path}: is not a readable NPZ archive of numbers ({said})") from None
+    if missing := [name for name in names if name not in found and name != WEIGHT]:
+        raise MerlError(f"{path}: has no array {missing[0]}; it needs {', '.join(names[:-1])}")
+    count, channels = len(np.atleast_1d(found[ANGLES[0]])), found["wavelengths_um"].size
+    shapes = {**dict.fromkeys((*ANGLES, WEIGHT), (count,)), "wavelengths_um": (channels,), "values": (count, channels)}
+    for name, x in found.items():
+        if x.shape != shapes[name]:
+            raise MerlError(f"{path}: array {name} has shape {x.shape}, not {shapes[name]}")
+        if (bad := np.argwhere(~np.isfinite(x))).size:
+            raise MerlError(f"{path}: array {name} is not a finite number at {tuple(bad[0].tolist())}")
+    if not count:
+        raise MerlError(f"{path}: holds no samples")
+    bands = spectral(path, found.pop("wavelengths_um").tolist())
+    return found, found.pop("values").T, bands
+
+
+def _check(path: Path, columns: dict[str, np.ndarray], values: np.ndarray) -> None:
+    """Refuse directions below the horizon and weights that are none."""
+    for name in ANGLES[:2]:
+        if (bad := np.flatnonzero((columns[name] < 0) | (columns[name] >= 90))).size:
+            raise MerlError(f"{path}: sample {bad[0] + 1}: {name} {columns[name][bad[0]]:g} is not in [0, 90)")
+    if WEIGHT in columns and (bad := np.flatnonzero(columns[WEIGHT] < 0)).size:
+        raise MerlError(f"{path}: sample {bad[0] + 1}: weight {columns[WEIGHT][bad[0]]:g} is negative")

@@ -1,0 +1,204 @@
+"""Scattered directions of any number of wavelengths: cost and slopes, recovery, and the commands."""
+
+import csv
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import spectral
+from merlfit.fitting import cli
+from merlfit.fitting.assess import scattered as assess
+from merlfit.fitting.objective.problem import Arrangement, make_problem
+from merlfit.fitting.objective.residuals import Objective, predict_samples
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.objective.weights import compressive_weight, cos_weighted_median, weighted_samples
+from merlfit.fitting.pipeline.run import fit_file
+from merlfit.fitting.results.export import read_result
+from merlfit.fitting.settings.config import load
+from merlfit.fitting.solve.starts import clues_of
+from merlfit.merl_io import inputs
+from merlfit.merl_io.bands import Bands
+from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
+from merlfit.model.reflectance import evaluate
+from merlfit.model.rivals.ggx import GGX
+from merlfit.model.two_scale import TwoScale
+from typer.testing import CliRunner
+
+FOUR = Bands(("420nm", "500nm", "600nm", "680nm"), (0.42, 0.5, 0.6, 0.68))
+GLOSSY = {
+    "alpha": 0.12, "F0": np.array([0.3, 0.45, 0.6, 0.7]), "albedo": np.array([0.02, 0.05, 0.1, 0.2]),
+}  # fmt: skip
+
+
+def table_of(path, model, truth, bands, each=120):
+    angles = spectral.directions(each)
+    values = spectral.values_of(model, truth, angles, bands.wavelengths_um)
+    spectral.write_csv(path, angles, values, bands.names)
+    return path
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    target = tmp_path_factory.mktemp("scattered") / "glossy.csv"
+    model = GGX()
+    where = spectral.geometry(spectral.directions(120))
+    values = np.asarray(evaluate(model, GLOSSY, where, FOUR.wavelengths_um))
+    spectral.write_csv(target, spectral.directions(120), values, FOUR.names)
+    return target
+
+
+def call(*words):
+    return CliRunner().invoke(cli.app, [str(word) for word in words])
+
+
+def test_weights_are_the_share_times_that_of_the_value(file):
+    measured = inputs.read(file)
+    measured = replace(measured, share=np.linspace(1, 2, len(measured.share)))
+    samples = weighted_samples(measured)
+    inside = np.maximum(measured.theta_i, measured.theta_o) <= 1.4
+    assert samples.value.shape == (4, inside.sum())
+    for plane, found, weight in zip(measured.values, samples.value, samples.weight, strict=True):
+        median = cos_weighted_median(plane[inside], np.cos(measured.theta_i[inside]))
+        expected = measured.share[inside] * compressive_weight(plane[inside], np.asarray(median))
+        np.testing.assert_allclose(np.sort(weight), np.sort(expected))
+        np.testing.assert_allclose(np.sort(found), np.sort(plane[inside]))
+
+
+@pytest.mark.parametrize("model", [Measured(TwoScale("none"), "off"), Measured(TwoScale("plastic"), 0.2)], ids=str)
+@pytest.mark.parametrize("columns", [1, 12])
+def test_cost_and_slopes_are_those_of_the_model_at_each_direction(file, model, columns):
+    """What the fit looks up in tables is what each direction computes for itself; slopes are those of the cost."""
+    samples = weighted_samples(inputs.read(file))
+    layout = layout_of(model, bands=FOUR)
+    z = 0.3 * np.random.default_rng(1).standard_normal(layout.size)
+    values = layout.values(jnp.asarray(z))
+    objective = Objective(layout, make_problem(samples, columns=columns))
+    where = Geometry(*(jnp.asarray(x) for x in (samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)))
+    predicted = np.asarray(evaluate(model, values, where, FOUR.wavelengths_um))
+    np.testing.assert_allclose(predict_samples(model, values, samples), predicted, rtol=2e-3, atol=1e-9)
+    squares = samples.weight * (samples.value - predicted) ** 2
+    expected = squares.sum(1) / np.sum(samples.weight * samples.value**2)
+    normal = objective.normal_equations(z)
+    np.testing.assert_allclose(normal[:, -1, -1], expected, rtol=1e-4)
+    np.testing.assert_allclose(np.asarray(objective.costs(values)), normal[:, -1, -1], rtol=1e-10)
+    slope = -2 * normal.sum(0)[:-1, -1]
+    for k in range(layout.size):
+        step = 1e-4 * np.eye(layout.size)[k]
+        high, low = (float(objective.costs(layout.values(jnp.asarray(z + s))).sum()) for s in (step, -step))
+        assert slope[k] == pytest.approx((high - low) / 2e-4, rel=2e-3, abs=2e-5 * np.abs(slope).max())
+
+
+def test_spectral_parameters_of_a_diffracting_metal_are_recovered_to_a_thousandth(tmp_path):
+    """The smaller version of results/spectral.md: seven wavelengths, one kind of material."""
+    um = spectral.WAVELENGTHS_UM[::5]
+    truth = {**spectral.SURFACE, **spectral.metal(um)}
+    bands = Bands(tuple(f"{round(1e3 * x)}nm" for x in um), tuple(um.tolist()))
+    file = table_of(tmp_path / "metal.csv", TwoScale("none"), truth, bands)
+    config = load({"effects": {"body": "none"}, "fit": {"starts": 2}, "posterior": {"enabled": False}})
+    result = fit_file(file, tmp_path, config)
+    assert result.fit.status == "CONVERGED"
+    for name, error in spectral.errors(result, truth).items():
+        assert error < 1e-3, name
+    assert len(result.parameters) == 5 + 2 * 7
+    assert [q.channel for q in result.parameters if q.parameter == "n"] == list(bands.names)
+    assert result.model.bands == bands
+    assert result.model.acquisition.grazing_loss == "off", "MERL's loss is none of another apparatus"
+    wrong = {**truth, "b": 1.01 * truth["b"]}
+    assert max(spectral.errors(result, wrong).values()) > 1e-3
+
+
+def test_the_commands_take_a_table(file, tmp_path):
+    shown = call("check", file)
+    assert shown.exit_code == 0
+    assert "4: 420nm to 680nm" in " ".join(shown.stdout.split())
+    words = ("fit", file, "-o", tmp_path, "--model", "ggx", "--no-posterior", "--resume")
+    assert call(*words).exit_code == 0, call(*words).stderr
+    path = tmp_path / "glossy.json"
+    result = read_result(path)
+    for name, found in result.values().items():
+        np.testing.assert_allclose(found, GLOSSY[name], rtol=1e-3, err_msg=name)
+    assert result.source.format == "table"
+    assert result.source.dims is None
+    assert result.metrics.picture is None
+    assert result.metrics.highlight == pytest.approx(1, abs=1e-3)
+    assert result.metrics.rmse < 1e-3
+    assert "1 of 1 files are done already" in call(*words).stdout
+    told = call("inspect", path)
+    assert told.exit_code == 0, told.stderr
+    assert "a table of scattered directions" in " ".join(told.stdout.split())
+    assert "picture: none of scattered directions" in told.stdout
+    assert (tmp_path / "glossy.samples.png").stat().st_size > 10_000
+    assert call("table", tmp_path).exit_code == 0
+    (row,) = csv.DictReader((tmp_path / "table.csv").open())
+    assert row["picture"] == ""
+    assert float(row["F0_600nm"]) == pytest.approx(0.6, rel=1e-3)
+    assert call("metrics", path, "--against", file, "-o", tmp_path / "metrics").exit_code == 0
+    refused = call("synth", path, "-o", tmp_path / "no.binary")
+    assert refused.exit_code == 2
+    assert "has 4 channels, and a MERL file has R, G and B" in refused.stderr
+    sampled = call("sample", path)
+    assert sampled.exit_code == 2
+    assert "is of scattered directions, whose posterior merlfit does not sample" in sampled.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--posterior",), "holds scattered directions, of which no posterior is sampled"),
+        (("--weights", "adaptive"), "--weights adaptive compares pictures"),
+        (("--accuracy", "1e-2"), "--accuracy and --time are calibrated on MERL's grid"),
+    ],
+)
+def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
+    refused = call("fit", file, "-o", tmp_path, *words)
+    assert refused.exit_code == 2
+    assert said in " ".join(refused.stderr.split())
+
+
+def test_too_few_samples_are_no_data(tmp_path):
+    target = tmp_path / "few.csv"
+    target.write_text("theta_i_deg,theta_o_deg,phi_deg,500nm\n" + "0,10,0,1\n" * 20)
+    result = fit_file(target, tmp_path, load(model="ggx", posterior=False))
+    assert result.fit.status == "NO_DATA"
+
+
+def test_errors_alike_among_neighbours_count_once(file):
+    """Residuals that are independent are worth their number, and those that are the same all over but a few."""
+    samples = weighted_samples(inputs.read(file))
+    samples = replace(samples, weight=np.ones_like(samples.weight))
+    rng = np.random.default_rng(0)
+    noise = samples.value - rng.standard_normal(samples.value.shape)
+    smooth = samples.value - np.cos(2 * samples.theta_d) * np.ones((4, 1))
+    independent, alike = (assess.effective_count(samples, x) for x in (noise, smooth))
+    assert independent > samples.value.size / 4
+    assert alike < 20
+
+
+def test_the_width_of_the_highlight_is_read_off():
+    samples = weighted_samples(_measured(lambda theta_h: np.exp(-np.log(2) * (np.tan(theta_h) / 0.1) ** 2) + 0.01))
+    assert clues_of(samples).half_width == pytest.approx(0.1, rel=0.3)
+
+
+def _measured(brdf):
+    from merlfit.merl_io.scattered import ScatteredMeasurement, half_difference
+
+    theta_i, theta_o, phi = np.radians(spectral.directions())
+    values = brdf(half_difference(theta_i, theta_o, phi)[0])[None]
+    from pathlib import Path
+
+    return ScatteredMeasurement(
+        Path("made"), "table", theta_i, theta_o, phi, values, np.ones(len(theta_i)), Bands(("500nm",), (0.5,)), "", ""
+    )
+
+
+@pytest.mark.parametrize("count", [1, 30, 1000, 70_001])
+@pytest.mark.parametrize("columns", [1, 12])
+def test_padding_is_an_eighth_at_the_most(count, columns):
+    arranged = Arrangement.of(count, 31, columns)
+    x = np.arange(float(count))
+    split = arranged.split(x)
+    assert split.shape == (arranged.blocks, arranged.height, columns, 1)
+    assert split.size <= 1.3 * count + 12 * columns + 16
+    np.testing.assert_array_equal(np.unique(split), x)

@@ -1,0 +1,159 @@
+"""Tables of scattered directions: what is read from CSV and NPZ, and what is refused in which words."""
+
+import numpy as np
+import pytest
+from merlfit.merl_io import check, inputs
+from merlfit.merl_io.binary import MerlError
+from merlfit.merl_io.scattered import half_difference, order, scattered, thin
+
+HEAD = "theta_i_deg,theta_o_deg,phi_deg,450nm,0.55um,650.5nm"
+ROWS = ["0,30,0,1,2,3", "30, 30, 180, 10, 20, 30", "60,10,90,0.5,-1,0.25"]
+TEXT = "\n".join(["# a remark", HEAD, *ROWS]) + "\n"
+
+
+@pytest.fixture
+def file(tmp_path):
+    target = tmp_path / "made.csv"
+    target.write_text(TEXT)
+    return target
+
+
+def archive(path, **changed):
+    known = {
+        "theta_i_deg": np.array([0.0, 30, 60]), "theta_o_deg": np.array([30.0, 30, 10]),
+        "phi_deg": np.array([0.0, 180, 90]), "wavelengths_um": np.array([0.45, 0.55, 0.6505]),
+        "values": np.array([[1.0, 2, 3], [10, 20, 30], [0.5, -1, 0.25]]),
+    }  # fmt: skip
+    np.savez(path, **{name: x for name, x in {**known, **changed}.items() if x is not None})
+    return path
+
+
+def test_csv_and_npz_hold_the_same(file, tmp_path):
+    one, other = inputs.read(file), inputs.read(archive(tmp_path / "made.npz"))
+    assert one.bands.names == other.bands.names == ("450nm", "550nm", "650.5nm")
+    np.testing.assert_allclose(one.bands.wavelengths_um, (0.45, 0.55, 0.6505))
+    for name in ("theta_i", "theta_o", "phi", "values", "share"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert np.isnan(one.values[1, 2]), "a negative number is no datum"
+    assert one.valid.sum() == 8
+    assert one.name == "made"
+    assert one.colour_space == "none: a channel is a wavelength"
+
+
+def test_rgb_and_weights(tmp_path):
+    target = tmp_path / "rgb.csv"
+    target.write_text("weight,theta_i_deg,theta_o_deg,phi_deg,R,G,B\n2,0,30,0,1,2,3\n0.5,10,20,0,1,2,3\n")
+    found = inputs.read(target)
+    assert found.bands.names == ("R", "G", "B")
+    np.testing.assert_array_equal(found.share, [2, 0.5])
+    assert found.colour_space == "linear RGB, as stored"
+
+
+def test_what_check_says(file):
+    report = check.inspect_file(file)
+    assert report.samples == 3
+    assert report.channels == ("450nm", "650.5nm", 3)
+    assert report.largest == 30
+    assert report.theta_h == pytest.approx((0.0, np.degrees(half_difference(*np.radians([[60], [10], [90]]))[0][0])))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (TEXT.replace("10, 20", "10"), "line 4 has 5 cells, and there are 6 columns"),
+        (TEXT[:-9], "line 5 has 4 cells, and there are 6 columns"),
+        (TEXT.replace("0.25", "nan"), "line 5: 650.5nm is 'nan', not a finite number"),
+        (TEXT.replace("0.25", "much"), "line 5: 650.5nm is 'much', not a finite number"),
+        (TEXT.replace("0.25", ""), "line 5: 650.5nm is '', not a finite number"),
+        (TEXT.replace("theta_o_deg", "theta_r"), "names no column theta_o_deg"),
+        (TEXT.replace("450nm", "blue"), "column 'blue' is none of"),
+        (TEXT.replace("450nm", "550nm"), "wavelength 550nm is there twice"),
+        (TEXT.replace("450nm", "45nm"), "wavelength 0.045 um is not between 0.1 and 10"),
+        (TEXT.replace("450nm", "theta_i_deg"), "column 'theta_i_deg' is there twice"),
+        (TEXT.replace("30, 30,", "30, 95,"), "sample 2: theta_o_deg 95 is not in"),
+        (TEXT.replace("60,10", "-60,10"), "sample 3: theta_i_deg -60 is not in"),
+        ("theta_i_deg,theta_o_deg,phi_deg,weight,500nm\n0,10,0,-1,1\n", "sample 1: weight -1 is negative"),
+        ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,-1\n", "holds no datum"),
+        ("theta_i_deg,theta_o_deg,phi_deg\n0,10,0\n", "has no column of values"),
+        (HEAD + "\n", "it has no lines of numbers"),
+        ("", "it has no line of names"),
+        (b"\xff\xfe\x00", "it is no UTF-8 text"),
+    ],
+)
+def test_a_bad_table_gets_one_line_that_names_it(text, words, tmp_path):
+    target = tmp_path / "bad.csv"
+    target.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(MerlError) as error:
+        inputs.read(target)
+    assert words in str(error.value)
+    assert str(target) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"values": None}, "has no array values"),
+        ({"values": np.ones((2, 3))}, "array values has shape (2, 3), not (3, 3)"),
+        ({"values": np.full((3, 3), np.nan)}, "array values is not a finite number at (0, 0)"),
+        ({"phi_deg": np.array([0.0, "x", None], object)}, "not a readable NPZ archive"),
+        ({"wavelengths_um": np.array([0.5, 0.5, 0.6])}, "wavelength 500nm is there twice"),
+        ({"weight": np.array([1.0, 2.0])}, "array weight has shape (2,), not (3,)"),
+        ({"theta_i_deg": np.array([0.0, 90, 3])}, "sample 2: theta_i_deg 90 is not in [0, 90)"),
+    ],
+)
+def test_a_bad_archive_gets_one_line_that_names_it(changed, words, tmp_path):
+    target = archive(tmp_path / "bad.npz", **changed)
+    with pytest.raises(MerlError) as error:
+        inputs.read(target)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_truncated_archive_gets_one_line(tmp_path):
+    target = archive(tmp_path / "cut.npz")
+    target.write_bytes(target.read_bytes()[:-30])
+    with pytest.raises(MerlError, match=r"cut\.npz: is not a readable NPZ archive"):
+        inputs.read(target)
+
+
+def test_missing_folder_or_another_file(file, tmp_path):
+    for path, words in ((tmp_path / "none.csv", "no such file"), (tmp_path / "folder.npz", "is a directory")):
+        (tmp_path / "folder.npz").mkdir(exist_ok=True)
+        with pytest.raises(MerlError, match=words):
+            inputs.read(path)
+    assert inputs.read(file, inputs.read(file).sha1).name == "made"
+    with pytest.raises(MerlError, match="is not the file that was fitted"):
+        inputs.read(file, "0" * 40)
+
+
+def test_runs_of_the_order_are_boxes():
+    """A run of 2^k samples spans 2^k / N of the cube's volume, more or less: not so in the order they came in."""
+    points = np.random.default_rng(0).random((3, 4096))
+    ranked = order(points)
+    assert sorted(ranked) == list(range(4096))
+
+    def spread(columns):
+        boxes = points[:, columns].reshape(3, -1, 64)
+        return np.ptp(boxes, axis=2).mean()
+
+    assert spread(ranked) < 0.3
+    assert spread(np.arange(4096)) > 0.9
+
+
+def test_thinning_keeps_the_shares_of_all(file):
+    measured = inputs.read(file)
+    ones = np.ones_like(measured.values)
+    samples = scattered(measured, measured.values, ones, measured.valid)
+    assert len(samples.theta_h) == 3
+    few = thin(samples, 2)
+    assert few.share.sum() == samples.share.sum() == 3
+    assert set(few.theta_h) <= set(samples.theta_h)
+    assert thin(samples, 3) is samples
+
+
+def test_the_mirror_direction_is_at_180_degrees():
+    theta_h, theta_d, _ = half_difference(*np.radians([[30.0], [30.0], [180.0]]))
+    assert theta_h[0] == pytest.approx(0, abs=1e-12)
+    assert np.degrees(theta_d[0]) == pytest.approx(30)
+    assert half_difference(*np.radians([[30.0], [30.0], [0.0]]))[1][0] == pytest.approx(0, abs=1e-12)
