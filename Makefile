@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: report demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults spectral hard-cases tables lint types install schema docs docs-links clean
+.PHONY: report demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults endurance cluster-cost spectral hard-cases tables lint types install schema docs docs-links clean
 
 install: $(READY)
 
@@ -81,6 +81,14 @@ faults: install
 # Twenty minutes: spectral materials recovered from scattered directions; results/spectral.md.
 spectral: install
 	$(BIN)/python -m tests.spectral
+
+# A quarter of an hour of both cores: 500 fits in one process; results/endurance.md.
+endurance: install
+	$(BIN)/python -m tests.endurance
+
+# Minutes: what a file costs the scheduler of a cluster; results/cluster.md.
+cluster-cost: install
+	$(BIN)/python -m tests.cluster_cost
 
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases

@@ -15,12 +15,11 @@ from merlfit.fitting.settings.config import Config
 
 TESTS = Path(__file__).parent
 START = 60.0  # seconds, at the most, until something that was started is there
-LESS = "import sys; sys.modules['merlfit.fitting.execution.slot'] = sys.modules['merlfit'] = None\n"
 
 
-def until(held, what):
+def until(held, what, patience=START):
     """Wait for it."""
-    end = time.monotonic() + START
+    end = time.monotonic() + patience
     while not (found := held()):
         assert time.monotonic() < end, what
         time.sleep(0.05)
@@ -68,9 +67,10 @@ def scheduler(folder, port=0, **environment):
 
 
 @contextmanager
-def workers(where, folder, count=1, more=(), **environment):
+def workers(where, folder, count=1, more=(), threads=1, **environment):
     """So many of them, each begun anew when it is lost."""
-    words = ("worker", where.replace("dask", "tcp"), "--nworkers", count, "--nthreads", 1, "--no-dashboard", *more)
+    address = where.replace("dask", "tcp")
+    words = ("worker", address, "--nworkers", count, "--nthreads", threads, "--no-dashboard", *more)
     with program(
         *words, "--local-directory", folder / "scratch", folder=folder / "worker", **environment
     ) as running:  # fmt: skip

@@ -107,8 +107,10 @@ def main(
         each = [
             (file(folder, name), Config(**{"posterior": {"enabled": False}, **settings})) for name, settings in ROUND
         ]
+        out_of_fits = Path(scratch, "out")
+        out_of_fits.mkdir()
         for k in range(fits):
-            found.append(fitted(*each[k % len(each)], Path(scratch, "out")))
+            found.append(fitted(*each[k % len(each)], out_of_fits))
             if (k + 1) % BLOCK == 0:
                 block = np.array(found[-BLOCK:])
                 row = dict(zip(COLUMNS, [*block[:, :2].sum(0), *map(int, block[-1, 2:])], strict=True))

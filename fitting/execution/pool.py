@@ -203,7 +203,7 @@ def _end_with_parent() -> None:
 def _into(unit: Unit) -> Iterator[None]:
     """What this process prints, and libraries written in other languages, goes to the unit's log."""
     try:
-        unit.log.parent.mkdir(parents=True, exist_ok=True)
+        unit.log.parent.mkdir(exist_ok=True)
         file = open(unit.log, "ab")  # noqa: SIM115 - closed below
     except OSError:
         file = open(os.devnull, "ab")  # noqa: SIM115

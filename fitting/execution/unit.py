@@ -82,6 +82,8 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
     place = None
     try:
         make_room()
+        if not unit.out.is_dir():
+            raise WriteError(f"{unit.out}: is there no more; make it again, and go on with --resume")
         with place_of(unit.out, unit.name) as place:
             result = fit_file(unit.path, place.folder, unit.settings, _logged(unit, report), unit.finish)
         log(unit, f"{result.fit.status}, {result.seconds['total']:.1f} s")
@@ -103,7 +105,7 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
 def log(unit: Unit, text: str) -> None:
     """A line for the unit's log, if that can be written."""
     with suppress(OSError):
-        unit.log.parent.mkdir(parents=True, exist_ok=True)
+        unit.log.parent.mkdir(exist_ok=True)  # not the folder for results: one that goes away is not to come back empty
         with open(unit.log, "a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n")
 

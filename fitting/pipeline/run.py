@@ -68,7 +68,8 @@ def fit_file(
     Raises:
         merlfit.merl_io.binary.MerlError: the file cannot be used.
     """
-    clock = Clock()
+    clock, out = Clock(), Path(out)
+    out.mkdir(parents=True, exist_ok=True)
     with clock.stage("read"):
         report("reading")
         measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
@@ -84,8 +85,6 @@ def fit_file(
             report("accuracy")
             fitted, accuracy = finish(fitted, measurement, samples)
     result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
     target = out / f"{measurement.name}.json"
     export.write_result(target, result)  # before the sampling, which may be interrupted
     if fitted is not None and config.posterior.enabled and fitted.status.succeeded:

@@ -2,10 +2,12 @@
 
 import tempfile
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 from merlfit.fitting.execution.unit import Kind, Unit, fit_unit
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.support.threads import CORES
 
 from .materials import TWELVE, file
 from .materials import every as every_material
@@ -15,7 +17,7 @@ from .record import RECONSTRUCTIONS, Record, Target, exponent
 COUNTS = (1, 2, 4, 8)
 FILES = 100
 REPEATS = 3
-LOOP, POOL = "plain loop", "merlfit fit"
+LOOP, POOL, DASK = "plain loop", "merlfit fit", "merlfit fit --executor dask"
 
 
 def measure(out, *files):
@@ -28,25 +30,41 @@ def measure(out, *files):
 
 
 def fitted(files, jobs=None):
-    """A row: the files in a process of its own, by a plain loop or by `merlfit fit --jobs`.
+    """A row: the files in a process of its own, by a plain loop, by `merlfit fit --jobs`, or on a cluster (`DASK`).
 
     An exit code of 1 says that a fit ended at its step limit.
     """
-    with tempfile.TemporaryDirectory() as out:
+    with tempfile.TemporaryDirectory() as out, _ways(jobs, Path(out, "cluster")) as way:
         if jobs is None:
             start = time.monotonic()
             _, peak = worker("batch", out, *files)
             seconds, peaks = time.monotonic() - start, (peak, peak)
         else:
-            done = watch([MERLFIT, "fit", *map(str, files), "-o", out, "--no-posterior", "-j", jobs], codes=(0, 1))
+            done = watch([MERLFIT, "fit", *map(str, files), "-o", out, "--no-posterior", *way], codes=(0, 1))
             seconds, peaks = done.seconds, (done.peaks_mib[0], done.sums_mib[0])
         written = len(list(Path(out).glob("*.json")))
     if written != len(files):
         raise RuntimeError(f"{written} results of {len(files)} files")
     return {
-        "files": len(files), "by": LOOP if jobs is None else POOL, "jobs": jobs or "1", "seconds": seconds,
-        "s a file": seconds / len(files), "largest process GiB": peaks[0] / 1024, "all processes GiB": peaks[1] / 1024,
+        "files": len(files), "by": {None: LOOP, DASK: DASK}.get(jobs, POOL),
+        "jobs": "1" if jobs in (None, DASK) else jobs,
+        "seconds": seconds, "s a file": seconds / len(files),
+        "largest process GiB": peaks[0] / 1024, "all processes GiB": peaks[1] / 1024,
     }  # fmt: skip
+
+
+@contextmanager
+def _ways(jobs, folder):
+    """Options of `merlfit fit`; a cluster of one new worker with all cores, as long as this lasts."""
+    if jobs != DASK:
+        yield ["-j", jobs]
+        return
+    from ..clusters import scheduler, until, workers
+
+    folder.mkdir()
+    with scheduler(folder) as (_, address), workers(address, folder, threads=CORES):
+        until(lambda: b"Registered to" in (folder / "worker/said").read_bytes(), "no worker")
+        yield ["--executor", address]
 
 
 def median_of(files, jobs=None):
@@ -61,11 +79,13 @@ def run(folder, out, every):
         "batch", "Many files in one call", RECONSTRUCTIONS,
         ["`merlfit fit FILE ... --no-posterior --jobs N`, five kinds of interface and body on the coarse grid, the "
          "best on all bins; wall time of the whole call with the start of its processes, compiled programs in the "
-         "cache. The plain loop: one process of Python that fits one file after the other. Up to "
-         f"{max(COUNTS)} files: the median of {REPEATS} runs."],
+         "cache. The plain loop: one process of Python that fits one file after the other. On a cluster: a scheduler "
+         "and a worker of this machine, both new, which run already and have fitted nothing; memory is then that of "
+         f"`merlfit fit` alone. Up to {max(COUNTS)} files: the median of {REPEATS} runs."],
         {"files": Target(f"all {FILES} materials in one call, no posterior", 10, "minutes"),
          "overhead": Target(f"a file of {max(COUNTS)}: one job against the plain loop", 10, "%"),
-         "two": Target(f"a file of {max(COUNTS)}: two jobs against the plain loop", 10, "%")},
+         "two": Target(f"a file of {max(COUNTS)}: two jobs against the plain loop", 10, "%"),
+         "dask": Target(f"a file of {max(COUNTS)}: a Dask worker against the plain loop", 10, "%")},
         folder=out,
     )  # fmt: skip
     mixed = [
@@ -82,10 +102,11 @@ def run(folder, out, every):
         f"each further one; peak memory as files^{exponent(counts, record.column('largest process GiB')):.2f}."
     )
     one = seconds[-1]
-    loop, two = median_of(files), median_of(files, "2")
-    record.add(loop)
-    record.add(two)
+    loop, two, dask = median_of(files), median_of(files, "2"), median_of(files, DASK)
+    for row in (loop, two, dask):
+        record.add(row)
     record.set("overhead", 100 * (one / loop["seconds"] - 1))
+    record.set("dask", 100 * (dask["seconds"] / loop["seconds"] - 1))
     record.set("two", 100 * (two["seconds"] / loop["seconds"] - 1))
     if every:
         hundred = [file(folder, material) for material in every_material()]

@@ -15,7 +15,7 @@ import pytest
 from made_results import made
 from merlfit.fitting.execution import journal, pool
 from merlfit.fitting.execution.pool import Pool, jobs_for
-from merlfit.fitting.execution.unit import Ended, Kind, Unit
+from merlfit.fitting.execution.unit import Ended, Kind, Unit, fit_unit, log
 from merlfit.fitting.files import _done
 from merlfit.fitting.results.export import versions, write_result
 from merlfit.fitting.settings.config import Config, load
@@ -196,3 +196,12 @@ def test_no_more_processes_than_files_cores_and_memory(monkeypatch):
     assert jobs_for(1000, 1) == 1
     monkeypatch.setattr(pool.psutil, "virtual_memory", lambda: type("Memory", (), {"available": 1}))
     assert jobs_for(1000) == 1
+
+
+def test_a_folder_that_went_away_does_not_come_back_empty(tmp_path):
+    [unit] = units(tmp_path / "gone", "quick-a")
+    log(unit, "something")
+    came = fit_unit(unit)
+    assert came.kind is Kind.FAILED
+    assert came.error == f"{tmp_path / 'gone'}: is there no more; make it again, and go on with --resume"
+    assert not (tmp_path / "gone").exists()

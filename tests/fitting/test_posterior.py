@@ -271,6 +271,18 @@ def test_the_chain_of_another_fit_and_files_that_are_none_are_refused(tmp_path):
         read_chain(tmp_path / "absent.npz", chain.fit)
 
 
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [("log_prob", np.ones((2, 2))), ("random_state", np.full(3, np.inf)), ("leap", np.ones(1)), ("root", np.eye(2)),
+     ("accepted", np.array("half")), ("taught_free", np.zeros((4, 3), complex))],
+)  # fmt: skip
+def test_a_chain_with_an_array_of_another_kind_is_refused(name, array, tmp_path):
+    path, chain = tmp_path / "x.npz", independent(3)
+    write_chain(path, chain.arrays() | {name: array})
+    with pytest.raises(ChainError, match="it is damaged, or no chain"):
+        read_chain(path, chain.fit)
+
+
 def test_an_empty_file_is_refused(tmp_path):
     path = tmp_path / "x.npz"
     path.touch()
