@@ -131,7 +131,7 @@ def test_the_commands_take_a_table(file, tmp_path):
     assert "picture: none of scattered directions" in told.stdout
     assert (tmp_path / "glossy.samples.png").stat().st_size > 10_000
     assert call("table", tmp_path).exit_code == 0
-    (row,) = csv.DictReader((tmp_path / "table.csv").open())
+    (row,) = csv.DictReader((tmp_path / "table.csv").read_text().splitlines())
     assert row["picture"] == ""
     assert float(row["F0_600nm"]) == pytest.approx(0.6, rel=1e-3)
     assert call("metrics", path, "--against", file, "-o", tmp_path / "metrics").exit_code == 0
