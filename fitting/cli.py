@@ -452,7 +452,8 @@ def render(
     A scene's picture is written as picture.exr and .png; with --check the picture of all effects and the difference lie
     beside it, and render.json says what took how long. Exit code: 1 if they differ by more than the tolerance.
     """
-    from .scenes import render_results, render_scene
+    from .scenes import render_scene
+    from .spheres import render_results
 
     if what[0].suffix == ".toml":
         if len(what) > 1 or vary:

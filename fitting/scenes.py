@@ -13,40 +13,30 @@ import typer
 from pydantic import ValidationError
 from rich.table import Table
 
-from ..merl_io.binary import Measurement, MerlError, read
+from ..merl_io.binary import MerlError, read
 from ..merl_io.samples import folded
 from ..model.parameters import WAVELENGTHS_UM
 from ..model.reflectance import Reflectance
 from ..model.registry import made
 from ..scene import images
-from ..scene.colour import difference, displayed
-from ..scene.description import Camera, Environment, Scene, SceneError, Source, Sphere, load
+from ..scene.description import Scene, SceneError, Source, load
 from ..scene.effects import Given, Plan, allowed, off_by, plan
 from ..scene.render import Film, pictures, stage
 from ..scene.surface import Drawn, drawn, measurement
-from .output.inspection import file_of
 from .results.export import ResultError, read_result
 from .results.schema import Result
 from .support.clock import Stage
 from .support.compilation import make_room, use_persistent_cache
 from .support.terminal import (
-    BAD_INPUT,
     FAILED_FIT,
     console,
     fail,
-    note,
     progress_display,
     reporter,
     writable_folder,
 )
 
 SHARE = 0.999  # of the pixels that are to be within the tolerance
-LARGEST_SHOWN = 10.0  # CIELAB distance that is white in a picture of differences
-STUDIO = Scene(
-    camera=Camera(position=(0.0, 0.0, 6.0), field_of_view_deg=20.0), environment=Environment(kind="studio"),
-    sphere=[Sphere(material="shown")], materials={"shown": Source(model="two-scale")}, samples=64,
-)  # fmt: skip
-"""A sphere under the studio's windows, in which results are shown."""
 Say = Callable[[str], None]
 
 
@@ -255,7 +245,7 @@ def render(
             "mean": float(of_shapes.mean()), f"{100 * SHARE:g} % of pixels": float(np.quantile(of_shapes, SHARE)),
             "largest": float(of_shapes.max()), "tolerance": allowed(ready.scene.tolerance),
         }  # fmt: skip
-        images.write_png(out / "difference.png", _grey(away / (10 * allowed(ready.scene.tolerance))))
+        images.write_png(out / "difference.png", grey(away / (10 * allowed(ready.scene.tolerance))))
         images.write_exr(out / "difference.exr", np.repeat(away[..., None], 3, -1))
     within = not found or found[f"{100 * SHARE:g} % of pixels"] <= found["tolerance"]
     report = {"seconds": seconds, "difference": found, "within": within, "plan": as_json(plans or ())}
@@ -268,70 +258,9 @@ def _write(out: Path, name: str, picture: np.ndarray) -> None:
     images.write_png(out / f"{name}.png", picture)
 
 
-def _grey(share: np.ndarray) -> np.ndarray:
+def grey(share: np.ndarray) -> np.ndarray:
     """8 bits of a number that is white at 1."""
     return np.repeat(np.round(255 * np.clip(share, 0, 1)).astype(np.uint8)[..., None], 3, -1)
-
-
-def sphere_of(given: Given, scene: Scene) -> np.ndarray:
-    """A material as a sphere in the studio, (height, width, 3) over white, with all effects."""
-    film = Film(scene, stage(scene))
-    material = given.of(given.model) if given.model is not None else given.finest()
-    (found,) = pictures(film, [drawn(material)])
-    return found
-
-
-def beside(measured: np.ndarray, fitted: np.ndarray) -> np.ndarray:
-    """Measured, fitted, and their CIELAB distance (white: 10), side by side, 8 bits: HP17 Fig. 12 and 13.
-
-    The fit is shown as the apparatus would have seen it, which loses light at grazing angles; else the rim would show
-    what the file lacks, and not what the fit misses.
-    """
-    away = _grey(difference(measured, fitted) / LARGEST_SHOWN)
-    return np.concatenate([displayed(measured), displayed(fitted), away], 1)
-
-
-def factors_of(text: str) -> tuple[str, list[float]]:
-    """A parameter and factors, from ``sigma_s=0.5,1,2``.
-
-    Raises:
-        SceneError: it is not that.
-    """
-    name, _, numbers = text.partition("=")
-    try:
-        found = [float(x) for x in numbers.split(",")]
-        if not all(0 < x < np.inf for x in found):
-            raise ValueError
-    except ValueError:
-        raise SceneError(f"--vary {text!r}: give a parameter and factors of its value, as in sigma_s=0.5,1,2") from None
-    return name.strip(), found
-
-
-def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: Say) -> np.ndarray:
-    """Spheres of a fit with one parameter or two multiplied by factors, as HP17 Fig. 16 and 17, 8 bits.
-
-    The first parameter goes across, the second down.
-    """
-    if len(vary) > 2:
-        raise SceneError("--vary is given at most twice: across and down")
-    axes = [factors_of(each) for each in vary]
-    (across, columns), (down, rows) = axes[0], axes[1] if len(axes) > 1 else ("", [1.0])
-    values, made_of = result.values(), []
-    for name in (name for name in (across, down) if name):
-        if name not in values:
-            raise SceneError(f"{path}: has no parameter {name}; it has {', '.join(values)}")
-    for row in rows:
-        line = []
-        for column in columns:
-            factors = {across: column, **({down: row} if down else {})}
-            if len({across, down}) < len(axes):
-                raise SceneError(f"--vary names {across} twice")
-            changed = {name: np.asarray(values[name]) * factor for name, factor in factors.items()}
-            say(", ".join(f"{name} x {factor:g}" for name, factor in factors.items()))
-            given = of_result(path.stem, result, path, changed)
-            line.append(displayed(sphere_of(given, scene)))
-        made_of.append(np.concatenate(line, 1))
-    return np.concatenate(made_of)
 
 
 def plan_scene(path: Path) -> None:
@@ -376,56 +305,3 @@ def said_of(found: Rendered, scene: Scene) -> str:
     rest = ", ".join(f"{name} {x:.3g}" for name, x in found.difference.items())
     kind = "CIELAB" if scene.tolerance.cielab is not None else "relative radiance"
     return f"{times} ({ratio:.1f} times as fast); difference ({kind}): {rest}"
-
-
-def render_results(
-    paths: Sequence[Path], out: Path, vary: Sequence[str], samples: int | None, seed: int | None
-) -> None:
-    """`merlfit render RESULT...`: each beside its file, or varied; exits with 2 after bad input."""
-    use_persistent_cache()
-    writable_folder(out)
-    code = 0
-    try:
-        scene = changed(STUDIO, samples=samples, seed=seed)
-    except SceneError as error:
-        raise fail(str(error)) from None
-    if vary and len(paths) > 1:
-        raise fail("--vary is for one fit at a time")
-    with progress_display() as progress:
-        for path in paths:
-            say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
-            try:
-                target = _render_result(path, out, vary, scene, say)
-                console.print(f"wrote {target}", soft_wrap=True)
-            except (SceneError, ResultError, MerlError, OSError) as error:
-                code = BAD_INPUT
-                fail(str(error))
-    if code:
-        raise typer.Exit(code)
-
-
-def _render_result(path: Path, out: Path, vary: Sequence[str], scene: Scene, say: Say) -> Path:
-    if path.suffix == ".toml":
-        raise SceneError(f"{path}: one scene at a time, and no result beside it")
-    result = read_result(path)
-    if vary:
-        target = out / f"{path.stem}.{'-'.join(each.partition('=')[0].strip() for each in vary)}.png"
-        images.write_png(target, varied(result, path, vary, scene, say))
-        return target
-    target = out / f"{path.stem}.png"
-    file = file_of(path, result)
-    if not file.is_file():
-        note(f"{path}: the fit alone; the measured file {file} is not there")
-        images.write_png(target, sphere_of(of_result(path.stem, result, path), scene))
-        return target
-    say("fit")
-    fitted = sphere_of(of_result(path.stem, result, path, as_measured=True), scene)
-    say("file")
-    read_again = result.source.read(file)
-    if not isinstance(read_again, Measurement):
-        note(f"{path}: the fit alone; {file} holds scattered directions, of which no picture is rendered")
-        images.write_png(target, fitted)
-        return target
-    measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(read_again)))
-    images.write_png(target, beside(sphere_of(measured, scene), fitted))
-    return target

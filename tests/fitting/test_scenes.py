@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_results import made
-from merlfit.fitting import scenes
+from merlfit.fitting import scenes, spheres
 from merlfit.fitting.cli import app
+from merlfit.fitting.pictures.labelled import MARGIN, labelled
+from merlfit.fitting.pictures.style import save
 from merlfit.fitting.results.export import write_result
 from merlfit.scene import effects
 from merlfit.scene.images import read_map
@@ -34,9 +36,9 @@ GGX = 'model = "ggx"\nparameters = { alpha = 0.3, F0 = 0.5, albedo = [0.1, 0.2, 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
     monkeypatch.setattr(effects, "PIXELS", 128)
-    studio = scenes.STUDIO
+    studio = spheres.STUDIO
     camera = studio.camera.model_copy(update={"width": 12, "height": 12})
-    monkeypatch.setattr(scenes, "STUDIO", studio.model_copy(update={"camera": camera, "samples": 4}))
+    monkeypatch.setattr(spheres, "STUDIO", studio.model_copy(update={"camera": camera, "samples": 4}))
 
 
 def run(*words):
@@ -89,9 +91,17 @@ def test_a_result_is_a_sphere_and_a_grid_of_them(tmp_path, result):
     assert "the fit alone" in found.output
     found = run("render", result, "--vary", "sigma_s=0.5,1,2", "--vary", "b=0.5,2", "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
-    grid = np.asarray(Image.open(tmp_path / "out" / "nickel.sigma_s-b.png"))
+    grid = np.asarray(Image.open(tmp_path / "out" / "nickel.sigma_s-b.png"))[MARGIN:, MARGIN:, :3]
     assert grid.shape == (24, 36, 3)
     assert not np.array_equal(grid[:12, :12], grid[:12, 12:24])
+
+
+def test_words_beside_pictures_change_none_of_their_pixels(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (2 * 37, 3 * 41, 3), np.uint8)
+    save(labelled(pixels, "abc", "de", "across", "down"), tmp_path / "grid.png")
+    saved = np.asarray(Image.open(tmp_path / "grid.png"))
+    np.testing.assert_array_equal(saved[MARGIN:, MARGIN:, :3], pixels)
+    assert np.unique(saved[:MARGIN]).size > 2
 
 
 @pytest.mark.parametrize(
