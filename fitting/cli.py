@@ -31,7 +31,9 @@ app = typer.Typer(
 Files = Annotated[
     list[Path],
     typer.Argument(
-        help="MERL .binary files, or tables (.csv, .npz: docs/tables.md).", show_default=False, readable=False
+        help="MERL .binary files, tables (.csv, .npz: docs/tables.md), or RGL's .bsdf files (docs/rgl.md).",
+        show_default=False,
+        readable=False,
     ),
 ]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]

@@ -3,17 +3,17 @@
 import os
 from pathlib import Path
 
-from . import binary, table
+from . import binary, rgl, table
 from .binary import Dims, Measurement
 from .scattered import ScatteredMeasurement
 
 Input = Measurement | ScatteredMeasurement
-TABLES = (".csv", ".npz")
+SCATTERED = {".csv": table.read, ".npz": table.read, ".bsdf": rgl.read}
 
 
 def is_scattered(path: str | os.PathLike[str]) -> bool:
     """Whether a file of this name holds scattered directions; every other one is read as MERL's."""
-    return Path(path).suffix.lower() in TABLES
+    return Path(path).suffix.lower() in SCATTERED
 
 
 def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dims | None = None) -> Input:
@@ -26,5 +26,5 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dim
         merlfit.merl_io.binary.MerlError: it cannot be used; the message is one line.
     """
     if is_scattered(path):
-        return table.read(Path(path), fitted_sha1)
+        return SCATTERED[Path(path).suffix.lower()](Path(path), fitted_sha1)
     return binary.read(path, fitted_sha1, dims)

@@ -30,7 +30,7 @@ class ScatteredMeasurement:
     """
 
     path: Path
-    format: Literal["table"]
+    format: Literal["table", "RGL"]
     theta_i: np.ndarray
     theta_o: np.ndarray
     phi: np.ndarray

@@ -68,7 +68,8 @@ def scattered_table(reports: Sequence[ScatteredReport]) -> Table:
         table.add_column(head, justify="left" if head in ("file", "channels") else "right", overflow="fold")
     for r in reports:
         first, last, count = r.channels
-        channels = f"{count}: {first} to {last}" if count > 1 else first
+        many = f"{count} of {count + r.left_out}" if r.left_out else str(count)
+        channels = f"{many}: {first} to {last}" if count > 1 else first
         angles = (f"{low:.1f} {high:.1f}" for low, high in (r.theta_i, r.theta_o, r.theta_h))
         row = (str(r.path), r.format, str(r.samples), channels, f"{r.fraction_valid:.1%}")
         table.add_row(*row, *angles, number(r.largest))
@@ -152,11 +153,16 @@ def fitted_line(m: Model) -> str:
     return ", ".join(said)
 
 
+VALID_OF = {
+    "MERL": "bins", "table": "values of a table of scattered directions", "RGL": "values of a file of RGL's",
+}  # fmt: skip
+
+
 def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
     grid = s.format == "MERL"
-    what = "bins" if grid else "values of a table of scattered directions"
+    what = VALID_OF[s.format]
     console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of {what} valid")
     console.print(f"data: {result.data_words}", markup=False)
     if result.model is None:

@@ -79,8 +79,9 @@ def _same_length(first: str, size: int, **lists: Sized) -> None:
 class Source(_Part):
     """Where the data came from."""
 
-    format: Literal["MERL", "table"]
-    """Of the file: bins as MERL has them, or a table of scattered directions (docs/tables.md)."""
+    format: Literal["MERL", "table", "RGL"]
+    """Of the file: bins as MERL has them, a table of scattered directions (docs/tables.md), or RGL's ``.bsdf``
+    (docs/rgl.md)."""
     path: Text
     """File that was fitted, as it was named; relative to where the fit ran, unless it is absolute."""
     material: FileName
