@@ -8,7 +8,6 @@ Files with other numbers of bins are read where that is asked for; their axes ar
 import hashlib
 import os
 import re
-import stat
 import struct
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +19,7 @@ import numpy as np
 
 from .atomic import WriteError, write_atomically
 from .bands import MERL, Bands, ColourSpace
+from .source import MerlError, opened, same_as_fitted
 
 Dims = tuple[int, int, int]
 DIMS: Dims = (90, 90, 180)
@@ -42,10 +42,6 @@ MAGIC = {
     b"\xff\xd8\xff": "a JPEG picture",
     b"%PDF": "a PDF",
 }
-
-
-class MerlError(ValueError):
-    """A file that cannot be read or written as MERL; the message is one line that names the file and the mend."""
 
 
 def dims_of(text: str) -> Dims:
@@ -163,23 +159,8 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dim
             not the one that was fitted.
     """
     path = Path(path)
-    try:
-        info = path.stat()
-        if not stat.S_ISREG(info.st_mode):
-            kind = "a directory; name the .binary files in it" if path.is_dir() else "not a regular file"
-            raise MerlError(f"{path}: is {kind}")
-        with open(path, "rb") as file:
-            return _read(path, file, info.st_size, fitted_sha1, (DIMS, dims or DIMS))
-    except FileNotFoundError:
-        raise MerlError(f"{path}: no such file") from None
-    except PermissionError:
-        raise MerlError(f"{path}: no permission to read it; check its mode and owner") from None
-    except OSError as error:
-        raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except MerlError:
-        raise
-    except ValueError:  # a NUL in it
-        raise MerlError(f"{str(path)!r}: is not the name of a file") from None
+    with opened(path) as (file, size):
+        return _read(path, file, size, fitted_sha1, (DIMS, dims or DIMS))
 
 
 def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None, allowed: tuple[Dims, ...]) -> Measurement:
@@ -201,8 +182,7 @@ def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None, allow
             np.multiply(numbers, scale, out=values[plane])
         counts += [kind.sum() for kind in kinds]
         np.logical_or.reduce(kinds, out=bad[plane])
-    if fitted_sha1 not in (None, sha1.hexdigest()):
-        raise MerlError(f"{path}: is not the file that was fitted (other SHA-1)")
+    same_as_fitted(path, sha1.hexdigest(), fitted_sha1)
     invalid = np.logical_or.reduce(bad, axis=0)
     if invalid.all():
         share = ", ".join(f"{c} {b.mean():.0%}" for c, b in zip(COLOURS, bad, strict=True))

@@ -10,9 +10,10 @@ import numpy as np
 
 from .adaptive import slices
 from .bands import MERL, Bands
-from .binary import BRIGHTEST, MerlError
+from .binary import BRIGHTEST
 from .scattered import ScatteredMeasurement
-from .table import contents, spectral
+from .source import MerlError, contents
+from .table import spectral
 from .tensor import Tensors, tensors
 
 MOST = 31  # wavelengths that are read: RGL's files have 195, and the time of a fit grows with their square

@@ -1,7 +1,6 @@
 """Tables of scattered directions, CSV or NPZ, one column a wavelength: docs/tables.md is the format."""
 
 import csv
-import hashlib
 import io
 import math
 import re
@@ -11,40 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from .bands import MERL, Bands
-from .binary import MerlError
 from .scattered import ScatteredMeasurement
+from .source import MerlError, contents
 
 ANGLES = ("theta_i_deg", "theta_o_deg", "phi_deg")
 WEIGHT = "weight"
 LARGEST = 2**30  # bytes of an archive's arrays
 PLAUSIBLE_UM = 0.1, 10.0
 UNITS_UM = {"nm": 1e-3, "um": 1.0}
-
-
-def contents(path: Path, fitted_sha1: str | None = None) -> tuple[bytes, str, str]:
-    """Bytes of a file, their SHA-1 and that of git's blob.
-
-    Raises:
-        MerlError: it cannot be read, or is not the one that was fitted.
-    """
-    try:
-        if path.is_dir():
-            raise MerlError(f"{path}: is a directory; name the files in it")
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise MerlError(f"{path}: no such file") from None
-    except PermissionError:
-        raise MerlError(f"{path}: no permission to read it; check its mode and owner") from None
-    except OSError as error:
-        raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except MerlError:
-        raise
-    except ValueError:  # a NUL in it
-        raise MerlError(f"{str(path)!r}: is not the name of a file") from None
-    sha1 = hashlib.sha1(data).hexdigest()
-    if fitted_sha1 not in (None, sha1):
-        raise MerlError(f"{path}: is not the file that was fitted (other SHA-1)")
-    return data, sha1, hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
 
 
 def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasurement:

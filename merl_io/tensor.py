@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .binary import MAGIC as OTHERS
-from .binary import MerlError
+from .source import MerlError
 
 MAGIC = b"tensor_file\0"
 VERSION = 1, 0

@@ -16,9 +16,9 @@ LIBRARIES = {
     "scene": {"jax", "numpy", "equinox", "scipy", "pydantic", "PIL", "OpenEXR", "mitsuba", "drjit"},
 }  # fmt: skip
 STANDARD = {
-    "abc", "argparse", "collections", "dataclasses", "difflib", "enum", "functools", "hashlib", "importlib",
-    "inspect", "itertools", "json", "math", "operator", "os", "pathlib", "re", "stat", "struct", "tempfile",
-    "threading", "time", "tomllib", "types", "typing", "zipfile", "csv", "io",
+    "abc", "argparse", "collections", "contextlib", "dataclasses", "difflib", "enum", "functools", "hashlib",
+    "importlib", "inspect", "itertools", "json", "math", "operator", "os", "pathlib", "re", "stat", "struct",
+    "tempfile", "threading", "time", "tomllib", "types", "typing", "zipfile", "csv", "io",
 }  # fmt: skip
 
 

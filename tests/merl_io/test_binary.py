@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from merlfit.merl_io import binary, check, grid
+from merlfit.merl_io import binary, check, grid, source
 from merlfit.merl_io.binary import DIMS, MerlError, dims_of, file_bytes, read, write
 from merlfit.merl_io.samples import fold, runs_for, thin
 
@@ -128,7 +128,7 @@ def test_no_permission_is_said(path, monkeypatch):
     def refuse(*args, **kwargs):
         raise PermissionError
 
-    monkeypatch.setattr(binary, "open", refuse, raising=False)
+    monkeypatch.setattr(source, "open", refuse, raising=False)
     with pytest.raises(MerlError, match="no permission"):
         read(path)
 

@@ -122,6 +122,8 @@ def test_missing_folder_or_another_file(file, tmp_path):
         (tmp_path / "folder.npz").mkdir(exist_ok=True)
         with pytest.raises(MerlError, match=words):
             inputs.read(path)
+    with pytest.raises(MerlError, match="is not the name of a file"):
+        inputs.read(tmp_path / "a\0b.csv")
     assert inputs.read(file, inputs.read(file).sha1).name == "made"
     with pytest.raises(MerlError, match="is not the file that was fitted"):
         inputs.read(file, "0" * 40)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.merl_io import binary
+from merlfit.merl_io import source
 from merlfit.merl_io.binary import DIMS, HEADER, MerlError, plane_bytes, read, write
 
 
@@ -28,7 +28,7 @@ def test_a_file_cut_short_while_it_is_read_is_an_error_and_no_crash(path, monkey
                 os.truncate(path, HEADER.size + size)
             return found
 
-    monkeypatch.setattr(binary, "open", lambda name, mode: Cut(io.FileIO(name)), raising=False)
+    monkeypatch.setattr(source, "open", lambda name, mode: Cut(io.FileIO(name)), raising=False)
     with pytest.raises(MerlError, match=r"material\.binary: became shorter while it was read"):
         read(path)
 
