@@ -29,7 +29,7 @@ docs-links: install
 	$(BIN)/python -m sphinx --quiet --keep-going -D nb_execution_mode=off -b linkcheck -c docs . docs/_build/links
 
 test: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
 
 # A minute and a half: lint, types, and the tests that compile little.
 quick: lint types
@@ -40,7 +40,7 @@ quick: lint types
 
 # What takes minutes a test; to be run by hand before a release.
 test-slow: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m slow
 
 # An hour on two cores; results/bench/. `python -m tests.bench SECTION` for one; `--few` for fewer materials and files.
 bench: install

@@ -1,5 +1,6 @@
 """Shared by all tests: compiled programs are cached, runtime type checks are on, data of the reconstructions."""
 
+import math
 import os
 from pathlib import Path
 
@@ -9,38 +10,57 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 import jax
 import pytest
 import reconstructions
+import times
 from jaxtyping import install_import_hook
 
 install_import_hook(["merlfit.model", "merlfit.merl_io"], "beartype.beartype")
 
 ROOT = Path(__file__).parents[1]
+HASTY = "jax_disable_most_optimizations"
+
+
+def pytest_configure(config):
+    """Measure what tests take, where that is asked for."""
+    if folder := os.environ.get("MERLFIT_TEST_TIMES"):
+        config.pluginmanager.register(times.Times(Path(folder)))
+
+
+def pytest_collection_modifyitems(items):
+    """The dearest files first, that none is left alone at the end; those whose programs are hasty before the others."""
+    taken, hasty = times.kept(), {item.path for item in items if "compiled_quickly" in item.fixturenames}
+    file = {item.path: item.nodeid.split("::")[0] for item in items}
+    items.sort(key=lambda item: (item.path not in hasty, -taken.get(file[item.path], math.inf), item.path))
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compilation_cache(tmp_path_factory):
-    folder = os.environ.get("MERLFIT_TEST_CACHE") or str(ROOT / ".pytest_cache" / "xla")
-    jax.config.update("jax_compilation_cache_dir", folder)
+def compilation_cache():
+    """The folders that merlfit itself would use, so that tests and the programs which they start share them."""
+    folder = Path(os.environ.get("MERLFIT_TEST_CACHE") or ROOT / ".pytest_cache" / "merlfit")
+    os.environ["MERLFIT_CACHE_DIR"] = str(folder)
+    jax.config.update("jax_compilation_cache_dir", str(folder / "xla"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    os.environ["MERLFIT_CACHE_DIR"] = folder
-
-
-@pytest.fixture(scope="module", autouse=True)
-def room_for_programs():
-    """A worker that has compiled for an hour must not run out of mappings of memory."""
-    yield
-    from merlfit.fitting.support.compilation import make_room  # not before the import hook
-
-    make_room()
 
 
 @pytest.fixture(scope="module")
 def compiled_quickly():
-    """Programs that are run a few times on a few directions: half the time to compile, twice the time to run."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
+    """Half the time to compile, twice the time to run: for modules whose programs run a few times on few directions."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs(request):
+    """Compiled quickly where a test of the module asks for it; programs are forgotten where that changes, or for room.
+
+    A worker that has compiled for an hour must not run out of mappings of memory.
+    """
+    here = [item for item in request.session.items if item.path == request.path]
+    hasty = any("compiled_quickly" in item.fixturenames for item in here)
+    if hasty != jax.config.read(HASTY):
+        jax.config.update(HASTY, hasty)
+        jax.clear_caches()
     yield
-    jax.config.update("jax_disable_most_optimizations", before)
-    jax.clear_caches()  # what was compiled so is not for others
+    from merlfit.fitting.support.compilation import make_room  # not before the import hook
+
+    make_room()
 
 
 @pytest.fixture(scope="session")
@@ -59,9 +79,9 @@ def table(compilation_cache):
 
     before = scaled._keep
     tables.keep_in(Path(os.environ["MERLFIT_CACHE_DIR"]))
-    quickly = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", False)  # half a minute of computing
+    hasty = jax.config.read(HASTY)
+    jax.config.update(HASTY, False)  # half a minute of computing
     found = scaled.table()
-    jax.config.update("jax_disable_most_optimizations", quickly)
+    jax.config.update(HASTY, hasty)
     yield found
     scaled.keep_by(before)

@@ -42,26 +42,32 @@ def test_other_dims_are_refused_until_they_are_asked_for(file, tmp_path):
     assert "30x30x60" in call("check", file, "--dims", "30x30x60").stdout
 
 
-def test_they_are_fitted_found_again_and_drawn(file, tmp_path):
-    words = ("fit", file, "-o", tmp_path, "--model", "ggx", "--no-posterior", "--dims", "30x30x60", "--resume")
+@pytest.fixture(scope="module")
+def fit(file, tmp_path_factory):
+    """The command that fits the file, its folder, and its result."""
+    folder = tmp_path_factory.mktemp("fits")
+    words = ("fit", file, "-o", folder, "--model", "ggx", "--no-posterior", "--dims", "30x30x60", "--resume")
     assert call(*words).exit_code == 0
-    result = read_result(tmp_path / "coarse.json")
+    return words, folder, read_result(folder / "coarse.json")
+
+
+def test_they_are_fitted_found_again_and_drawn(file, fit, tmp_path):
+    words, folder, result = fit
     assert result.source.dims == DIMS
     for name, found in result.values().items():
         np.testing.assert_allclose(found, TRUTH[name], rtol=2e-3, err_msg=name)
     assert result.metrics.picture < 0.1
     assert result.metrics.highlight == pytest.approx(1, abs=0.01)
     assert "1 of 1 files are done already" in call(*words).stdout
-    assert call("inspect", tmp_path / "coarse.json").exit_code == 0
+    assert call("inspect", folder / "coarse.json", "-o", tmp_path).exit_code == 0
     assert (tmp_path / "coarse.lobes.png").stat().st_size > 10_000
-    shown = call("metrics", tmp_path / "coarse.json", "--against", file)
+    shown = call("metrics", folder / "coarse.json", "--against", file)
     assert shown.exit_code == 0, shown.stderr
 
 
-def test_results_before_2_2_are_of_merls_dims(file, tmp_path):
-    assert call("fit", file, "-o", tmp_path, "--model", "ggx", "--no-posterior", "--dims", "30x30x60").exit_code == 0
+def test_results_before_2_2_are_of_merls_dims(fit, tmp_path):
     path = tmp_path / "coarse.json"
-    older = json.loads(path.read_text())
+    older = json.loads((fit[1] / "coarse.json").read_text())
     older["schema_version"] = "2.1"
     del older["source"]["dims"]
     path.write_text(json.dumps(older))

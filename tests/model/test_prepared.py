@@ -4,11 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from compiled import evaluate
 from merlfit.model import convolution
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.part import Part
-from merlfit.model.reflectance import evaluate, prepared
+from merlfit.model.reflectance import prepared
 from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
 

@@ -78,7 +78,7 @@ def v_groove(i, o, h):
 
 
 def brdf(i, o, D, masking, F0, albedo):
-    """F D G / (4 cos_i cos_o) + rho_d / pi with Schlick's F; one channel (1/sr)."""
+    """F D G / (4 cos_i cos_o) + rho_d / pi with Schlick's F (1/sr); of one channel, or of arrays of them."""
     h = (i + o) / np.linalg.norm(i + o)
     F = F0 + (1 - F0) * (1 - i @ h) ** 5
     return F * D(math.acos(min(h[2], 1.0))) * masking(i, o, h) / (4 * i[2] * o[2]) + albedo / math.pi

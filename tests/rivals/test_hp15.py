@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from compiled import evaluate
 from merlfit.fitting.objective.problem import directions, make_problem
 from merlfit.fitting.objective.residuals import Objective, predict
 from merlfit.fitting.solve import hp15
@@ -13,7 +14,6 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry
 from merlfit.model.parameters import WAVELENGTHS_UM
-from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.epd import EPD
 from merlfit.model.rivals.hp15 import HP15, diffraction_lobe
 from oracles import microfacets as oracle

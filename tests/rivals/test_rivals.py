@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.published import SOURCES, materials, published
-from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals import he as he_module
 from rivals import rival_oracles as oracle
 

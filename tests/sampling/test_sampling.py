@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chi_square import AZIMUTHS, densities, draws, expected, given_at, numbers, p_value
+from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.numerics import safe_divide
-from merlfit.model.reflectance import evaluate, prepared
+from merlfit.model.reflectance import prepared
 from merlfit.model.sampling.diffracted import Diffracted
 from merlfit.model.sampling.facets import EPD, GGX, Beckmann, Facets
 from merlfit.model.sampling.hemisphere import Cosine
