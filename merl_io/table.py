@@ -5,10 +5,14 @@ import io
 import math
 import re
 import zipfile
+from array import array
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 
+from .archive import shape_of
 from .bands import MERL, Bands
 from .scattered import ScatteredMeasurement
 from .source import MerlError, contents
@@ -30,7 +34,7 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     data, sha1, blob = contents(path, fitted_sha1)
     columns, values, bands = (_npz if path.suffix.lower() == ".npz" else _csv)(path, data)
     _check(path, columns, values)
-    values = np.where(values >= 0, values, np.nan)
+    values[values < 0] = np.nan
     share = columns.get(WEIGHT, np.ones(values.shape[1]))
     if not np.any(np.isfinite(values) & (share > 0)):
         raise MerlError(f"{path}: holds no datum: every value is negative, or has no weight")
@@ -79,12 +83,9 @@ Read = tuple[dict[str, np.ndarray], np.ndarray, Bands]  # angles and weights by 
 
 
 def _csv(path: Path, data: bytes) -> Read:
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise MerlError(f"{path}: is not a table: it is no UTF-8 text") from None
-    lines = enumerate(csv.reader(io.StringIO(text, newline="")), 1)
-    head, rows = None, []
+    text = io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline="")  # decoded line by line: no copy of all
+    lines = enumerate(csv.reader(text), 1)
+    head, numbers = None, array("d")
     try:
         for number, cells in lines:
             if not cells or cells[0].lstrip().startswith("#"):
@@ -92,12 +93,14 @@ def _csv(path: Path, data: bytes) -> Read:
             if head is None:
                 head = _heads(path, cells)
                 continue
-            rows.append(_numbers(path, number, head, cells))
+            numbers.extend(_numbers(path, number, head, cells))
+    except UnicodeDecodeError:
+        raise MerlError(f"{path}: is not a table: it is no UTF-8 text") from None
     except csv.Error as error:
         raise MerlError(f"{path}: is not a table: {error}") from None
-    if head is None or not rows:
+    if head is None or not numbers:
         raise MerlError(f"{path}: is not a table: it has {'no lines of numbers' if head else 'no line of names'}")
-    table = np.array(rows).T
+    table = np.frombuffer(numbers).reshape(-1, len(head)).T
     columns = {name: table[k] for k, name in enumerate(head) if name in (*ANGLES, WEIGHT)}
     channels = [k for k, name in enumerate(head) if name not in columns]
     return columns, table[channels], bands_of(path, [head[k] for k in channels])
@@ -140,7 +143,7 @@ def _npz(path: Path, data: bytes) -> Read:
         if size > LARGEST:
             raise MerlError(f"{path}: holds {size} bytes, more than the {LARGEST} that a table may have")
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            found = {name: np.asarray(arrays[name], float) for name in names if name in arrays.files}
+            found = {name: _array(arrays, name) for name in names if name in arrays.files}
     except MerlError:
         raise
     except Exception as error:  # of any kind: zipfile, zlib and NumPy raise many
@@ -159,6 +162,13 @@ def _npz(path: Path, data: bytes) -> Read:
         raise MerlError(f"{path}: holds no samples")
     bands = spectral(path, found.pop("wavelengths_um").tolist())
     return found, found.pop("values").T, bands
+
+
+def _array(arrays: NpzFile, name: str) -> np.ndarray:
+    """Numbers, looked at before memory is taken for them."""
+    archive: Any = arrays.zip  # there as long as the file is open
+    shape_of(archive, name)
+    return np.asarray(arrays[name], float)
 
 
 def _check(path: Path, columns: dict[str, np.ndarray], values: np.ndarray) -> None:

@@ -13,7 +13,13 @@ UINT8, FLOAT32 = 1, 10
 
 
 def write(path, fields):
-    """Fields as they are written by Mitsuba and by RGL's own program."""
+    """A file of these fields."""
+    path.write_bytes(packed(fields))
+    return path
+
+
+def packed(fields):
+    """Fields as Mitsuba and RGL's own program write them: the bytes of a file."""
     head, body, starts = b"tensor_file\0" + struct.pack("<BBI", 1, 0, len(fields)), b"", {}
     arrays = {name: np.ascontiguousarray(x) for name, x in fields.items()}
     size = len(head) + sum(2 + len(name.encode()) + 2 + 1 + 8 + 8 * x.ndim for name, x in arrays.items())
@@ -26,8 +32,7 @@ def write(path, fields):
         label = name.encode()
         head += struct.pack("<H", len(label)) + label + struct.pack("<HBQ", x.ndim, kind, starts[name])
         head += struct.pack(f"<{x.ndim}Q", *x.shape)
-    path.write_bytes(head + body)
-    return path
+    return head + body
 
 
 def parameterization(alpha=0.3, theta_i=(0, 10, 20, 30, 45, 60, 70, 80), resolution=64, nodes=32):

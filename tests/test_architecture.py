@@ -16,7 +16,7 @@ LIBRARIES = {
     "scene": {"jax", "numpy", "equinox", "scipy", "pydantic", "PIL", "OpenEXR", "mitsuba", "drjit"},
 }  # fmt: skip
 STANDARD = {
-    "abc", "argparse", "collections", "contextlib", "dataclasses", "difflib", "enum", "functools", "hashlib",
+    "abc", "argparse", "array", "collections", "contextlib", "dataclasses", "difflib", "enum", "functools", "hashlib",
     "importlib", "inspect", "itertools", "json", "math", "operator", "os", "pathlib", "re", "stat", "struct",
     "tempfile", "threading", "time", "tomllib", "types", "typing", "zipfile", "csv", "io",
 }  # fmt: skip

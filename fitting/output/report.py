@@ -154,7 +154,7 @@ def fitted_line(m: Model) -> str:
 
 
 VALID_OF = {
-    "MERL": "bins", "table": "values of a table of scattered directions", "RGL": "values of a file of RGL's",
+    "MERL": "bins", "table": "values of a table of scattered directions", "RGL": "the values of an RGL file",
 }  # fmt: skip
 
 

@@ -4,7 +4,6 @@ docs/statistics.md states the likelihood and what is asked of a chain before int
 it to the likelihood of all bins.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,6 +18,7 @@ from arviz_stats.base.array import array_stats
 from jax import Array
 from numpy.lib.npyio import NpzFile
 
+from ...merl_io.archive import shape_of
 from ...merl_io.atomic import write_atomically
 from ..objective.transforms import Layout
 from ..support.tables import UNSOUND
@@ -267,13 +267,8 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
 def _array(file: NpzFile, name: str, *shape: int | None) -> np.ndarray:
     """Numbers of this shape, None for any size; one that says to be larger than it is takes no memory."""
     archive: Any = file.zip  # there as long as the file is open
-    member = archive.getinfo(f"{name}.npy")
-    with archive.open(member) as opened:
-        if np.lib.format.read_magic(opened) != (1, 0):
-            raise ValueError(name)
-        found, _, kind = np.lib.format.read_array_header_1_0(opened)
-    same = len(found) == len(shape) and all(size in (None, at) for size, at in zip(shape, found, strict=True))
-    if not same or kind.kind not in "fiu" or math.prod(found) * kind.itemsize > member.file_size:
+    found = shape_of(archive, name)
+    if len(found) != len(shape) or any(size not in (None, at) for size, at in zip(shape, found, strict=True)):
         raise ValueError(name)
     array = file[name]
     if not np.isfinite(array[array != -np.inf] if name == "log_prob" else array).all():

@@ -15,12 +15,12 @@ def main(
     sections: list[str] = typer.Argument(None), few: bool = False, times: int | None = None, out: Path = RESULTS
 ) -> None:
     """Try the faults of the sections, all of them without a name."""
-    from . import folders, kills, loaders
+    from . import folders, inputs, kills, loaders
 
     tried = Tried(None if few else out)
     for section in sections or TITLES:
-        if section == "loaders":
-            loaders.run(tried, few)
+        if section in ("loaders", "inputs"):
+            {"loaders": loaders, "inputs": inputs}[section].run(tried, few)
         else:
             {"folders": folders, "kills": kills}[section].run(tried, few, times)
     sys.exit(1 if tried.wrong else 0)

@@ -95,7 +95,7 @@ def one(path, read, refusal, check):
     return "refused", ""
 
 
-def trial(tried, what, make, read, refusal, check, count, suffix):
+def trial(tried, what, make, read, refusal, check, count, suffix, section="loaders"):
     """``count`` files by ``make(rng) -> bytes``; one row."""
     came, wrong = Counter(), []
     with tempfile.TemporaryDirectory() as folder:
@@ -110,7 +110,7 @@ def trial(tried, what, make, read, refusal, check, count, suffix):
                 Path(tempfile.gettempdir(), f"wrong-{len(wrong)}{suffix}").write_bytes(content)
                 print(f"{what} {n}: {kind}: {error}", flush=True)
     said = ", ".join(f"{times:,} {kind}" for kind, times in sorted(came.items()))
-    tried.add("loaders", what, count, said, len(wrong))
+    tried.add(section, what, count, said, len(wrong))
 
 
 def damaged(rng, content, most=8):

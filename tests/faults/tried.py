@@ -8,6 +8,7 @@ from ..bench.record import machine
 RESULTS = Path(__file__).parents[2] / "results"
 TITLES = {
     "loaders": "Damaged files through the loaders",
+    "inputs": "Damaged tables and files of RGL's kind through the loaders",
     "folders": "Folders that fail",
     "kills": "kill -9 at random moments",
 }
@@ -17,6 +18,9 @@ TEXTS = {
     "MERL files have the layout of a genuine one with fewer bins, so that thousands can be tried; the full ones are of "
     "full size. A wrong outcome is a traceback, a message of more than a line or without the file's name, values that "
     "are not as documented, or memory above three times the file (and a MiB).",
+    "inputs": "As above. Whatever is accepted has directions above the horizon, shares and values that are not "
+    "negative and not infinite, and one datum at least. Files are small, so that thousands can be tried. That full "
+    "ones of RGL's layout take no more memory than three times their size is a test (tests/merl_io/test_rgl.py).",
     "folders": "Batches of the program with a stand-in for the fit, which writes what a fit would; all else is the "
     "program's own. After each the same command with --resume, the fault mended, has to bring every file to its end. "
     "A wrong outcome is a traceback, a failure without a line that names the file, an exit code of success although "

@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import rgl_files
 import spectral
 from merlfit.fitting import cli
 from merlfit.fitting.assess import scattered as assess
@@ -107,6 +108,34 @@ def test_spectral_parameters_of_a_diffracting_metal_are_recovered_to_a_thousandt
     assert result.model.acquisition.grazing_loss == "off", "MERL's loss is none of another apparatus"
     wrong = {**truth, "b": 1.01 * truth["b"]}
     assert max(spectral.errors(result, wrong).values()) > 1e-3
+
+
+def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
+    """Synthetic, of a known material; stored in float32, and the nodes are where RGL's method puts them."""
+    where = rgl_files.parameterization(0.2, (0, 15, 30, 50, 70), resolution=32, nodes=12)
+    um = np.array(FOUR.wavelengths_um)
+
+    def brdf(*angles):
+        return np.asarray(evaluate(GGX(), GLOSSY, spectral.geometry(np.degrees(np.stack(angles))), um))
+
+    file = rgl_files.write(tmp_path / "glossy_spec.bsdf", rgl_files.made(where, brdf, 1e3 * um))
+    words = ("fit", file, "-o", tmp_path, "--model", "ggx")
+    assert call(*words, "--no-posterior").exit_code == 0
+    path = tmp_path / "glossy_spec.json"
+    result = read_result(path)
+    for name, found in result.values().items():
+        np.testing.assert_allclose(found, GLOSSY[name], rtol=1e-3, err_msg=name)
+    assert result.source.format == "RGL"
+    assert result.model.bands == FOUR
+    assert result.model.acquisition.grazing_loss == "off"
+    assert "of the values of an RGL file valid" in call("inspect", path).stdout
+    assert (tmp_path / "glossy_spec.samples.png").stat().st_size > 10_000
+    reported = call("report", tmp_path)
+    assert reported.exit_code == 0
+    assert "the file holds scattered directions; `merlfit inspect` draws" in " ".join(reported.stderr.split())
+    refused = call(*words, "--posterior")
+    assert refused.exit_code == 2
+    assert "holds scattered directions, of which no posterior is sampled" in " ".join(refused.stderr.split())
 
 
 def test_the_commands_take_a_table(file, tmp_path):

@@ -1,5 +1,9 @@
 """Tables of scattered directions: what is read from CSV and NPZ, and what is refused in which words."""
 
+import io
+import tracemalloc
+import zipfile
+
 import numpy as np
 import pytest
 from merlfit.merl_io import check, inputs
@@ -97,6 +101,7 @@ def test_a_bad_table_gets_one_line_that_names_it(text, words, tmp_path):
         ({"values": np.ones((2, 3))}, "array values has shape (2, 3), not (3, 3)"),
         ({"values": np.full((3, 3), np.nan)}, "array values is not a finite number at (0, 0)"),
         ({"phi_deg": np.array([0.0, "x", None], object)}, "not a readable NPZ archive"),
+        ({"values": np.ones((3, 3), complex)}, "array values holds no real numbers"),
         ({"wavelengths_um": np.array([0.5, 0.5, 0.6])}, "wavelength 500nm is there twice"),
         ({"weight": np.array([1.0, 2.0])}, "array weight has shape (2,), not (3,)"),
         ({"theta_i_deg": np.array([0.0, 90, 3])}, "sample 2: theta_i_deg 90 is not in [0, 90)"),
@@ -115,6 +120,32 @@ def test_a_truncated_archive_gets_one_line(tmp_path):
     target.write_bytes(target.read_bytes()[:-30])
     with pytest.raises(MerlError, match=r"cut\.npz: is not a readable NPZ archive"):
         inputs.read(target)
+
+
+def test_an_array_that_says_to_be_larger_than_it_is_takes_no_memory(tmp_path):
+    target, header = archive(tmp_path / "large.npz", values=None), io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**9, 3)})
+    with zipfile.ZipFile(target, "a") as file:
+        file.writestr("values.npy", header.getvalue())
+    tracemalloc.start()
+    with pytest.raises(MerlError, match="array values says to be larger than it is"):
+        inputs.read(target)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**20
+
+
+def test_memory_is_three_times_that_of_the_file(tmp_path):
+    target = tmp_path / "large.csv"
+    rows = np.random.default_rng(0).random((3000, 34))
+    head = ",".join(["theta_i_deg", "theta_o_deg", "phi_deg", *(f"{400 + k}nm" for k in range(31))])
+    target.write_text("\n".join([head, *(",".join(f"{x:.8f}" for x in row) for row in rows)]))
+    tracemalloc.start()
+    found = inputs.read(target)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * target.stat().st_size + 2**20
+    np.testing.assert_allclose(found.values, rows[:, 3:].T, atol=1e-8)
 
 
 def test_missing_folder_or_another_file(file, tmp_path):
