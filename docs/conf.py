@@ -1,6 +1,7 @@
 """Settings of Sphinx: `make docs` builds the pages from the Markdown of the whole repository, without a network."""
 
 import re
+import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -74,6 +75,14 @@ def short_signature(*told: Any) -> tuple[str, str | None] | None:  # noqa: ANN40
     return re.sub(r"~?typing\.Unpack\[~?[\w.]*Replaced\]", "Any", given), returns
 
 
+def copy_example(app: Sphinx, failed: Exception | None) -> None:
+    """The example of a report, to which pages link as it is: Sphinx would take its index out of its folder."""
+    if failed is None and app.builder.name == "html":
+        there = Path(app.outdir) / "docs" / "report" / "example"
+        shutil.copytree(HERE / "report" / "example", there, dirs_exist_ok=True)
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("build-finished", copy_example)
     app.connect("autodoc-process-signature", short_signature)

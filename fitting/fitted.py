@@ -15,7 +15,7 @@ from .output.inspection import file_of
 from .output.report import print_result
 from .pictures import style
 from .pictures.all import PICTURES
-from .pictures.prediction import predicted_lobe
+from .pictures.prediction import Fitted, predicted_lobe
 from .pictures.subject import chain_file, subject_of
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of
@@ -85,7 +85,7 @@ class Fit:
         for name, vectors in (("i", light), ("o", viewer)):
             if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):
                 raise ValueError(f"{name} should be unit vectors of shape (..., 3)")
-        return predicted_lobe(model, self.values, light, viewer, with_grazing_loss)
+        return predicted_lobe(Fitted.of(model, self.values), light, viewer, with_grazing_loss)
 
     def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
         """Sample the posterior, or continue its chain; file and this object hold the intervals then.

@@ -1,6 +1,7 @@
 """The pages of docs/: what their checks see, and what their own directives make."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -29,6 +30,17 @@ def test_a_page_needs_no_script_and_no_network_for_its_equations(tmp_path):
     assert "merlfit check" in page
     assert 'src="http' not in page
     assert 'rel="stylesheet" type="text/css" href="http' not in page
+
+
+def test_from_the_first_page_to_the_page_of_a_material_in_two_clicks(tmp_path):
+    first = (ROOT / "docs" / "index.md").read_text()
+    code, said = built(tmp_path, f"# Page\n\n{re.search('<a .*?</a>', first)[0]}\n")
+    assert code == 0, said
+    page = tmp_path / "out" / "docs" / "index.html"
+    for link in (r'href="(report/[^"]+)"', r'<th scope="row"><a href="(materials/nickel[^"]*)"'):
+        page = page.parent / re.search(link, page.read_text())[1]
+    assert "<h1>nickel</h1>" in page.read_text()
+    assert (page.parent / re.search('<img src="([^"]+)"', page.read_text())[1]).is_file()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
+import jax
 import numpy as np
 
 from ...merl_io.binary import DIMS, Dims
@@ -82,27 +83,33 @@ def _lamp_view(normal: np.ndarray, dims: Dims) -> View:
 
 
 def _environment_view(normal: np.ndarray, dims: Dims) -> View:
+    """The viewer is along z: theta_h, cos_o and the light i = 2 cos_d h - o need no more than the half vector."""
     grid = merl_grid(dims)
     rows = np.arange(len(grid.theta_h))
     # every row of theta_h is turned against the one before it, so that the environment is sampled evenly
     turn = 2 * np.pi * ((np.arange(AZIMUTHS) + GOLDEN * rows[:, None]) % AZIMUTHS) / AZIMUTHS
     theta, phi = np.repeat(grid.theta_h, AZIMUTHS), turn.reshape(-1)
     solid_angle = np.repeat(-np.diff(np.cos(grid.edges[0])), AZIMUTHS) * 2 * np.pi / AZIMUTHS
-    across, up = (x[:, None] for x in _frame(normal))
-    sin = np.sin(theta)[:, None]
-    h = sin * np.cos(phi)[:, None] * across + sin * np.sin(phi)[:, None] * up + np.cos(theta)[:, None] * normal[:, None]
-    o = np.broadcast_to([0.0, 0.0, 1.0], h.shape)
-    cos_d = h[..., 2:]
-    i = 2 * cos_d * h - o
-    cos_i = np.einsum("psk,pk->ps", i, normal)
-    lit = (cos_i > 0) & (cos_d[..., 0] > 0)
-    weight = np.where(lit, _radiance(i) * cos_i * 4 * cos_d[..., 0] * solid_angle, 0.0)
-    return View(_bins(i, o, normal[:, None], dims), weight / (_irradiance() / np.pi))
+    local = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    h = np.stack([*_frame(normal), normal], -1) @ local  # (pixels, 3, samples)
+    cos_d, cos_o = h[:, 2], normal[:, 2:]
+    cos_i = 2 * cos_d * local[2] - cos_o
+    i = np.moveaxis(2 * cos_d[:, None] * h, 1, -1)
+    i[..., 2] -= 1
+    weight = _radiance(i) * cos_i * 4 * cos_d * solid_angle / (_irradiance() / np.pi)
+    cos_d = np.clip(cos_d, 0, 1)
+    across = 2 * np.sin(theta) * np.sqrt((1 - cos_d) * (1 + cos_d))
+    phi_d = np.arccos(np.minimum(np.abs(cos_o - cos_i) / np.maximum(across, 1e-12), 1))
+    bins = _index(np.repeat(rows, AZIMUTHS), np.arccos(cos_d), phi_d, dims)
+    return View(bins, np.where((cos_i > 0) & (h[:, 2] > 0), weight, 0.0))
 
 
 def _radiance(direction: np.ndarray) -> np.ndarray:
     """Of the studio."""
-    return np.asarray(studio(direction))
+    return np.asarray(_studio(direction))
+
+
+_studio = jax.jit(studio)
 
 
 @cache
@@ -130,10 +137,17 @@ def _bins(i: np.ndarray, o: np.ndarray, normal: np.ndarray, dims: Dims = DIMS) -
     apart = np.sum((o - i) * normal, -1)  # cos_o - cos_i = 2 sin_h sin_d cos(phi_d)
     cos_phi = apart / np.maximum(2 * np.sin(theta_h) * np.sin(theta_d), 1e-12)
     phi_d = np.arccos(np.clip(np.abs(cos_phi), 0, 1))
-    folded = dims[0], dims[1], dims[2] // 2
-    places = np.sqrt(np.clip(theta_h / (np.pi / 2), 0, 1)), theta_d / (np.pi / 2), phi_d / (np.pi / 2)
-    h, d, p = (np.clip((x * n).astype(np.int32), 0, n - 1) for x, n in zip(places, folded, strict=True))
-    return (h * folded[1] + d) * folded[2] + p
+    row = np.clip((np.sqrt(np.clip(theta_h / (np.pi / 2), 0, 1)) * dims[0]).astype(np.int32), 0, dims[0] - 1)
+    return _index(row, theta_d, phi_d, dims)
+
+
+def _index(row: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray, dims: Dims) -> np.ndarray:
+    """Flat index of a folded bin of a row of theta_h."""
+    folded = dims[1], dims[2] // 2
+    d, p = (
+        np.clip((x / (np.pi / 2) * n).astype(np.int32), 0, n - 1) for x, n in zip((theta_d, phi_d), folded, strict=True)
+    )
+    return (row.astype(np.int32) * folded[0] + d) * folded[1] + p
 
 
 def difference(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> float:

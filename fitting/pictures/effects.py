@@ -43,7 +43,7 @@ def _lobes(axis: Axes, subject: Subject) -> None:
     middle = len(model.channels) // 2
     angles, _ = viewers(INCIDENCE_DEG, np.degrees(subject.grid.theta_h))
     i, o = plane_of_incidence(np.radians(INCIDENCE_DEG), np.radians(angles))
-    found = prediction.parts_of(model, subject.values, Geometry.from_vectors(i, o))
+    found = prediction.parts_of(subject.fitted, Geometry.from_vectors(i, o))
     brightest = max(float(lobe[middle].max()) for lobe in found.values())
     for k, (name, lobe) in enumerate(found.items()):
         axis.plot(angles, lobe[middle], LINES[k % 4], color=OKABE_ITO[k % 8], label=PARTS.get(name, name))

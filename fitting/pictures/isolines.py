@@ -60,7 +60,7 @@ def logarithms(subject: Subject, degrees: float) -> tuple[np.ndarray, np.ndarray
     if subject.measurement is not None:
         angles = prediction.half_difference(i, o)
         shown["file"] = prediction.measured_lobe(subject.measurement, subject.grid, *angles)[middle]
-    shown["fit"] = prediction.predicted_lobe(subject.model, subject.values, i, o)[middle]
+    shown["fit"] = prediction.predicted_lobe(subject.fitted, i, o)[middle]
     with np.errstate(invalid="ignore"):
         lit = {name: seen & (lobe > 0) for name, lobe in shown.items()}
     logs = {name: np.where(lit[name], np.log10(np.where(lit[name], x, 1)), np.nan) for name, x in shown.items()}

@@ -44,8 +44,8 @@ def _row(row: np.ndarray, subject: Subject, degrees: float) -> tuple[float, floa
     model, grid = subject.model, subject.grid
     angles, is_datum = viewers(degrees, np.degrees(grid.theta_h))
     i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
-    fitted = prediction.predicted_lobe(model, subject.values, i, o)
-    alone = prediction.predicted_lobe(model, subject.values, i, o, loss=False) if model.measured.loses else None
+    fitted = prediction.predicted_lobe(subject.fitted, i, o)
+    alone = prediction.predicted_lobe(subject.fitted, i, o, loss=False) if model.measured.loses else None
     chain, file = subject.trusted, subject.measurement
     shaded = None if chain is None else prediction.band(subject.result, chain, Geometry.from_vectors(i, o))
     seen = np.full_like(fitted, np.nan)

@@ -46,7 +46,7 @@ def peak_of(subject: Subject) -> Peak:
     p = len(grid.phi_d) // 2
     seen = grid.theta_h < np.pi / 2 - grid.theta_d[d]
     where = (jnp.asarray(grid.theta_h[seen]), jnp.asarray(grid.theta_d[d]), jnp.asarray(grid.phi_d[p]))
-    fit = prediction.brdf_of(subject.model, subject.values, Geometry.from_half_difference(*where))
+    fit = prediction.brdf_of(subject.fitted, Geometry.from_half_difference(*where))
     file = np.full_like(fit, np.nan) if subject.measurement is None else subject.measurement.values[:, seen, d, p]
     degrees = np.degrees(grid.theta_h[seen])
     return Peak(

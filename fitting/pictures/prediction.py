@@ -1,18 +1,22 @@
 """What a fit predicts, and what a file holds, at the angles that are pictured."""
 
 from collections.abc import Mapping
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 from scipy.interpolate import RegularGridInterpolator
 
-from ...merl_io.binary import Measurement
-from ...merl_io.grid import MerlGrid
+from ...merl_io.azimuth import Nodes, nodes_of
+from ...merl_io.binary import Dims, Measurement
+from ...merl_io.grid import MerlGrid, merl_grid
 from ...model.geometry import Geometry
-from ...model.reflectance import Reflectance, contributions, evaluate
+from ...model.reflectance import Reflectance, contributions, evaluate, prepared
+from ..objective.problem import AZIMUTHS
 from ..results.schema import Model, Result
 
 WIDEST_DEG = 89.0  # of the viewers of a lobe
@@ -61,21 +65,53 @@ def measured_lobe(
     return np.stack([RegularGridInterpolator(axes, plane)(points) for plane in measurement.values])
 
 
-def predicted_lobe(model: Model, values: dict, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted material, ready to be evaluated.
+
+    Attributes:
+        model: what was fitted. values: of the parameters of its general model (`Reflectance.general`), for which alone
+            programs are compiled, and tables that directions share, if there are any.
+    """
+
+    model: Model
+    values: Mapping[str, ArrayLike]
+
+    @classmethod
+    def of(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
+        """Every direction computes all for itself."""
+        return cls(model, model.measured.generalised(values))
+
+    @classmethod
+    def tabled(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
+        """Tables do for all directions, to 1e-5 and better of what they would compute (`reflectance.prepared`)."""
+        given = model.measured.generalised(values)
+        return cls(model, _prepared(model.measured.general, given, tuple(model.wavelengths_um)))
+
+    def seen_as(self, seen: Reflectance) -> tuple[Reflectance, dict[str, ArrayLike], Array]:
+        """The general model of it, seen by the apparatus or not, and what it takes."""
+        general = seen.general
+        taken = {*(q.name for q in general.parameters), *general.curves(), *general.switches}
+        kept = {name: x for name, x in self.values.items() if name in taken}
+        return general, kept, jnp.asarray(self.model.wavelengths_um)
+
+
+def predicted_lobe(fitted: Fitted, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
     """BRDF of the fitted material, (C, N): as the apparatus would have measured it, or without its loss."""
-    return brdf_of(model, values, Geometry.from_vectors(i, o), loss)
+    return brdf_of(fitted, Geometry.from_vectors(i, o), loss)
 
 
-def brdf_of(model: Model, values: dict, geometry: Geometry, loss: bool = True) -> np.ndarray:
+def brdf_of(fitted: Fitted, geometry: Geometry, loss: bool = True) -> np.ndarray:
     """BRDF of the fitted material, (C, ...): as the apparatus would have measured it, or without its loss."""
-    seen = model.measured if loss else model.material
-    return np.asarray(_compiled(seen, values, geometry, jnp.asarray(model.wavelengths_um)))
+    general, values, wavelengths = fitted.seen_as(fitted.model.measured if loss else fitted.model.material)
+    return np.asarray(_compiled(general, values, geometry, wavelengths))
 
 
-def parts_of(model: Model, values: dict, geometry: Geometry) -> dict[str, np.ndarray]:
-    """What each lobe and the body add to the material, without the apparatus, (C, ...) each."""
-    found = _parts(model.material, values, geometry, jnp.asarray(model.wavelengths_um))
-    return {name: np.asarray(found[name]) for name in sorted(found, key=_place)}
+def parts_of(fitted: Fitted, geometry: Geometry) -> dict[str, np.ndarray]:
+    """What each lobe and the body add to the material, without the apparatus, (C, ...) each; what is 0 is left out."""
+    general, values, wavelengths = fitted.seen_as(fitted.model.material)
+    found = {name: np.asarray(x) for name, x in _parts(general, values, geometry, wavelengths).items()}
+    return {name: found[name] for name in sorted(found, key=_place) if found[name].any()}
 
 
 def _place(part: str) -> tuple[int, str]:
@@ -89,28 +125,41 @@ def band(result: Result, chain: Mapping[str, np.ndarray], geometry: Geometry) ->
     assert result.model is not None
     count = np.arange(BAND_DRAWS) + 0.5
     drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
-    values = [result.values(chain["values"][k]) for k in drawn]
-    stacked = {name: jnp.asarray([each[name] for each in values]) for name in values[0]}
-    wavelengths = jnp.asarray(result.model.wavelengths_um)
-    lobes = _compiled_of_many(result.model.measured, stacked, geometry, wavelengths)
+    every = [Fitted.of(result.model, result.values(chain["values"][k])) for k in drawn]
+    general, _, wavelengths = every[0].seen_as(result.model.measured)
+    stacked = {name: jnp.asarray([each.values[name] for each in every]) for name in every[0].values}
+    lobes = _compiled_of_many(general, stacked, geometry, wavelengths)
     return np.quantile(np.asarray(lobes), [0.05, 0.95], axis=0)
 
 
-def all_bins(model: Model, values: dict, grid: MerlGrid) -> np.ndarray:
-    """The fit as the apparatus would have measured it, on folded bins, (C, H, D, P/2)."""
-    return brdf_of(model, values, _folded_bins(grid))
+def all_bins(fitted: Fitted, dims: Dims) -> np.ndarray:
+    """The fit as the apparatus would have measured it, on folded bins, (C, H, D, P/2); 0 below the horizon."""
+    geometry, nodes = _rows(dims)
+    return _at_bins(nodes, brdf_of(fitted, geometry), dims)
 
 
-def parts_of_all_bins(model: Model, values: dict, grid: MerlGrid) -> dict[str, np.ndarray]:
+def parts_of_all_bins(fitted: Fitted, dims: Dims) -> dict[str, np.ndarray]:
     """:func:`parts_of` on folded bins."""
-    return parts_of(model, values, _folded_bins(grid))
+    geometry, nodes = _rows(dims)
+    return {name: _at_bins(nodes, part, dims) for name, part in parts_of(fitted, geometry).items()}
 
 
-def _folded_bins(grid: MerlGrid) -> Geometry:
-    return Geometry.from_half_difference(
-        jnp.asarray(grid.theta_h)[:, None, None], jnp.asarray(grid.theta_d)[:, None],
-        jnp.asarray(grid.phi_d[: len(grid.phi_d) // 2]),
-    )  # fmt: skip
+@cache
+def _rows(dims: Dims) -> tuple[Geometry, Nodes]:
+    """Rows of azimuths: the model is evaluated at a few nodes of each."""
+    grid = merl_grid(dims)
+    half = dims[2] // 2
+    nodes = nodes_of(grid.theta_h, grid.theta_d, grid.phi_d[:half], min(AZIMUTHS, half))
+    angles = grid.theta_h[:, None, None], grid.theta_d[:, None], nodes.cos_i, nodes.cos_o
+    return Geometry(*map(jnp.asarray, angles)), nodes
+
+
+def _at_bins(nodes: Nodes, values: np.ndarray, dims: Dims) -> np.ndarray:
+    """A polynomial may be a little below 0 where the BRDF is next to nothing."""
+    return np.where(merl_grid(dims).above[..., : dims[2] // 2], np.maximum(nodes.at_bins(values), 0.0), 0.0)
+
+
+_prepared = jax.jit(prepared, static_argnums=(0, 2))
 
 
 @partial(jax.jit, static_argnums=0)

@@ -63,7 +63,7 @@ def _ratios(panels: np.ndarray, subject: Subject, loss: bool) -> float:
     here = np.ix_(np.arange(len(grid.theta_h)), d, p)
     inside = (file.valid & grid.above & within(grid, subject.theta_max))[here]
     geometry = Geometry.from_half_difference(*map(jnp.asarray, where))
-    fitted = prediction.brdf_of(subject.model, subject.values, geometry, loss)
+    fitted = prediction.brdf_of(subject.fitted, geometry, loss)
     for c, name in enumerate(subject.model.channels):
         data, colour = file.values[c][here], channel_colour(name, c)
         ratio = np.where(inside & (data > 0), fitted[c] / np.where(inside & (data > 0), data, 1.0), np.nan)

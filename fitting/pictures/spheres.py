@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from ...merl_io.binary import Dims
 from ...merl_io.samples import folded
@@ -19,6 +19,7 @@ from .style import new, printable
 from .subject import Subject
 
 SIDE: dict[Lighting, int] = {"lamp": 224, "environment": 112}  # pixels
+AT_ONCE = 512  # pixels whose weights are found together
 LARGEST_SHOWN = 10.0  # CIELAB distance that is brightest in a picture of differences
 PARTS = {"specular": "reflection", "diffracted": "diffraction", "body": "body"}
 """What the sharp lobes and the body are called, by their names in the models."""
@@ -68,10 +69,20 @@ def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
     axis = (np.arange(side) + 0.5) / side * 2 - 1
     positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
     inside = np.sum(positions**2, -1) < 0.99
-    lit = view(lighting, positions[inside], dims)
+    seen = positions[inside]
+    return inside, vstack(
+        [_weights(lighting, seen[k : k + AT_ONCE], dims) for k in range(0, len(seen), AT_ONCE)], "csr"
+    )
+
+
+def _weights(lighting: Lighting, positions: np.ndarray, dims: Dims) -> csr_array:
+    lit = view(lighting, positions, dims)
     starts = np.arange(0, lit.bins.size + 1, lit.bins.shape[1])
     shape = len(lit.bins), dims[0] * dims[1] * (dims[2] // 2)
-    return inside, csr_array((lit.weights.astype(np.float32).ravel(), lit.bins.ravel(), starts), shape)
+    found = csr_array((lit.weights.astype(np.float32).ravel(), lit.bins.ravel(), starts), shape)
+    found.eliminate_zeros()
+    found.sum_duplicates()
+    return found
 
 
 def _render(lit: csr_array, brdf: np.ndarray) -> np.ndarray:

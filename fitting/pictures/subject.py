@@ -74,6 +74,11 @@ class Subject:
         """Of the parameters, as the model takes them."""
         return self.result.values()
 
+    @cached_property
+    def fitted(self) -> prediction.Fitted:
+        """The material, with tables for all directions of all pictures."""
+        return prediction.Fitted.tabled(self.model, self.values)
+
     @property
     def dims(self) -> Dims:
         """Of the file, or MERL's where there is none."""
@@ -87,12 +92,12 @@ class Subject:
     @cached_property
     def predicted(self) -> np.ndarray:
         """The fit as the apparatus would have measured it, on folded bins, (C, H, D, P/2)."""
-        return prediction.all_bins(self.model, self.values, self.grid)
+        return prediction.all_bins(self.fitted, self.dims)
 
     @cached_property
     def parts(self) -> dict[str, np.ndarray]:
         """What each lobe and the body add to the material, without the apparatus, on folded bins (C, H, D, P/2)."""
-        return prediction.parts_of_all_bins(self.model, self.values, self.grid)
+        return prediction.parts_of_all_bins(self.fitted, self.dims)
 
     @property
     def theta_max(self) -> float:

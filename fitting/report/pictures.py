@@ -1,11 +1,11 @@
 """Pictures of a material's page, as WebP files."""
 
-import io
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from ...merl_io.atomic import write_atomically
@@ -56,6 +56,8 @@ def _image(picture: np.ndarray) -> Image.Image:
 
 
 def _drawn(subject: Subject, what: str) -> Image.Image:
-    drawn = io.BytesIO()
-    PICTURES[what].draw(subject).savefig(drawn, format="png", dpi=DPI)
-    return Image.open(drawn).convert("RGB")
+    figure = PICTURES[what].draw(subject)
+    figure.set_dpi(DPI)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

@@ -31,7 +31,7 @@ def lobes(subject: Subject) -> tuple[Rows, Rows]:
         told = np.flatnonzero(is_datum | (np.abs(angles) < WIDEST_DEG))
         plane += _plane(subject, degrees, angles, is_datum, told)
         i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
-        added = prediction.parts_of(subject.model, subject.values, Geometry.from_vectors(i, o))
+        added = prediction.parts_of(subject.fitted, Geometry.from_vectors(i, o))
         for name, brdf in added.items():
             lobe = brdf[len(subject.model.channels) // 2]
             parts += [
@@ -50,8 +50,8 @@ def _plane(subject: Subject, degrees: float, angles: np.ndarray, is_datum: np.nd
     m, file, chain = subject.model, subject.measurement, subject.trusted
     i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
     none = np.full((len(m.channels), len(angles)), np.nan)
-    fit = prediction.predicted_lobe(m, subject.values, i, o)
-    alone = prediction.predicted_lobe(m, subject.values, i, o, loss=False) if m.measured.loses else none
+    fit = prediction.predicted_lobe(subject.fitted, i, o)
+    alone = prediction.predicted_lobe(subject.fitted, i, o, loss=False) if m.measured.loses else none
     seen = none if file is None else prediction.measured_lobe(file, subject.grid, *prediction.half_difference(i, o))
     seen = np.where(is_datum, seen, np.nan)
     bands = none[None].repeat(2, 0)

@@ -16,7 +16,9 @@ from merlfit.fitting.pictures.spheres import of_file_and_fit, of_parts
 from merlfit.fitting.pictures.subject import NoPicture, Subject
 from merlfit.merl_io.binary import DIMS, Measurement
 from merlfit.merl_io.grid import merl_grid
+from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
+from merlfit.model.reflectance import evaluate
 from merlfit.model.two_scale import TwoScale
 from merlfit.scene.colour import cielab
 
@@ -265,3 +267,18 @@ def test_inspect_draws_what_it_is_asked_for(tmp_path, subject, monkeypatch):
     asked = ["lobes", "corner"]
     assert inspection.show(tmp_path / "x.json", subject.result, Path("x.binary"), tmp_path, "pdf", asked)
     assert {p.name for p in tmp_path.iterdir()} == {f"gold-metallic-paint3.{name}.pdf" for name in asked}
+
+
+def test_pictures_show_what_the_model_says_at_every_bin(subject):
+    """Tables and a few azimuths a row stand for what each bin would compute for itself."""
+    model, grid = subject.model, subject.grid
+    rng = np.random.default_rng(3)
+    seen = np.argwhere(grid.above[..., :90] & (np.minimum(grid.cos_i, grid.cos_o)[..., :90] > np.cos(1.4)))
+    h, d, p = rng.choice(seen, 300).T
+    where = Geometry.from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
+    exact = np.asarray(evaluate(model.measured, subject.values, where, model.wavelengths_um))
+    np.testing.assert_allclose(subject.predicted[:, h, d, p], exact, rtol=2e-3)
+    alone = np.asarray(evaluate(model.material, subject.values, where, model.wavelengths_um))
+    np.testing.assert_allclose(sum(x[:, h, d, p] for x in subject.parts.values()), alone, rtol=2e-3)
+    assert [*subject.parts] == ["specular", "diffracted", "body"]
+    assert not subject.predicted[:, ~grid.above[..., :90]].any()

@@ -5,6 +5,7 @@ import json
 import os
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 from urllib.parse import unquote
 
 import chromium
@@ -30,6 +31,7 @@ from merlfit.model.two_scale import TwoScale
 from playwright.sync_api import expect, sync_playwright
 from typer.testing import CliRunner
 
+ROOT = Path(__file__).parents[2]
 NICKEL = {"alpha": 0.1, "F0": np.array([0.6, 0.5, 0.4]), "albedo": np.array([0.05, 0.04, 0.03])}
 EVIL = "</script><script>document.title='owned'</script>"
 
@@ -274,3 +276,11 @@ def test_a_click_from_the_index_opens_a_page_and_no_page_is_wider_than_a_phone(o
     assert page.title() == "white-fabric - merlfit"
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert json.loads(page.locator("script.spec").first.text_content())["vconcat"]
+
+
+def test_from_the_readme_to_the_page_of_a_material_in_two_clicks(opened):
+    first = re.search(r"\[An example of the report\]\(([^)]+)\)", (ROOT / "README.md").read_text())[1]
+    page = drawn(opened(ROOT / first))
+    page.get_by_role("link", name="nickel", exact=True).click()
+    drawn(page)
+    assert page.title() == "nickel - merlfit"

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from merlfit.merl_io.azimuth import gather
+from merlfit.merl_io.azimuth import gather, nodes_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 
@@ -86,3 +86,20 @@ def test_rows_of_few_bins_stay_as_they_are(samples):
     predicted = np.random.default_rng(0).uniform(size=few.value.shape)
     np.testing.assert_allclose(gathered_squares(rows, predicted), squares(few, predicted), rtol=1e-13)
     assert not np.any(rows.rest)
+
+
+@pytest.mark.parametrize("nodes", [3, 8])
+def test_a_polynomial_at_the_nodes_is_known_at_every_bin(samples, nodes):
+    coefficients = np.random.default_rng(nodes).normal(size=(nodes, 2, *samples.value.shape[1:3], 1))
+
+    def polynomial(s):
+        return sum(coefficients[k] * s**k for k in range(nodes))
+
+    given = nodes_of(samples.theta_h, samples.theta_d, samples.phi_d, nodes)
+    at_nodes = polynomial(distance(replace(samples, cos_i=given.cos_i, cos_o=given.cos_o)))
+    above = samples.cos_i > 1e-6
+    found, expected = given.at_bins(at_nodes)[:, above], polynomial(distance(samples))[:, above]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    few = nodes_of(samples.theta_h, samples.theta_d, samples.phi_d, nodes - 1)
+    at_few = polynomial(distance(replace(samples, cos_i=few.cos_i, cos_o=few.cos_o)))
+    assert np.abs(few.at_bins(at_few)[:, above] - expected).max() > 1e-3
