@@ -70,9 +70,8 @@ def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
     positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
     inside = np.sum(positions**2, -1) < 0.99
     seen = positions[inside]
-    return inside, vstack(
-        [_weights(lighting, seen[k : k + AT_ONCE], dims) for k in range(0, len(seen), AT_ONCE)], "csr"
-    )
+    some = [_weights(lighting, seen[k : k + AT_ONCE], dims) for k in range(0, len(seen), AT_ONCE)]
+    return inside, csr_array(vstack(some, "csr"))
 
 
 def _weights(lighting: Lighting, positions: np.ndarray, dims: Dims) -> csr_array:

@@ -98,6 +98,7 @@ def test_a_polynomial_at_the_nodes_is_known_at_every_bin(samples, nodes):
     given = nodes_of(samples.theta_h, samples.theta_d, samples.phi_d, nodes)
     at_nodes = polynomial(distance(replace(samples, cos_i=given.cos_i, cos_o=given.cos_o)))
     above = samples.cos_i > 1e-6
+    above &= above.sum(-1, keepdims=True) > 1  # a bin that is alone in its row has a value of its neighbourhood
     found, expected = given.at_bins(at_nodes)[:, above], polynomial(distance(samples))[:, above]
     np.testing.assert_allclose(found, expected, atol=1e-6)
     few = nodes_of(samples.theta_h, samples.theta_d, samples.phi_d, nodes - 1)
