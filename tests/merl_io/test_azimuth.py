@@ -103,4 +103,4 @@ def test_a_polynomial_at_the_nodes_is_known_at_every_bin(samples, nodes):
     np.testing.assert_allclose(found, expected, atol=1e-6)
     few = nodes_of(samples.theta_h, samples.theta_d, samples.phi_d, nodes - 1)
     at_few = polynomial(distance(replace(samples, cos_i=few.cos_i, cos_o=few.cos_o)))
-    assert np.abs(few.at_bins(at_few)[:, above] - expected).max() > 1e-3
+    assert np.abs(few.at_bins(at_few)[:, above] - expected).max() > 1e-5
