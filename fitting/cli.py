@@ -24,7 +24,7 @@ from .support.terminal import (
 # the commands import what they need: `merlfit --help` does not wait for JAX
 app = typer.Typer(
     name="merlfit", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
-    help="Fit reflectance models to MERL BRDF files, with error bars.",
+    help="Fit reflectance models to measured BRDFs, with error bars: MERL files, tables, RGL's files.",
 )  # fmt: skip
 
 # typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
@@ -84,7 +84,7 @@ Jobs = Annotated[
         "-j",
         "--jobs",
         min=1,
-        help="Files to fit at once \\[default: as cores and memory allow].",
+        help="Files to fit at once, or workers of dask-slurm \\[default: as cores and memory allow].",
         show_default=False,
     ),
 ]
@@ -195,6 +195,7 @@ def compare(
     config: Annotated[
         Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
     ] = None,
+    dims: Dims = None,
     weights: Weights = None,
     published: Annotated[
         bool, typer.Option("--published/--no-published", help="Beside the fits, published parameters of the material.")
@@ -206,16 +207,17 @@ def compare(
     """
     from .files import compare_files, settings_of
 
-    compare_files(files, models, out, settings_of(config, weights=weights, posterior=False), published)
+    compare_files(files, models, out, settings_of(config, dims=dims, weights=weights, posterior=False), published)
 
 
 @app.command(epilog="Example: merlfit which nickel.binary")
 def which(
-    file: Annotated[Path, typer.Argument(help="A MERL .binary file.", show_default=False, readable=False)],
+    file: Annotated[Path, typer.Argument(help="The file, as of `merlfit fit`.", show_default=False, readable=False)],
     models: Models = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder to keep the results in \\[default: they are not kept].")
     ] = None,
+    dims: Dims = None,
     weights: Weights = None,
 ) -> None:
     """Say which model is the least that explains a material, and how the others compare."""
@@ -223,7 +225,7 @@ def which(
 
     from .files import settings_of, which_model
 
-    settings = settings_of(None, weights=weights, posterior=False)
+    settings = settings_of(None, dims=dims, weights=weights, posterior=False)
     with TemporaryDirectory(prefix="merlfit-") as scratch:
         which_model(file, models, out or Path(scratch), settings)
 

@@ -207,7 +207,9 @@ def _dims_in(path: Path, head: bytes, size: int, allowed: tuple[Dims, ...]) -> D
         if struct.unpack(">3i", head) in allowed:
             raise MerlError(f"{path}: is big-endian; MERL files are little-endian, convert it first")
         if any(not 0 < n < 100_000 for n in dims):
-            raise MerlError(f"{path}: not a MERL .binary file: its first 12 bytes are not three dimensions")
+            raise MerlError(
+                f"{path}: not a MERL .binary file: its first 12 bytes are not three dimensions (tables are .csv, .npz)"
+            )
         mend = f"; --dims {said(dims)} allows them" if size == file_bytes(dims) and _usable(dims) else ""
         raise MerlError(f"{path}: its dimensions are {said(dims)}, those of MERL {said(DIMS)}{mend}")
     expected = file_bytes(dims)

@@ -6,6 +6,7 @@ import math
 import re
 import zipfile
 from array import array
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.lib.npyio import NpzFile
 
 from .archive import shape_of
 from .bands import MERL, Bands
+from .binary import BRIGHTEST
 from .scattered import ScatteredMeasurement
 from .source import MerlError, contents
 
@@ -32,12 +34,12 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     """
     path = Path(path)
     data, sha1, blob = contents(path, fitted_sha1)
-    columns, values, bands = (_npz if path.suffix.lower() == ".npz" else _csv)(path, data)
-    _check(path, columns, values)
-    values[values < 0] = np.nan
+    columns, values, bands, places = (_npz if path.suffix.lower() == ".npz" else _csv)(path, data)
+    _check(path, columns, places)
+    values[(values < 0) | (values >= BRIGHTEST)] = np.nan
     share = columns.get(WEIGHT, np.ones(values.shape[1]))
     if not np.any(np.isfinite(values) & (share > 0)):
-        raise MerlError(f"{path}: holds no datum: every value is negative, or has no weight")
+        raise MerlError(f"{path}: holds no datum: every value is negative or above {BRIGHTEST:g}/sr, or has no weight")
     theta_i, theta_o, phi = (np.radians(columns[name]) for name in ANGLES)
     return ScatteredMeasurement(path, "table", theta_i, theta_o, phi, values, share, bands, sha1, blob)
 
@@ -48,8 +50,11 @@ def bands_of(path: Path, names: list[str]) -> Bands:
     Raises:
         MerlError: something else, or two of the same.
     """
-    if tuple(names) == MERL.names:
+    if set(names) == set(MERL.names):
         return MERL
+    if (some := set(names) & set(MERL.names)) and len(some) == len(names):
+        lacking = [name for name in MERL.names if name not in some]
+        raise MerlError(f"{path}: has no column {lacking[0]}: R, G and B stand together")
     found = []
     for name in names:
         match = re.fullmatch(r"(\d+\.?\d*|\.\d+)(nm|um)", name)
@@ -79,21 +84,23 @@ def spectral(path: Path, wavelengths_um: list[float]) -> Bands:
     return Bands(names, tuple(wavelengths_um))
 
 
-Read = tuple[dict[str, np.ndarray], np.ndarray, Bands]  # angles and weights by name (N,), values (C, N), bands
+# Angles and weights by name (N,), values (C, N), bands, and where each sample stands in the file, in words.
+Read = tuple[dict[str, np.ndarray], np.ndarray, Bands, Callable[[int], str]]
 
 
 def _csv(path: Path, data: bytes) -> Read:
     text = io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline="")  # decoded line by line: no copy of all
-    lines = enumerate(csv.reader(text), 1)
-    head, numbers = None, array("d")
+    reader = csv.reader(text)
+    head, numbers, lines = None, array("d"), array("l")
     try:
-        for number, cells in lines:
+        for cells in reader:
             if not cells or cells[0].lstrip().startswith("#"):
                 continue
             if head is None:
                 head = _heads(path, cells)
                 continue
-            numbers.extend(_numbers(path, number, head, cells))
+            numbers.extend(_numbers(path, reader.line_num, head, cells))
+            lines.append(reader.line_num)
     except UnicodeDecodeError:
         raise MerlError(f"{path}: is not a table: it is no UTF-8 text") from None
     except csv.Error as error:
@@ -102,14 +109,19 @@ def _csv(path: Path, data: bytes) -> Read:
         raise MerlError(f"{path}: is not a table: it has {'no lines of numbers' if head else 'no line of names'}")
     table = np.frombuffer(numbers).reshape(-1, len(head)).T
     columns = {name: table[k] for k, name in enumerate(head) if name in (*ANGLES, WEIGHT)}
-    channels = [k for k, name in enumerate(head) if name not in columns]
-    return columns, table[channels], bands_of(path, [head[k] for k in channels])
+    names = [name for name in head if name not in columns]
+    bands = bands_of(path, names)
+    order = bands.names if bands is MERL else names
+    return columns, table[[head.index(name) for name in order]], bands, lambda k: f"line {lines[k]}"
 
 
 def _heads(path: Path, cells: list[str]) -> list[str]:
     head = [cell.strip() for cell in cells]
     if missing := [name for name in ANGLES if name not in head]:
-        raise MerlError(f"{path}: its first line names no column {missing[0]}; it needs {', '.join(ANGLES)}")
+        commas = "" if len(head) > 1 else " with commas between"
+        raise MerlError(f"{path}: its first line names no column {missing[0]}; it needs {', '.join(ANGLES)}{commas}")
+    if "" in head:
+        raise MerlError(f"{path}: column {head.index('') + 1} has no name; is there a comma too many?")
     if twice := [name for k, name in enumerate(head) if name in head[:k]]:
         raise MerlError(f"{path}: column {twice[0]!r} is there twice")
     return head
@@ -124,7 +136,8 @@ def _numbers(path: Path, line: int, head: list[str], cells: list[str]) -> list[f
         found = [_number(cell) for cell in cells]
     for name, cell, x in zip(head, cells, found, strict=True):
         if not math.isfinite(x):
-            raise MerlError(f"{path}: line {line}: {name} is {cell.strip()!r}, not a finite number")
+            mend = "; a negative value is no datum" if name not in (*ANGLES, WEIGHT) else ""
+            raise MerlError(f"{path}: line {line}: {name} is {cell.strip()!r}, not a finite number{mend}")
     return found
 
 
@@ -161,7 +174,7 @@ def _npz(path: Path, data: bytes) -> Read:
     if not count:
         raise MerlError(f"{path}: holds no samples")
     bands = spectral(path, found.pop("wavelengths_um").tolist())
-    return found, found.pop("values").T, bands
+    return found, found.pop("values").T, bands, lambda k: f"sample {k + 1}"
 
 
 def _array(arrays: NpzFile, name: str) -> np.ndarray:
@@ -171,10 +184,10 @@ def _array(arrays: NpzFile, name: str) -> np.ndarray:
     return np.asarray(arrays[name], float)
 
 
-def _check(path: Path, columns: dict[str, np.ndarray], values: np.ndarray) -> None:
+def _check(path: Path, columns: dict[str, np.ndarray], places: Callable[[int], str]) -> None:
     """Refuse directions below the horizon and weights that are none."""
     for name in ANGLES[:2]:
         if (bad := np.flatnonzero((columns[name] < 0) | (columns[name] >= 90))).size:
-            raise MerlError(f"{path}: sample {bad[0] + 1}: {name} {columns[name][bad[0]]:g} is not in [0, 90)")
+            raise MerlError(f"{path}: {places(bad[0])}: {name} {columns[name][bad[0]]:g} is not in [0, 90)")
     if WEIGHT in columns and (bad := np.flatnonzero(columns[WEIGHT] < 0)).size:
-        raise MerlError(f"{path}: sample {bad[0] + 1}: weight {columns[WEIGHT][bad[0]]:g} is negative")
+        raise MerlError(f"{path}: {places(bad[0])}: weight {columns[WEIGHT][bad[0]]:g} is negative")

@@ -53,6 +53,15 @@ def test_rgb_and_weights(tmp_path):
     assert found.colour_space == "linear RGB, as stored"
 
 
+def test_colours_in_any_order(tmp_path):
+    target = tmp_path / "colours.csv"
+    target.write_text("theta_i_deg,B,theta_o_deg,G,phi_deg,R\n10,0.3,20,0.2,30,0.1\n")
+    found = inputs.read(target)
+    assert found.bands.names == ("R", "G", "B")
+    np.testing.assert_array_equal(found.values[:, 0], [0.1, 0.2, 0.3])
+    assert np.degrees(found.theta_o[0]) == pytest.approx(20)
+
+
 def test_what_check_says(file):
     report = check.inspect_file(file)
     assert report.samples == 3
@@ -68,15 +77,19 @@ def test_what_check_says(file):
         (TEXT[:-9], "line 5 has 4 cells, and there are 6 columns"),
         (TEXT.replace("0.25", "nan"), "line 5: 650.5nm is 'nan', not a finite number"),
         (TEXT.replace("0.25", "much"), "line 5: 650.5nm is 'much', not a finite number"),
-        (TEXT.replace("0.25", ""), "line 5: 650.5nm is '', not a finite number"),
+        (TEXT.replace("0.25", ""), "line 5: 650.5nm is '', not a finite number; a negative value is no datum"),
+        (TEXT.replace(",", ";"), "with commas between"),
+        (HEAD + ",\n", "column 7 has no name"),
+        ("theta_i_deg,theta_o_deg,phi_deg,R,B\n0,10,0,1,1\n", "has no column G: R, G and B stand together"),
+        ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,1e200\n", "holds no datum"),
         (TEXT.replace("theta_o_deg", "theta_r"), "names no column theta_o_deg"),
         (TEXT.replace("450nm", "blue"), "column 'blue' is none of"),
         (TEXT.replace("450nm", "550nm"), "wavelength 550nm is there twice"),
         (TEXT.replace("450nm", "45nm"), "wavelength 0.045 um is not between 0.1 and 10"),
         (TEXT.replace("450nm", "theta_i_deg"), "column 'theta_i_deg' is there twice"),
-        (TEXT.replace("30, 30,", "30, 95,"), "sample 2: theta_o_deg 95 is not in"),
-        (TEXT.replace("60,10", "-60,10"), "sample 3: theta_i_deg -60 is not in"),
-        ("theta_i_deg,theta_o_deg,phi_deg,weight,500nm\n0,10,0,-1,1\n", "sample 1: weight -1 is negative"),
+        (TEXT.replace("30, 30,", "30, 95,"), "line 4: theta_o_deg 95 is not in"),
+        (TEXT.replace("60,10", "-60,10"), "line 5: theta_i_deg -60 is not in"),
+        ("theta_i_deg,theta_o_deg,phi_deg,weight,500nm\n0,10,0,-1,1\n", "line 2: weight -1 is negative"),
         ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,-1\n", "holds no datum"),
         ("theta_i_deg,theta_o_deg,phi_deg\n0,10,0\n", "has no column of values"),
         (HEAD + "\n", "it has no lines of numbers"),
