@@ -138,6 +138,24 @@ def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
     assert "holds scattered directions, of which no posterior is sampled" in " ".join(refused.stderr.split())
 
 
+@pytest.mark.slow
+def test_a_diffracting_metal_is_recovered_from_a_file_of_rgls(tmp_path):
+    """Synthetic. b is what the little diffracted light says least of: its standard error is a thousandth."""
+    um = spectral.WAVELENGTHS_UM[::5]
+    truth = {**spectral.SURFACE, **spectral.metal(um)}
+    where = rgl_files.parameterization(0.15, (0, 10, 20, 30, 45, 60, 70), resolution=64, nodes=16)
+
+    def brdf(*angles):
+        return spectral.values_of(TwoScale("none"), truth, np.degrees(np.stack(angles)), um)
+
+    file = rgl_files.write(tmp_path / "metal.bsdf", rgl_files.made(where, brdf, 1e3 * um))
+    config = load({"effects": {"body": "none"}, "posterior": {"enabled": False}})
+    result = fit_file(file, tmp_path, config)
+    assert result.fit.status == "CONVERGED"
+    for name, error in spectral.errors(result, truth).items():
+        assert error < (2e-3 if name == "b" else 1e-3), name
+
+
 def test_the_commands_take_a_table(file, tmp_path):
     shown = call("check", file)
     assert shown.exit_code == 0
