@@ -20,6 +20,7 @@ from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import Bands
+from merlfit.merl_io.binary import MerlError
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate
@@ -194,14 +195,20 @@ def test_the_commands_take_a_table(file, tmp_path):
     ("words", "said"),
     [
         (("--posterior",), "holds scattered directions, of which no posterior is sampled"),
-        (("--weights", "adaptive"), "--weights adaptive compares pictures"),
-        (("--accuracy", "1e-2"), "--accuracy and --time are calibrated on MERL's grid"),
+        (("--weights", "adaptive"), "of which no picture is rendered to choose by: leave --weights adaptive out"),
+        (("--accuracy", "1e-2"), "what it reaches is calibrated on MERL's grid: leave --accuracy out"),
+        (("--time", "20s"), "what it takes is calibrated on MERL's grid: leave --time out"),
     ],
 )
 def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
     refused = call("fit", file, "-o", tmp_path, *words)
     assert refused.exit_code == 2
     assert said in " ".join(refused.stderr.split())
+
+
+def test_what_needs_a_grid_is_refused_from_python(file, tmp_path):
+    with pytest.raises(MerlError, match="--weights adaptive compares pictures"):
+        fit_file(file, tmp_path, load(weights="adaptive", posterior=False))
 
 
 def test_too_few_samples_are_no_data(tmp_path):
