@@ -16,7 +16,7 @@ from .source import MerlError, contents
 from .table import spectral
 from .tensor import Tensors, tensors
 
-MOST = 31  # wavelengths that are read: RGL's files have 195, and the time of a fit grows with their square
+MOST = 31  # wavelengths that are read: RGL's files have 195, and each brings parameters of its own into the fit
 PARTS = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "luminance": 4}  # float32, so many dimensions
 ISOTROPIC = 2  # azimuths of light at the most
 

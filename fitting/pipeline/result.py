@@ -8,7 +8,7 @@ import numpy as np
 
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Samples
-from ...merl_io.scattered import ScatteredSamples
+from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.measured import Measured
 from ..assess.identifiability import identifiability
 from ..assess.outcome import Fitted, cautions, said
@@ -57,7 +57,8 @@ def make_result(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
-        weights=fitted.bend, cautions=cautions(fitted, config), effective_bins=round(fitted.count, 2),
+        weights=fitted.bend, cautions=cautions(fitted, config) + unread(measurement),
+        effective_bins=round(fitted.count, 2),
     )  # fmt: skip
     errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, fitted.count, fitted.covariance)
@@ -65,6 +66,16 @@ def make_result(
         model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
         fit=fit_part, metrics=errors, identifiability=found, posterior=None, **common,
     ).model_copy(update={} if sampled is None else posterior_parts(fitted, sampled, measurement.name))  # fmt: skip
+
+
+def unread(measurement: Input) -> list[str]:
+    """A line that tells of wavelengths of the file which were not fitted, if there are any."""
+    if not isinstance(measurement, ScatteredMeasurement) or not measurement.left_out:
+        return []
+    count = len(measurement.bands)
+    return [
+        f"{count} of the file's {count + measurement.left_out} wavelengths were fitted, evenly spaced (docs/rgl.md)"
+    ]
 
 
 def parameter_results(fitted: Fitted, sampled: "Sampled | None" = None) -> list[schema.ParameterResult]:

@@ -14,6 +14,7 @@ from merlfit.fitting.objective.problem import Arrangement, make_problem
 from merlfit.fitting.objective.residuals import Objective, predict_samples
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import compressive_weight, cos_weighted_median, weighted_samples
+from merlfit.fitting.pipeline.result import unread
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.results.export import read_result
 from merlfit.fitting.settings.config import load
@@ -137,6 +138,13 @@ def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
     refused = call(*words, "--posterior")
     assert refused.exit_code == 2
     assert "holds scattered directions, of which no posterior is sampled" in " ".join(refused.stderr.split())
+
+
+def test_wavelengths_that_are_not_fitted_are_told(file):
+    measured = inputs.read(file)
+    assert unread(measured) == []
+    (said,) = unread(replace(measured, left_out=191))
+    assert said.startswith("4 of the file's 195 wavelengths were fitted")
 
 
 @pytest.mark.slow
