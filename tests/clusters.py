@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -14,6 +14,31 @@ from merlfit.fitting.execution.unit import Unit
 from merlfit.fitting.settings.config import Config
 
 TESTS = Path(__file__).parent
+_PROGRAM = f"""
+import signal, sys
+sys.path.insert(0, {str(TESTS)!r})
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from merlfit.fitting import cli
+from merlfit.fitting.execution import cluster
+from worker_tasks import task
+made = cluster.Cluster.__init__
+cluster.Cluster.__init__ = lambda self, where, jobs=None, task=task, note=print: made(self, where, jobs, task, note)
+cli.main()
+"""
+PROGRAM = [sys.executable, "-c", _PROGRAM]  # merlfit, its fit one of `worker_tasks`
+SBATCH = {
+    "takes": 'echo "Submitted batch job 123"',
+    "starts": """cp "$1" "$0.$$" && setsid sh "$0.$$" >> "$0.said" 2>&1 < /dev/null &
+echo "Submitted batch job $!"
+echo "$!" >> "$0.jobs"
+""",
+    "refuses": """echo "sbatch: error: Batch job submission failed: Invalid account" >&2
+exit 1
+""",
+}
+SCANCEL = """echo "$1" >> "$0.jobs"
+kill -TERM -- "-$1"
+"""
 START = 60.0  # seconds, at the most, until something that was started is there
 
 
@@ -75,6 +100,36 @@ def workers(where, folder, count=1, more=(), threads=1, **environment):
         *words, "--local-directory", folder / "scratch", folder=folder / "worker", **environment
     ) as running:  # fmt: skip
         yield running
+
+
+@contextmanager
+def slurm(folder, sbatch):
+    """A stand-in for SLURM: ``sbatch`` of this text, ``scancel``; the environment in which they are found.
+
+    Both write the numbers of jobs, which are processes of this machine, to files beside them, ``*.jobs``.
+    """
+    folder.mkdir()
+    for name, text in (("sbatch", sbatch), ("scancel", SCANCEL)):
+        (folder / name).write_text(f"#!/bin/sh\n{text}")
+        (folder / name).chmod(0o755)
+    settings = {
+        "CORES": "1", "PROCESSES": "1", "MEMORY": "3GiB", "LOCAL_DIRECTORY": str(folder / "scratch"),
+        "SCHEDULER_OPTIONS": '{"dashboard_address": ":0"}',
+    }  # fmt: skip
+    yield os.environ | {
+        "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(TESTS),
+        **{f"DASK_JOBQUEUE__SLURM__{name}": value for name, value in settings.items()},
+    }  # fmt: skip
+    for job in jobs(folder / "sbatch"):
+        with suppress(ProcessLookupError):
+            os.killpg(job, signal.SIGKILL)
+
+
+def jobs(program):
+    """Numbers of jobs that a stand-in wrote down."""
+    with suppress(FileNotFoundError):
+        return [int(line) for line in Path(f"{program}.jobs").read_text().split()]
+    return []
 
 
 def units(out, *names):

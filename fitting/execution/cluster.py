@@ -11,16 +11,12 @@ from __future__ import annotations
 import asyncio
 import pickle
 import queue
-import re
-import shutil
 import time
 import uuid
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -31,30 +27,25 @@ from ..pipeline.run import chain_of
 from ..results.export import versions, write_result
 from ..results.schema import this_run
 from ..support.clock import Stage
+from .connection import CONNECT, SLURM, ClusterError, address_of, connected, library, line
 from .pool import PATIENCE, Note, Tell
+from .slurm import Queue
 from .unit import Ended, Kind, Task, Unit, fit_unit, log
 from .watch import Watch
 
 if TYPE_CHECKING:
     from concurrent.futures import Future as Fetched
 
-    from distributed import Client, Future
+    from distributed import Future
 
     from .slot import Brought
 
-SCHEMES = {"dask": "tcp", "dask+tls": "tls"}
-SLURM = "dask-slurm"
-CONNECT = 5.0  # seconds for a scheduler to answer
 LOOK = 0.5  # seconds between two looks at the connection
 WAIT = 900.0  # seconds without a worker that could do anything; a queue's come when it is their turn
 STUCK = 900.0  # seconds without a word from a worker that computes nothing
 LARGEST = 2**30  # bytes of a file that is sent
 KEPT = "what came back is written, go on with --resume"
 LOST = "what it fitted is begun anew by another"
-
-
-class ClusterError(ValueError):
-    """A cluster that cannot be used; the message is one line with the mend."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +81,7 @@ class Cluster:
         Raises:
             ClusterError: no scheduler answers, a library is missing, or no worker has the versions of this process.
         """
-        _library("distributed", where, "dask")
+        library("distributed", where, "dask")
         self.where, self.jobs, self.task, self.note = where, jobs, task, note
         self._run = uuid.uuid4().hex
         self._inbox: queue.SimpleQueue[tuple[int | None, Any]] = queue.SimpleQueue()
@@ -101,38 +92,18 @@ class Cluster:
         self._said: set[str] = set()
         self._units: Sequence[Unit] = ()
         self._useful = time.monotonic()  # when there was a worker, or word of one
-        self._queue = _slurm(where, jobs) if where == SLURM else None
-        self._client = self._connected()
+        self._queue = Queue(where, jobs) if where == SLURM else None
+        try:
+            self._client = (
+                connected(where, self._queue.address, self._queue.security)
+                if self._queue
+                else connected(where, address_of(where))
+            )
+        except BaseException:  # a stop, too: jobs in the queue would outlive the run
+            self._leave()
+            raise
         self._resource = self._admit()
         self._watch = Watch(self._client, self._resource)
-
-    def _connected(self) -> Client:
-        from distributed import Client
-        from distributed.versions import VersionMismatchWarning
-
-        from .slot import present
-
-        warnings.simplefilter("ignore", VersionMismatchWarning)  # a table; what matters is said in a line of ours
-        warnings.filterwarnings("ignore", "Sending large graph")  # a file, where workers do not see it
-        security = self._queue.security if self._queue is not None else None
-        address = self._queue.scheduler_address if self._queue is not None else _address(self.where)
-        try:
-            client = Client(address, timeout=CONNECT, set_as_default=False, security=security)
-        except (OSError, TimeoutError, ImportError, ValueError, RuntimeError, TypeError) as error:
-            why = str(error).splitlines()[0] if isinstance(error, ImportError | ValueError | TypeError) else ""
-            raise ClusterError(
-                f"{self.where}: no scheduler answers there within {CONNECT:g} s{why and f' ({why})'}; start one with "
-                "`dask scheduler`, or check host, port, firewall and TLS"
-            ) from None
-        try:
-            client.run_on_scheduler(present, callback_timeout=CONNECT)
-        except Exception as error:  # whatever it lacks
-            client.close(timeout=CONNECT)
-            raise ClusterError(
-                f"{self.where}: the scheduler cannot take files ({type(error).__name__}: {_line(error)}); "
-                "install there what is here"
-            ) from None
-        return client
 
     def _admit(self) -> str:
         """Let workers take part, those that come later, too; name of what they have then."""
@@ -200,6 +171,11 @@ class Cluster:
         now = time.monotonic()
         if room:
             self._useful = now
+        if self._queue is not None and (said := self._queue.refused()):
+            if self._queue.empty():
+                self._end()
+                raise ClusterError(f"{self.where}: sbatch took no job ({said}); {KEPT}")
+            self._once(f"{self.where}: sbatch did not take a job ({said}); the others go on")
         if now > self._useful + CONNECT:
             self._once(f"{self.where}: {self._watch.why()}; waiting for another")
         if now > self._useful + WAIT and self._queue is None:
@@ -289,7 +265,7 @@ class Cluster:
         if isinstance(error, KilledWorker):
             return Brought(Ended(Kind.LOST, error=f"{path}: its worker was lost, at last {error.last_worker.address}"))
         # of any kind: said with its name, and the next file has its turn
-        said = f"{path}: failed unexpectedly: {type(error).__name__}: {_line(error)}"
+        said = f"{path}: failed unexpectedly: {type(error).__name__}: {line(error)}"
         return Brought(Ended(Kind.FAILED, error=said))
 
     # Called in a thread of Dask's.
@@ -339,7 +315,7 @@ class Cluster:
             try:
                 call()
             except Exception as error:  # whatever a worker or the connection runs into: others go on
-                self._inbox.put((None, f"{self.where}: {type(error).__name__}: {_line(error)}"))
+                self._inbox.put((None, f"{self.where}: {type(error).__name__}: {line(error)}"))
 
         thread = Thread(target=called, name="merlfit-aside", daemon=True)
         thread.start()
@@ -347,13 +323,20 @@ class Cluster:
 
     def _end(self) -> None:
         """Leave the cluster; workers that came from a queue are given back."""
+        from .admission import TOPIC
+
         self._watch.close()
         if self._client.status == "running":
+            for topic in (TOPIC, "all"):  # that this client leaves would be told to itself
+                self._client.unsubscribe_topic(topic)
             self._aside(lambda: self._client.unregister_worker_plugin(self._resource))
         for fetched in list(self._fetched.values()):
             fetched.cancel()
         with suppress(OSError, RuntimeError):
             self._client.close(timeout=CONNECT)
+        self._leave()
+
+    def _leave(self) -> None:
         if self._queue is not None:
             self._queue.close()
 
@@ -378,10 +361,6 @@ def written(unit: Unit, brought: Brought) -> Ended:
     return replace(ended, result=kept, said=place.said)
 
 
-def _line(error: BaseException) -> str:
-    return (str(error).splitlines() or [""])[0]
-
-
 def _silent(k: int, stage: str) -> None:
     """What nobody is told any more."""
 
@@ -391,37 +370,3 @@ def _regular(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
-
-
-def _library(name: str, where: str, extra: str) -> Any:  # noqa: ANN401 - a module
-    try:
-        return import_module(name)
-    except ModuleNotFoundError:
-        raise ClusterError(
-            f"--executor {where} needs {name}, which is not installed: pip install 'merlfit[{extra}]'"
-        ) from None
-
-
-def _address(where: str) -> str:
-    """As Dask writes it."""
-    scheme, _, rest = where.partition("://")
-    if scheme not in SCHEMES or not re.fullmatch(r".+:\d+", rest):
-        raise ClusterError(f"--executor {where!r} should be dask://HOST:PORT, dask+tls://HOST:PORT or {SLURM}")
-    return f"{SCHEMES[scheme]}://{rest}"
-
-
-def _slurm(where: str, jobs: int | None) -> Any:  # noqa: ANN401 - dask_jobqueue.SLURMCluster, which has no types
-    """A scheduler in this process, and workers asked of SLURM as Dask's own files say."""
-    made = _library("dask_jobqueue", where, SLURM)
-    if jobs is None:
-        raise ClusterError(f"--executor {where} needs --jobs N: how many workers SLURM is asked for")
-    if shutil.which("sbatch") is None:
-        raise ClusterError(f"--executor {where} needs sbatch, which is not found: run merlfit where jobs are submitted")
-    try:
-        cluster = made.SLURMCluster()
-    except (ValueError, TypeError, OSError, RuntimeError) as error:
-        raise ClusterError(
-            f"--executor {where}: {_line(error)}; see docs/clusters.md for ~/.config/dask/jobqueue.yaml"
-        ) from None
-    cluster.adapt(minimum=jobs, maximum=jobs)  # those that are lost are asked for again
-    return cluster

@@ -49,9 +49,9 @@ class Watch:
         Thread(target=self._run, name="merlfit-watch", daemon=True).start()
         self._first.wait(LOOK)
 
-    def silent(self, seconds: float = QUIET) -> bool:
-        """Whether the scheduler has not answered for so long."""
-        return time.monotonic() > self._heard + seconds
+    def silent(self, seconds: float | None = None) -> bool:
+        """Whether the scheduler has not answered for so long, or for longer than it may."""
+        return time.monotonic() > self._heard + (QUIET if seconds is None else seconds)
 
     def close(self) -> None:
         """Look no more."""

@@ -3,12 +3,11 @@
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import psutil
 import pytest
-from clusters import TESTS, children, ended, program, scheduler, units, until, workers
+from clusters import PROGRAM, TESTS, children, ended, program, scheduler, units, until, workers
 from merlfit.fitting.execution import cluster as module
 from merlfit.fitting.execution import watch
 from merlfit.fitting.execution.cluster import Cluster, ClusterError
@@ -180,24 +179,11 @@ def test_a_scheduler_that_is_frozen_ends_the_run_with_a_line(tmp_path, monkeypat
             next(going)
 
 
-PROGRAM = f"""
-import signal, sys
-sys.path.insert(0, {str(TESTS)!r})
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from merlfit.fitting import cli
-from merlfit.fitting.execution import cluster
-from worker_tasks import task
-made = cluster.Cluster.__init__
-cluster.Cluster.__init__ = lambda self, where, jobs=None, task=task, note=print: made(self, where, jobs, task, note)
-cli.main()
-"""
-
-
 @pytest.mark.parametrize("state", ["no worker", "refused", "at work", "worker frozen", "scheduler frozen", "gone"])
 def test_ctrl_c_ends_a_run_whatever_its_cluster_does(state, tmp_path, without):
     names = ("patient-a", "patient-b")
     found = [str(unit.path) for unit in units(tmp_path / "out", *names)]
-    command = [sys.executable, "-c", PROGRAM, "fit", *found, "-o", str(tmp_path / "out"), "--executor"]
+    command = [*PROGRAM, "fit", *found, "-o", str(tmp_path / "out"), "--executor"]
     with scheduler(tmp_path) as (its, address):
         environment = without if state == "refused" else {}
         count = 0 if state == "no worker" else 1
