@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Protocol, Unpack
+from typing import Literal, Protocol, Unpack
 
 import typer
 from rich.progress import Progress, TaskID
@@ -76,7 +76,13 @@ def refuse_same_names(files: list[Path]) -> None:
 
 
 class Executor(Protocol):
-    """What fits units: `Here`, a `Pool`, or a `Cluster`."""
+    """What fits units: `Here`, a `Pool`, or a `Cluster`.
+
+    Attributes:
+        name: for the manifest.
+    """
+
+    name: str
 
     def ended(self, units: Sequence[Unit], tell: Callable[[int, str], None]) -> Iterator[tuple[int, Ended]]:
         """Number of a unit and what came of it, as they end."""
@@ -87,7 +93,9 @@ class Executor(Protocol):
         ...
 
 
-def executor_of(units: int, jobs: int | None = None, where: str | None = None) -> tuple[Executor, int]:
+def executor_of(
+    units: int, jobs: int | None = None, where: str | None = None
+) -> tuple[Executor, int | Literal["one a worker"]]:
     """What fits so many units, and how many at once; a single one needs no process of its own.
 
     Args:
@@ -97,8 +105,7 @@ def executor_of(units: int, jobs: int | None = None, where: str | None = None) -
         merlfit.fitting.execution.cluster.ClusterError: the cluster cannot be used.
     """
     if where is not None and units:
-        cluster = Cluster(where, jobs, note=note)
-        return cluster, cluster.room()
+        return Cluster(where, jobs, note=note), jobs or "one a worker"
     count = jobs_for(units, jobs)
     return (Here(), 1) if units <= 1 else (Pool(count, note=note), count)
 
@@ -131,7 +138,7 @@ def fit_files(
             left = [k for k in range(len(units)) if k not in found]
             executor, count = executor_of(len(left), jobs, where)
             journal = Journal(out)
-            journal.began(chosen, len(files), count, type(executor).__name__)
+            journal.began(chosen, len(files), count, executor.name)
             for k, outcome in found.items():
                 journal.ended(units[k], Ended(Kind.FITTED, outcome.result), kept=True)
             if found:
@@ -151,6 +158,8 @@ def fit_files(
             except ClusterError as error:
                 journal.closed(True, time.perf_counter() - start)
                 fail(str(error))
+                left = f"{len(run.left) - run.done} of {len(files)} files were not fitted"
+                _say_left([left], len(files), [found[k] for k in sorted(found)])
                 raise typer.Exit(FAILED_FIT) from None
             journal.closed(False, time.perf_counter() - start)
     except ClusterError as error:
@@ -229,10 +238,14 @@ def _say_stopped(stop: Stopped, run: _Run, outcomes: list[Outcome]) -> None:
     words = [_kept(run.units[k], ended) for k, ended in sorted(run.stopped, key=lambda each: each[0])]
     if left:
         words.append(f"{left} of {len(run.units)} files were not begun")
-    if len(run.units) > 1:
-        words.append("the same command with --resume goes on")
-    note(f"stopped by {stop}: {'; '.join(words)}")
     outcomes = outcomes + [Outcome(run.units[k].path, e.result) for k, e in run.stopped if e.result is not None]
+    _say_left(words, len(run.units), outcomes, f"stopped by {stop}: ")
+
+
+def _say_left(words: list[str], files: int, outcomes: list[Outcome], why: str = "") -> None:
+    """What was not done of a run that ends before all of it is, and a table of what was."""
+    more = ["the same command with --resume goes on"] if files > 1 else []
+    note(why + "; ".join(words + more))
     if outcomes:
         console.print(summary_table(outcomes))
 

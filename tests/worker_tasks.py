@@ -15,7 +15,8 @@ FOREVER = 60.0
 def task(unit, report):
     """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``raises``, ``prints``; of a cluster:
     ``waits`` (says which process it is, at first long enough to be killed), ``patient`` (until it is stopped),
-    ``tells`` (says which process it is), ``idle`` (does nothing, always)."""
+    ``tells`` (says which process it is), ``idle`` (does nothing, always),
+    ``alone`` (fails where another is at work)."""
     kind = unit.name.split("-")[0]
     try:
         began = unit.out / f"{unit.name}.began"
@@ -39,6 +40,10 @@ def task(unit, report):
             time.sleep(0.1)
         if kind == "tells":
             report(str(os.getpid()))
+        if kind == "alone":
+            (unit.path.parent / "at-work").mkdir()  # fails where there is one
+            time.sleep(2)
+            (unit.path.parent / "at-work").rmdir()
         if kind in ("slow", "idle"):
             time.sleep(FOREVER)
     except Stopped as stop:

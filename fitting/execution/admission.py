@@ -11,10 +11,11 @@ from importlib import metadata
 from distributed import Status, Worker, WorkerPlugin
 
 TOPIC = "merlfit"  # of what workers tell while they work
+ONE = "merlfit"  # resource that a worker has once, however many runs it serves: its memory is for one file
 
 
 class Admission(WorkerPlugin):
-    """Gives a worker the resource that orders ask for, one at a time, if it computes as the client would."""
+    """Gives a worker the resources that orders ask for, one at a time, if it computes as the client would."""
 
     def __init__(self, run: str, packages: dict[str, str]) -> None:
         self.run, self.name, self.packages = run, f"merlfit-{run}", packages
@@ -28,7 +29,7 @@ class Admission(WorkerPlugin):
         if differ:
             worker.log_event(TOPIC, {"run": self.run, "refused": f"{worker.address} has {', '.join(differ)}"})
             return
-        await worker.set_resources(**{self.name: 1})
+        await worker.set_resources(**{self.name: 1, ONE: 1})
         # A scheduler looks for units that wait for a worker when one begins to run, not when it gets a resource.
         if worker.status is Status.running:
             worker.status = Status.paused

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import pickle
 import queue
+import re
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
@@ -44,8 +45,7 @@ LOOK = 0.5  # seconds between two looks at the connection
 WAIT = 900.0  # seconds without a worker that could do anything; a queue's come when it is their turn
 STUCK = 900.0  # seconds without a word from a worker that computes nothing
 LARGEST = 2**30  # bytes of a file that is sent
-KEPT = "what came back is written, go on with --resume"
-LOST = "what it fitted is begun anew by another"
+KEPT = "what came back is written"
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,20 @@ class _Back:
     fetched: Fetched[Brought | None]
 
 
+@dataclass(frozen=True)
+class _Gone:
+    """A worker that was lost, and numbers of the units that it had."""
+
+    worker: str
+    units: list[int]
+
+
 class Cluster:
     """As `pool.Pool`, on the workers of a Dask scheduler, as many as there are and as join while it works.
 
     Attributes:
-        jobs: units at once, at the most; None for one a worker. note: told what concerns the run and not one unit.
+        name: address of the scheduler. jobs: units at once, at the most; None for one a worker.
+        note: told what concerns the run and not one unit.
     """
 
     def __init__(self, where: str, jobs: int | None = None, task: Task = fit_unit, note: Note = print) -> None:
@@ -82,7 +91,8 @@ class Cluster:
             ClusterError: no scheduler answers, a library is missing, or no worker has the versions of this process.
         """
         library("distributed", where, "dask")
-        self.where, self.jobs, self.task, self.note = where, jobs, task, note
+        self.where = self.name = where
+        self.jobs, self.task, self.note = jobs, task, note
         self._run = uuid.uuid4().hex
         self._inbox: queue.SimpleQueue[tuple[int | None, Any]] = queue.SimpleQueue()
         self._given: dict[int, Future] = {}
@@ -174,7 +184,7 @@ class Cluster:
         if self._queue is not None and (said := self._queue.refused()):
             if self._queue.empty():
                 self._end()
-                raise ClusterError(f"{self.where}: sbatch took no job ({said}); {KEPT}")
+                raise ClusterError(f"{self.where}: sbatch took no job ({said})")
             self._once(f"{self.where}: sbatch did not take a job ({said}); the others go on")
         if now > self._useful + CONNECT:
             self._once(f"{self.where}: {self._watch.why()}; waiting for another")
@@ -190,9 +200,8 @@ class Cluster:
             if state is None or now < max(heard, state.worked) + STUCK:
                 continue
             self._word[k] = now, address
-            self.note(
-                f"worker {address} has done nothing with {self._units[k].path} for {STUCK / 60:g} minutes: {LOST}"
-            )
+            idle = f"worker {address} has done nothing with {self._units[k].path} for {STUCK / 60:g} minutes"
+            self.note(f"{idle}; it is begun anew")
             self._aside(lambda at=address: self._client.restart_workers([at], PATIENCE, False), wait=0)
 
     def _give(self, k: int, tell: Tell, send: bool = False) -> Iterator[tuple[int, Ended]]:
@@ -201,6 +210,7 @@ class Cluster:
         Args:
             send: the file with it, since the worker does not see it.
         """
+        from . import admission
         from .slot import Order, fit, sha1_of
 
         unit = self._units[k]
@@ -219,8 +229,8 @@ class Cluster:
             return
         order = pickle.dumps(Order(unit, self.task, self._run, k, path, sha1, this_run()))
         future = self._client.submit(
-            fit, order, data, key=f"{self._resource}-{k}-{uuid.uuid4().hex[:8]}", resources={self._resource: 1},
-            pure=False,
+            fit, order, data, key=f"{self._resource}-{k}-{uuid.uuid4().hex[:8]}",
+            resources={self._resource: 1, admission.ONE: 1}, pure=False,
         )  # fmt: skip
         self._given[k] = future
         future.add_done_callback(lambda future: self._fetch(k, future))
@@ -228,7 +238,10 @@ class Cluster:
     def _heard(self, message: tuple[int | None, Any], tell: Tell) -> Iterator[tuple[int, Ended]]:
         """Act on a message of Dask's threads; a unit that ended."""
         k, what = message
-        if k is None:
+        if isinstance(what, _Gone):
+            for text in self._lost(what):
+                self.note(text)
+        elif k is None:
             self._once(what)
         elif isinstance(what, _Word):
             if k in self._given:
@@ -299,9 +312,21 @@ class Cluster:
         """Of the scheduler: a worker came or went."""
         told = event[1]
         if isinstance(told, dict) and told.get("action") == "remove-worker" and not told.get("expected"):
-            self._inbox.put((None, f"worker {told['worker']} was lost: {LOST}"))
+            found = [re.match(rf"{self._resource}-(\d+)-", key) for key in told["processing-tasks"]]
+            gone = _Gone(told["worker"], sorted(int(each[1]) for each in found if each))
+            # after what the scheduler says beside it: whether it gives a unit up
+            loop: Any = self._client.loop
+            loop.add_callback(self._inbox.put, (None, gone))
 
     # And in that of the caller.
+
+    def _lost(self, gone: _Gone) -> Iterator[str]:
+        """What is said of a worker that was lost."""
+        if not gone.units:
+            yield f"worker {gone.worker} was lost"
+        for k in gone.units:
+            again = "; another worker starts it again" if k in self._given and self._given[k].status != "error" else ""
+            yield f"worker {gone.worker} was lost while fitting {self._units[k].name}{again}"
 
     def _once(self, text: str) -> None:
         if text not in self._said:

@@ -9,6 +9,8 @@ from .unit import Ended, Task, Unit, fit_unit
 class Here:
     """As `pool.Pool`, without a process of its own for a unit."""
 
+    name = "Here"
+
     def __init__(self, task: Task = fit_unit) -> None:
         self.task = task
 

@@ -36,8 +36,10 @@ class Began(_Line):
     event: Literal["began"] = "began"
     command: list[Text]
     files: int
-    jobs: int
+    jobs: int | Literal["one a worker"]
+    """Files at once."""
     executor: str
+    """``Here``, ``Pool``, or the address of a cluster."""
     settings: dict[str, Any]
     versions: dict[str, str]
 
@@ -77,7 +79,7 @@ class Journal:
             if self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
                 self._append("\n")  # the end of a line that was torn
 
-    def began(self, config: Config, files: int, jobs: int, executor: str) -> None:
+    def began(self, config: Config, files: int, jobs: int | Literal["one a worker"], executor: str) -> None:
         """A run begins."""
         settings = config.model_dump(mode="json")
         self._write(

@@ -53,6 +53,8 @@ class Pool:
         note: told what concerns the run and not one unit alone.
     """
 
+    name = "Pool"
+
     def __init__(self, jobs: int, task: Task = fit_unit, note: Note = print) -> None:
         self.jobs, self.task, self.note = jobs, task, note
         self._workers: list[_Worker] = []

@@ -57,6 +57,6 @@ def test_fits_of_a_cluster_that_loses_its_worker_are_those_of_one_job(tmp_path):
         _, said = running.communicate(timeout=PATIENCE)
         assert not psutil.pid_exists(at_work.pid)
     assert running.returncode == 0, said
-    assert "was lost: what it fitted is begun anew by another" in said
+    assert "was lost while fitting chrome; another worker starts it again" in said
     for name in MATERIALS:
         assert values(tmp_path / f"there/{name}.json") == values(tmp_path / f"here/{name}.json")
