@@ -1,6 +1,5 @@
 """Shared by all tests: compiled programs are cached, runtime type checks are on, data of the reconstructions."""
 
-import math
 import os
 from pathlib import Path
 
@@ -29,7 +28,7 @@ def pytest_collection_modifyitems(items):
     """The dearest files first, that none is left alone at the end; those whose programs are hasty before the others."""
     taken, hasty = times.kept(), {item.path for item in items if "compiled_quickly" in item.fixturenames}
     file = {item.path: item.nodeid.split("::")[0] for item in items}
-    items.sort(key=lambda item: (item.path not in hasty, -taken.get(file[item.path], math.inf), item.path))
+    items.sort(key=lambda item: (item.path not in hasty, -taken.get(file[item.path], 0.0), item.path))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from merlfit.fitting import cli
 from merlfit.fitting.pictures import prediction
+from merlfit.fitting.posterior import chain as sampler
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.solve.levenberg_marquardt import Status
@@ -37,8 +38,9 @@ def fitted(tmp_path_factory):
     file = folder / "blue-metallic-paint.binary"
     assert call("synth", "blue-metallic-paint", "--source", "abc_microfacet", "-o", file).exit_code == 0
     settings = folder / "short.toml"
-    settings.write_text('[effects]\nbody = "none"\n[fit]\nstarts = 2\n[posterior]\nmax_steps = 200\n')
+    settings.write_text('[effects]\nbody = "none"\n[fit]\nstarts = 2\n[posterior]\nmax_steps = 100\n')
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sampler, "LESSONS", 0)  # which tests/fitting/test_posterior.py looks at
         patch.setattr(importance, "MOST_DRAWS", 60)  # a thirtieth of a second each
         patch.setattr(importance, "DRAWS", 40)
         done = call("fit", file, folder / "missing.binary", "-o", folder / "out", "--config", settings, "--seed", "3")
@@ -93,7 +95,8 @@ def test_a_chain_too_short_says_so_and_gives_no_intervals(fitted):
 
 def test_inspect_prints_and_draws(fitted):
     folder = fitted[0]
-    shown = call("inspect", folder / "out" / "blue-metallic-paint.json", "-o", folder / "pictures")
+    words = ("-o", folder / "pictures", "--pictures", "lobes")  # of all pictures: tests/fitting/test_pictures.py
+    shown = call("inspect", folder / "out" / "blue-metallic-paint.json", *words)
     assert shown.exit_code == 0
     for word in ("beta", "sigma_s", "50 are needed", "conductor", "derived quantities"):
         assert word in shown.stdout
@@ -151,7 +154,8 @@ def test_a_long_chain_is_drawn_and_a_chain_of_another_fit_is_not(fitted):
     result.posterior.sufficient = True
     path = folder / "out" / "long.json"
     export.write_result(path, result)
-    shown = call("inspect", path, "-o", folder / "pictures")
+    words = ("-o", folder / "pictures", "--pictures", "corner")
+    shown = call("inspect", path, *words)
     assert shown.exit_code == 0
     assert (folder / "pictures" / "blue-metallic-paint.corner.png").stat().st_size > 50_000
     with np.load(folder / "out" / result.posterior.chain_file) as chain:
@@ -163,14 +167,15 @@ def test_a_long_chain_is_drawn_and_a_chain_of_another_fit_is_not(fitted):
         )
     result.posterior.chain_file = "other.npz"
     export.write_result(path, result)
-    assert "chain of another fit" in call("inspect", path, "-o", folder / "pictures").stderr
+    assert "chain of another fit" in call("inspect", path, *words).stderr
 
 
 def test_inspecting_with_another_file_is_bad_input(fitted):
     folder = fitted[0]
     other = folder / "other.binary"
     write(other, np.ones((3, 90, 90, 180)))
-    shown = call("inspect", folder / "out" / "blue-metallic-paint.json", "--file", other, "-o", folder / "pictures")
+    words = ("--file", other, "-o", folder / "pictures", "--pictures", "peak")
+    shown = call("inspect", folder / "out" / "blue-metallic-paint.json", *words)
     assert shown.exit_code == 2
     assert "not the file that was fitted" in shown.stderr
 

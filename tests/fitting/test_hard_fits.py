@@ -16,6 +16,7 @@ from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
+pytestmark = pytest.mark.usefixtures("compiled_quickly")  # of few bins, or few effects
 FILES = {file["name"]: file for file in hard_table.table()[2]}
 
 

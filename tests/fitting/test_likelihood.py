@@ -93,7 +93,7 @@ def test_its_slope_at_the_fit_is_that_of_all_bins(fitted):
 @pytest.mark.parametrize("count", [10.0, COUNT, 1000.0])
 def test_near_the_fit_it_is_that_of_all_bins_a_little_flatter(fitted, count):
     samples, problem, best = fitted
-    few, draws = stand_in(LAYOUT, samples, best, count), near(best, count, 100)
+    few, draws = stand_in(LAYOUT, samples, best, count), near(best, count, 40)
     whole = np.array([log_likelihood(LAYOUT, z, problem, count, best.cost) for z in draws])
     assert np.std(few.log_likelihood(draws) - FLATTER * whole) < 0.5
     assert np.std(whole) > 1
