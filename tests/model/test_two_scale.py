@@ -441,7 +441,7 @@ def white(beta, p, geometry, masked):
 
 
 def reflected(theta_i, beta, p, masked=True):
-    """Directional albedo at |F| = 1: Int rho cos_o domega_o, over normals m = h, which follow the lobe; to 8e-4, of which the tolerance is 1e-3."""
+    """Directional albedo at |F| = 1: Int rho cos_o domega_o, over normals m = h, which follow the lobe; to 8e-4."""
     nodes, weights = np.polynomial.legendre.leggauss(120)
     v_low, v_high = -25 * max(p, 0.5) * 2, np.log(60 + 4 / p)
     v, wv = (v_high + v_low) / 2 + (v_high - v_low) / 2 * nodes, weights * (v_high - v_low) / 2
