@@ -1,7 +1,7 @@
 """The report of all 100 reconstructions: `make report` fits them (about five minutes) and writes the pages.
 
-`python -m tests.report_site --pictures SITE` takes the screenshots of docs/report/ from a site, `--example SITE` copies
-two of its materials there, as a site of its own.
+`python -m tests.report_site --pictures SITE` takes the screenshots of docs/report/ from a site, `--example RESULTS`
+copies two results with posteriors there, as a site of their own.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from .bench.processes import MERLFIT
 from .reconstructions import ORIGIN
 
 DOCS = Path(__file__).parents[1] / "docs" / "report"
-EXAMPLE = ("blue-metallic-paint2", "nickel")
+EXAMPLE = ("gray-plastic", "nickel")
 SHOTS = {  # page, width, height, colour scheme
     "index-desktop": ("index.html", 1280, 900, "light"),
     "index-phone": ("index.html", 390, 844, "light"),
@@ -43,7 +43,7 @@ def fit_and_report(out):
     subprocess.run([MERLFIT, "report", str(out)], check=True)
 
 
-def pictures(site, out, material=EXAMPLE[0]):
+def pictures(site, out, material=EXAMPLE[1]):
     """Screenshots as small PNGs, and the page as it is printed."""
     out.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as driver:
@@ -52,7 +52,7 @@ def pictures(site, out, material=EXAMPLE[0]):
             context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
             opened = context.new_page()
             opened.goto((site / page.format(material=material)).resolve().as_uri())
-            opened.wait_for_function("document.documentElement.dataset.charts === 'drawn'")
+            opened.wait_for_function("document.documentElement.dataset.charts === 'drawn'", timeout=120_000)
             opened.screenshot(path=out / f"{name}.png")
             if name == "page-desktop":
                 opened.pdf(path=out / "printed.pdf", format="A4", print_background=False)
@@ -67,7 +67,10 @@ def shrink(path):
 
 
 def example(results, out):
-    """A site of two materials from a folder of results, which are copied there, without the folders of this machine."""
+    """A site of two materials from a folder of results with posteriors, which are copied there without its name.
+
+    Their chains are not kept beside the pages, which show them.
+    """
     files = os.environ["MERL_RECONSTRUCTIONS"]
     with TemporaryDirectory() as scratch:
         kept = Path(scratch) / "two materials"
@@ -76,11 +79,14 @@ def example(results, out):
             result = read_result(results / f"{material}.json")
             result.source.path = f"{material}.binary"
             result.run.folder = None
-            words = ["merlfit", "fit", result.source.path, "-o", "merl100", "--no-posterior", "--origin", ORIGIN]
-            result.run.command = words
+            result.run.command = ["merlfit", "fit", result.source.path, "-o", "fits", "--origin", ORIGIN]
             write_result(kept / f"{material}.json", result)
-        shutil.copytree(kept, out, dirs_exist_ok=True)
+            shutil.copy(results / result.posterior.chain_file, kept)
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.copytree(kept, out)
         subprocess.run([MERLFIT, "report", str(out), "-o", str(out), "-j", "1", "--files", files], check=True)
+        for chain in out.glob("*.npz"):
+            chain.unlink()
 
 
 def main():

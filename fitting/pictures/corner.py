@@ -16,8 +16,9 @@ from .subject import Subject
 WIDE_AXIS = 8.0  # times its lower end, from which on a logarithmic axis has ticks at 1, 3 or 10
 WATERMARK = "CHAIN TOO SHORT"
 UNITS = {"1": "", "um": "µm"}
-MARGIN = 0.48  # inches, left and below
+MARGIN = 0.56  # inches, left and below
 LINE = 1.25 * LETTERS / 72  # inches
+LETTER = 0.58 * SMALL / 72  # inches of a digit
 
 
 @printable
@@ -55,10 +56,12 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
         values, weights=weights, truths=[q.value for q in names], fig=figure, range=ranges,
         axes_scale=scales,  # pyright: ignore[reportArgumentType] - a list is taken, too: its docstring
         smooth=1.0, plot_datapoints=False, fill_contours=True, truth_color=FITTED,
-        truth_kwargs={"markersize": 2, "linewidth": 0.6}, hist_kwargs={"linewidth": 0.6},
+        hist_kwargs={"linewidth": 0.6},
         contour_kwargs={"linewidths": 0.4},
     )  # fmt: skip
     axes = np.array(figure.axes).reshape(len(names), len(names))
+    for line in (line for axis in figure.axes for line in axis.lines if line.get_color() == FITTED):
+        line.set(markersize=2, linewidth=0.6)  # which corner takes no word of
     for k, (q, (_, low, high, _)) in enumerate(zip(names, spread, strict=True)):
         axes[-1, k].set_xlabel(label(q))
         axes[-1, k].xaxis.set_label_coords(0.5, -(MARGIN - 0.12) / _panel(width, len(names)))
@@ -86,11 +89,13 @@ def _panel(width: float, count: int) -> float:
 def _table(figure: Figure, names: Sequence[ParameterResult], spread: Sequence, top: float) -> None:
     """Values and intervals, where a corner plot has nothing."""
     line = 1.15 * SMALL / 72 / figure.get_figheight()
-    edges = [0.985 - x / figure.get_figwidth() for x in (1.13, 0.76, 0.0)]
-    for q, (_, low, high, _) in zip(names, spread, strict=True):
+    intervals = [f"[{low:.3g}, {high:.3g}]" for _, low, high, _ in spread]
+    room = max(0.7, LETTER * max(map(len, intervals)))
+    edges = [0.985 - x / figure.get_figwidth() for x in (room + 0.5, room + 0.08, 0.0)]
+    for q, interval in zip(names, intervals, strict=True):
         top -= line
         unit = UNITS.get(q.unit, q.unit)
-        cells = (f"{label(q)}{f' ({unit})' if unit else ''}", f"{q.value:.3g}", f"[{low:.3g}, {high:.3g}]")
+        cells = (f"{label(q)}{f' ({unit})' if unit else ''}", f"{q.value:.3g}", interval)
         for edge, cell in zip(edges, cells, strict=True):
             figure.text(edge, top, cell, fontsize=SMALL, ha="right", va="baseline")
 
@@ -109,6 +114,7 @@ def _ticks_of(axes: np.ndarray, k: int, ticks: list[float]) -> None:
         if j < k:
             _mark(axes[k, j].yaxis, ticks, said if j == 0 else [])
     axes[-1, k].tick_params(axis="x", labelrotation=90)
+    axes[k, 0].tick_params(axis="y", labelrotation=0)
 
 
 def _interval(values: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -29,7 +29,9 @@ def write(subject: Subject, out: Path, name: str) -> dict[str, Any]:
 
     def keep(what: str, picture: Image.Image, lossless: bool = False) -> str:
         path = out / "pictures" / f"{name}.{what}.webp"
-        write_atomically(path, lambda file: picture.save(file, "WEBP", quality=90, lossless=lossless))
+        write_atomically(
+            path, lambda file: picture.save(file, "WEBP", quality=50 if lossless else 90, lossless=lossless)
+        )
         return f"../pictures/{quote(path.name)}"
 
     for lighting, pictures in of_file_and_fit(subject).items():

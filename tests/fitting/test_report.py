@@ -284,3 +284,4 @@ def test_from_the_readme_to_the_page_of_a_material_in_two_clicks(opened):
     page.get_by_role("link", name="nickel", exact=True).click()
     drawn(page)
     assert page.title() == "nickel - merlfit"
+    expect(page.get_by_role("img", name="Corner plot of the posterior")).to_be_visible()
