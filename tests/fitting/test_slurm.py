@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 
 import pytest
 from clusters import PROGRAM, SBATCH, jobs, slurm, units, until
@@ -15,6 +16,16 @@ REFUSAL = "sbatch: error: Batch job submission failed: Invalid account"
 ONE = f'if mkdir "$0.one" 2> /dev/null; then\n{SBATCH["starts"]}\nelse\n{SBATCH["refuses"]}\nfi\n'
 
 
+SETTINGS = """
+[effects]
+index = "complex"
+body = "none"
+[fit]
+grid = "coarse"
+starts = 1
+"""
+
+
 def start(environment, out, *names, count=1):
     """A run on SLURM with a stand-in for the fit, going on."""
     files = [str(unit.path) for unit in units(out, *names)]
@@ -25,6 +36,20 @@ def program(environment, *words):
     return subprocess.Popen(
         [*map(str, words)], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+
+
+@pytest.mark.slow
+def test_a_file_is_fitted_by_a_job(tmp_path):
+    """A genuine fit, of a synthetic file."""
+    (tmp_path / "settings.toml").write_text(SETTINGS)
+    merlfit, file = (sys.executable, "-m", "merlfit"), tmp_path / "nickel.binary"
+    with slurm(tmp_path / "slurm", SBATCH["starts"]) as environment:
+        program(environment, *merlfit, "synth", "nickel", "-o", file).communicate()
+        options = ("--no-posterior", "--config", tmp_path / "settings.toml", "--executor", "dask-slurm", "--jobs", 1)
+        running = program(environment, *merlfit, "fit", file, "-o", tmp_path / "out", *options)
+        _, said = running.communicate()
+    assert running.returncode == 0, said
+    assert read_result(tmp_path / "out/nickel.json").fit.succeeded
 
 
 def test_a_job_is_submitted_does_the_work_and_is_cancelled(tmp_path):
