@@ -1,9 +1,8 @@
 """Every rival on all 100 materials of MERL: `python -m tests.merl100_rivals [compressive|none]`; hours on two cores.
 
 Goes on where it was stopped, and several may run side by side, each with a share of the materials: `--share 1/2`. The
-two-scale model's rows are those of `tests.merl100`. Every material is read once for all models; with ``none`` each
-begins where its compressive fit ended, on an eighth of the bins first. The two kinds of weights must not run at the
-same time. Tables: results/merl100/rivals_WEIGHTS.{csv,md,html,png}.
+two-scale model's rows are those of `tests.merl100`. Every material is read once for all models. The two kinds of
+weights must not run at the same time. Tables: results/merl100/rivals_WEIGHTS.{csv,md,html,png}.
 """
 
 import json
@@ -13,20 +12,15 @@ from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import jax.numpy as jnp
-import numpy as np
 import typer
 from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.published import judged, sources_of
 from merlfit.fitting.assess.selection import bic
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output.comparison import write_tables
 from merlfit.fitting.pipeline.comparison import FIT, Row, config_of
-from merlfit.fitting.pipeline.run import GRIDS, descend, fit, thinned
+from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.support.clock import Clock
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read
@@ -53,22 +47,10 @@ def told(fitted, seconds):
     }  # fmt: skip
 
 
-def fitted_of(measurement, samples, name, weights, before):
-    """One model fitted from nothing, or from where its compressive fit ended."""
+def fitted_of(measurement, samples, name, weights):
+    """One model fitted as `merlfit compare` does it."""
     start, config = time.perf_counter(), config_of(load(posterior=False, weights=weights), name)
-    if weights == "compressive":
-        found = fit(measurement, samples, config)
-    else:
-        (model,) = config.candidates
-        layout = config.layout_of(model, measurement.bands)
-        values = {
-            q.name: np.array([before["values"][f"{q.name}_{c}"] for c in layout.channels])
-            if q.per_channel else before["values"][q.name] for q in layout.parameters
-        }  # fmt: skip
-        few = make_problem(thinned(samples, GRIDS["medium"]), config.fit.azimuths)
-        z = solve(Objective(layout, few), layout.free(values), config.fit.max_steps).z  # most steps on an eighth
-        found = descend(layout, z, measurement, samples, config, Clock())[-1]
-    return told(found, time.perf_counter() - start)
+    return told(fit(measurement, samples, config), time.perf_counter() - start)
 
 
 def measure(material, weights, names):
@@ -85,9 +67,7 @@ def measure(material, weights, names):
     config = load(posterior=False, weights=weights)
     samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     for name in missing:
-        if weights != "compressive" and name not in rows.get("compressive", {}):
-            continue
-        done[name] = fitted_of(measurement, samples, name, weights, rows.get("compressive", {}).get(name))
+        done[name] = fitted_of(measurement, samples, name, weights)
         keep(target, rows)
         r = done[name]
         print(

@@ -27,11 +27,12 @@ BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
 Bend = float | Literal["log"]
 Weights = Literal["compressive", "log", "none", "adaptive"]
 RUNGS: dict[Weights, tuple[Bend, ...]] = {
-    "compressive": (BEND,), "log": (BEND, "log"), "none": (BEND, 1.0, 0.7, 0.0),
+    "compressive": (BEND,), "log": (BEND, "log"), "none": (0.0,),
     "adaptive": (BEND, 1.0, 0.7, 0.4, 0.0),
 }  # fmt: skip
 """Weights that a fit is made with, one after the other, each from where the one before it ended: the search for the
-lowest minimum and the choice of a body are those of the first. ``adaptive`` keeps the one with the nearest picture."""
+lowest minimum and the choice of a body are those of the first. ``adaptive`` keeps the one with the nearest picture.
+``none`` searches for itself: on some metals and plastics compressive weights do not lead to its lowest minimum."""
 
 
 def compressive_weight(value: np.ndarray, median: np.ndarray, bend: float = BEND) -> np.ndarray:

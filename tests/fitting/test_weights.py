@@ -105,7 +105,7 @@ def test_as_if_nothing_were_said_they_are_the_paper_s(glossy):
         "none": 0,
         "adaptive": 0,
     }
-    assert all(rungs[0] == 1.4 for rungs in RUNGS.values()), "the search is always that of the same objective"
+    assert {name for name, rungs in RUNGS.items() if rungs[0] != 1.4} == {"none"}, "which searches for itself"
     for other in (0.7, 0.0, "log"):
         assert np.max(np.abs(weighted_samples(glossy, other).weight - printed.weight)) > 0.1 * printed.weight.max()
 
