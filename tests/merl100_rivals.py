@@ -132,7 +132,8 @@ def main(
         measure(material, weights, names.split(","))
     if rows := rows_of(weights, names.split(",")):
         count = len({row.material for row in rows})
-        title = f"The two-scale model and its rivals on {count} materials, {weights} weights"
+        said = "no" if weights == "none" else weights
+        title = f"The two-scale model and its rivals on {count} materials, {said} weights"
         write_tables(rows, FOLDER, f"rivals_{weights}", title, f"{RECONSTRUCTIONS}; nothing here is of a genuine file")
 
 

@@ -242,7 +242,8 @@ def parameters(rows: Rows, names: Sequence[str]) -> Spec:
 
 
 def _chart() -> Spec:
-    config = {"view": {"stroke": "#8884"}, "font": "system-ui, sans-serif", "legend": {"orient": "right"}}
+    legend = {"orient": "right", "symbolOpacity": 1}  # not as faint as a band
+    config = {"view": {"stroke": "#8884"}, "font": "system-ui, sans-serif", "legend": legend}
     return {"$schema": "https://vega.github.io/schema/vega-lite/v6.json", "background": None, "config": config}
 
 
