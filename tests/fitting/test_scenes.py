@@ -204,7 +204,7 @@ def test_a_fit_beside_its_file(tmp_path, monkeypatch):
     write_result(tmp_path / "nickel.json", made(path=str(tmp_path / "nickel.binary"), sha1=sha1))
     found = run("render", tmp_path / "nickel.json", "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
-    picture = np.asarray(Image.open(tmp_path / "out" / "nickel.png"))
+    picture = np.asarray(Image.open(tmp_path / "out" / "nickel.png"))[MARGIN:, :, :3]
     assert picture.shape == (12, 36, 3)
     inside = np.s_[3:9, 3:9]
     measured, fitted, away = (picture[:, k : k + 12][inside].astype(int) for k in (0, 12, 24))
