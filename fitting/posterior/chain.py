@@ -38,6 +38,7 @@ TOO_LOW, RARE = (
 )  # of the emulated log posterior, at more than this share of states: walkers there are not let go
 LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
 TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
+SOON = 400  # steps: a chain that needs no more of them, or no more than it has made, is not worth beginning anew
 DEPTH = 25.0  # of log posterior below the highest: deeper points teach nothing that matters
 LED = 0.8  # share of moves that are led; the others are differential evolution
 WAYS = 3  # of a led move, one after the other
@@ -369,6 +370,12 @@ def begin(
     return chain, Emulator.of(few, layout, chain.taught)  # to the last bit what `extend` has from a file
 
 
+def _slow(chain: Chain) -> bool:
+    """Whether a chain is so far from long enough that one which begins anew may be there before it."""
+    found = diagnose(chain)
+    return not ENOUGH * float(found.times.max()) - found.steps <= max(SOON, found.steps)
+
+
 def _ignored(emulator: Emulator, way: _Way) -> tuple[float, np.ndarray]:
     """By how much the emulated log posterior is too low where walkers went, but for the few where it is most so.
 
@@ -394,8 +401,9 @@ def extend(
 ) -> Chain:  # fmt: skip
     """Go on until the chain is good enough (`diagnose`), or to ``max_steps``.
 
-    Where walkers come to a tail of which the emulator knows nothing, it learns of it, and the chain begins anew. A
-    chain that is kept, read from its file and extended is the same to the last bit as one that goes on at once.
+    Where a chain is slow since walkers came to a tail of which the emulator knows nothing, it learns of it, and the
+    chain begins anew. A chain that is kept, read from its file and extended is the same to the last bit as one that
+    goes on at once.
 
     Args:
         progress: called with (steps done, steps at the most). keep: called with the chain at every look.
@@ -407,7 +415,14 @@ def extend(
         steps = min(CHECK_EVERY, max_steps - done)
         way = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
         random = tuple(way.now.random_state[1:])
-        low, where = _ignored(emulator, way) if chain.lessons else (0.0, now.coords)
+        chain = replace(
+            chain,
+            states=np.concatenate([chain.states, way.states]),
+            log_prob=np.concatenate([chain.log_prob, way.log_prob]),
+            accepted=chain.accepted + way.accepted,
+            random=random,
+        )
+        low, where = _ignored(emulator, way) if chain.lessons and _slow(chain) else (0.0, now.coords)
         if low > TOO_LOW:
             lessons = chain.lessons - 1
             taught = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER).points
@@ -418,13 +433,5 @@ def extend(
                 leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, random=random,
                 lessons=lessons,
             )  # fmt: skip
-        else:
-            chain = replace(
-                chain,
-                states=np.concatenate([chain.states, way.states]),
-                log_prob=np.concatenate([chain.log_prob, way.log_prob]),
-                accepted=chain.accepted + way.accepted,
-                random=random,
-            )
         keep(chain)
     return chain

@@ -138,7 +138,9 @@ def test_without_a_worker_that_could_do_anything_a_run_says_so_and_ends(
     with scheduler(tmp_path) as (_, address):
         none = more is None
         with program("--help", folder=tmp_path / "no") if none else workers(address, tmp_path, 1, more, **environment):
-            if "--memory-limit" in (more or ()):  # a worker looks at its memory every 0.1 s, and takes units before it did
+            if "--memory-limit" in (
+                more or ()
+            ):  # a worker looks at its memory every 0.1 s, and takes units before it did
                 until(lambda: b"Pausing worker" in (tmp_path / "worker/said").read_bytes(), "the worker is not full")
             run = Cluster(address, task=task, note=noted.append)
             with pytest.raises(ClusterError, match=rf"{said}.* for 0.1 minutes; what came back is written"):
