@@ -174,22 +174,13 @@ def fit(
 
     Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
     """
-    from ..merl_io.inputs import is_scattered
-    from .files import aim_of, fit_files, settings_of, summarise
+    from .files import aim_of, fit_files, refuse_unoffered, settings_of, summarise
 
-    if listed := [path for path in files if is_scattered(path)]:
-        for asked, option, why in (
-            (posterior, "--posterior", "of which no posterior is sampled"),
-            (accuracy is not None, "--accuracy", "and what it reaches is calibrated on MERL's grid"),
-            (within is not None, "--time", "and what it takes is calibrated on MERL's grid"),
-            (weights == "adaptive", "--weights adaptive", "of which no picture is rendered to choose by"),
-        ):
-            if asked:
-                raise fail(f"{listed[0]}: holds scattered directions, {why}: leave {option} out")
     settings = settings_of(
         config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
         posterior=posterior, seed=seed,
     )  # fmt: skip
+    refuse_unoffered(files, settings, accuracy is not None or within is not None, posterior)
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
     summarise(outcomes)
 

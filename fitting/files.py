@@ -26,7 +26,7 @@ from .output.comparison import by_label, judged_result, metrics_table, table_of,
 from .output.keeping import Complete, Taken, claimed, completeness, place_of
 from .output.report import Outcome, accuracy_line, summary_table
 from .pipeline.comparison import FIT, compare_file
-from .pipeline.run import fit_file
+from .pipeline.run import fit_file, settled
 from .results.export import ResultError, read_result, valid_result
 from .results.schema import Result
 from .settings.config import Config, ConfigError, Replaced, load
@@ -73,6 +73,15 @@ def refuse_same_names(files: list[Path]) -> None:
         raise fail(
             f"several files are named {twice[0]}, and a result is named after its file: fit them into different folders"
         )
+
+
+def refuse_unoffered(files: list[Path], settings: Config, aimed: bool, posterior: bool | None) -> None:
+    """End with an error where more is asked for than there is of scattered directions, before anything is read."""
+    try:
+        for path in filter(is_scattered, files):
+            settled(path, settings, aimed, bool(posterior))
+    except MerlError as error:
+        raise fail(str(error)) from None
 
 
 class Executor(Protocol):

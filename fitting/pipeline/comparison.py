@@ -106,7 +106,7 @@ def compare_file(
     report("reading")
     measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, Path) else path
     if isinstance(measurement, ScatteredMeasurement):
-        settings, with_published = [settled(measurement, each) for each in settings], False
+        settings, with_published = [settled(measurement.path, each) for each in settings], False
     results: dict[str, Result] = {}
     for k, name in enumerate(names):
         report(Stage(f"{name} ({k + 1} of {len(names)} models)", k / len(names)))

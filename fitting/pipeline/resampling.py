@@ -36,7 +36,7 @@ def resample(
             f"{path}: has a posterior, but its chain {chain_of(path).name} is not beside it: put it back, or fit again"
         )
     if result.source.format != "MERL":
-        raise export.ResultError(f"{path}: is of scattered directions, whose posterior merlfit does not sample")
+        raise export.ResultError(f"{path}: is of scattered directions, of which no posterior is sampled")
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = result.source.read(file)

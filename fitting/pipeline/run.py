@@ -74,7 +74,7 @@ def fit_file(
         report("reading")
         measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
         if isinstance(measurement, ScatteredMeasurement):
-            config = settled(measurement, config, finish)
+            config = settled(measurement.path, config, finish is not None)
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
     if fitted is not None and fitted.bend != config.rungs[0]:
@@ -167,22 +167,22 @@ def chain_of(result: Path) -> Path:
     return result.with_name(f"{result.stem}.chain.npz")
 
 
-def settled(measurement: ScatteredMeasurement, config: Config, finish: object = None) -> Config:
-    """Settings for scattered directions.
+def settled(path: Path, config: Config, aimed: bool = False, posterior: bool = False) -> Config:
+    """Settings for a file of scattered directions.
+
+    Args:
+        aimed: whether an accuracy or a time is asked for. posterior: whether one is asked for, beyond what is default.
 
     Raises:
         merlfit.merl_io.binary.MerlError: they ask for what there is not without a grid.
     """
-    if config.fit.weights == "adaptive":
-        raise MerlError(
-            f"{measurement.path}: holds scattered directions, of which no picture is rendered, and --weights adaptive "
-            "compares pictures: choose compressive, log or none"
-        )
-    if finish is not None:
-        raise MerlError(
-            f"{measurement.path}: holds scattered directions, and --accuracy and --time are calibrated on MERL's grid: "
-            "leave them out"
-        )
+    for asked, options, why in (
+        (posterior, "--posterior", "of which no posterior is sampled"),
+        (aimed, "--accuracy and --time", "and what settings reach and take is calibrated on MERL's grid"),
+        (config.fit.weights == "adaptive", "weights adaptive", "of which no picture is rendered to choose by"),
+    ):
+        if asked:
+            raise MerlError(f"{path}: holds scattered directions, {why}: leave {options} out")
     return config.for_scattered
 
 

@@ -196,16 +196,16 @@ def test_the_commands_take_a_table(file, tmp_path):
     assert "has 4 channels, and a MERL file has R, G and B" in refused.stderr
     sampled = call("sample", path)
     assert sampled.exit_code == 2
-    assert "is of scattered directions, whose posterior merlfit does not sample" in sampled.stderr
+    assert "is of scattered directions, of which no posterior is sampled" in sampled.stderr
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("--posterior",), "holds scattered directions, of which no posterior is sampled"),
-        (("--weights", "adaptive"), "of which no picture is rendered to choose by: leave --weights adaptive out"),
-        (("--accuracy", "1e-2"), "what it reaches is calibrated on MERL's grid: leave --accuracy out"),
-        (("--time", "20s"), "what it takes is calibrated on MERL's grid: leave --time out"),
+        (("--weights", "adaptive"), "of which no picture is rendered to choose by: leave weights adaptive out"),
+        (("--accuracy", "1e-2"), "calibrated on MERL's grid: leave --accuracy and --time out"),
+        (("--time", "20s"), "calibrated on MERL's grid: leave --accuracy and --time out"),
     ],
 )
 def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
@@ -215,7 +215,7 @@ def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
 
 
 def test_what_needs_a_grid_is_refused_from_python(file, tmp_path):
-    with pytest.raises(MerlError, match="--weights adaptive compares pictures"):
+    with pytest.raises(MerlError, match="no picture is rendered to choose by: leave weights adaptive out"):
         fit_file(file, tmp_path, load(weights="adaptive", posterior=False))
 
 
