@@ -95,8 +95,8 @@ def check(files: Files, dims: Dims = None) -> None:
     """Print what files hold: bins or samples, bad numbers, largest values, and whether they are genuine MERL files."""
     from ..merl_io.binary import MerlError
     from ..merl_io.check import FileReport, inspect_file
-    from .files import settings_of
-    from .output.report import check_table, scattered_table
+    from .output.checked import check_table, scattered_table
+    from .settings.command import settings_of
 
     allowed = settings_of(dims=dims).input.allowed
     reports, bad = [], 0
@@ -174,12 +174,14 @@ def fit(
 
     Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
     """
-    from .files import aim_of, fit_files, refuse_unoffered, settings_of, summarise
+    from .settings.command import settings_of
 
     settings = settings_of(
         config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
         posterior=posterior, seed=seed,
     )  # fmt: skip
+    from .files import aim_of, fit_files, refuse_unoffered, summarise
+
     refuse_unoffered(files, settings, accuracy is not None or within is not None, posterior)
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
     summarise(outcomes)
@@ -203,9 +205,12 @@ def compare(
 
     Results are in OUT/MODEL/NAME.json; those that are there already are kept if they are of the same file and settings.
     """
-    from .files import compare_files, settings_of
+    from .settings.command import settings_of
 
-    compare_files(files, models, out, settings_of(config, dims=dims, weights=weights, posterior=False), published)
+    settings = settings_of(config, dims=dims, weights=weights, posterior=False)
+    from .files import compare_files
+
+    compare_files(files, models, out, settings, published)
 
 
 @app.command(epilog="Example: merlfit which nickel.binary")
@@ -221,9 +226,11 @@ def which(
     """Say which model is the least that explains a material, and how the others compare."""
     from tempfile import TemporaryDirectory
 
-    from .files import settings_of, which_model
+    from .settings.command import settings_of
 
     settings = settings_of(None, dims=dims, weights=weights, posterior=False)
+    from .files import which_model
+
     with TemporaryDirectory(prefix="merlfit-") as scratch:
         which_model(file, models, out or Path(scratch), settings)
 
@@ -334,7 +341,7 @@ def materials() -> None:
 @app.command(epilog="Example: merlfit models")
 def models() -> None:
     """List the reflectance models: their parameters, and where they are from."""
-    from .output.report import models_table
+    from .output.catalogue import models_table
 
     console.print(models_table())
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Literal, Protocol, Unpack
+from typing import Literal, Protocol
 
 import typer
 from rich.progress import Progress, TaskID
@@ -29,7 +29,7 @@ from .pipeline.comparison import FIT, compare_file
 from .pipeline.run import fit_file, settled
 from .results.export import ResultError, read_result, valid_result
 from .results.schema import Result
-from .settings.config import Config, ConfigError, Replaced, load
+from .settings.config import Config, ConfigError
 from .support.compilation import use_persistent_cache
 from .support.terminal import (
     BAD_INPUT,
@@ -44,14 +44,6 @@ from .support.terminal import (
 )
 
 NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
-
-
-def settings_of(config: Path | None = None, **replaced: Unpack[Replaced]) -> Config:
-    """Those of a file of settings with what the command line replaces in it."""
-    try:
-        return load(config, **replaced)
-    except ConfigError as error:
-        raise fail(str(error)) from None
 
 
 def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim | None:

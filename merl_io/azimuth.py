@@ -19,6 +19,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from .samples import Samples
 
+AZIMUTHS = 8  # nodes of a row of 180 bins; accuracy in `gather`
 # Added to R^T R, relative to its trace and times K^2: rows of fewer bins than nodes leave directions open, in which
 # rounding, which grows with the nodes, may leave it less than 0.
 JITTER = 1e-15

@@ -8,18 +8,16 @@ dims what is sharp, each lobe as its width has it, and leaves the body as it is 
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, get_args
 
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
 from . import acquisition
-from .acquisition import APPARATUS, Apparatus
+from .apparatus import APPARATUS, Apparatus, GrazingLoss
 from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
 from .reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values, Wavelengths
-
-GrazingLoss = Literal["off", "free", "derived"]
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from .acquisition import RINGS_RAD
+from .effects import LEAST_ORDER
 from .geometry import Geometry
 from .numerics import floats
 from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
 
 Values = Mapping[str, Array]
 Wavelengths = ArrayLike | Sequence[float]
-LEAST_ORDER = 6  # of a quadrature
 
 
 class Setting(NamedTuple):

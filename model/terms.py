@@ -13,6 +13,7 @@ from jax import Array
 
 from . import body, convolution, diffraction, energy, exact, scaled, zonal
 from .acquisition import RINGS_RAD
+from .effects import ANY
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .masking.smith import height_correlated, masking
@@ -26,8 +27,6 @@ if TYPE_CHECKING:  # which imports this module
 LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
 RING_ORDER = 32  # of the convolution whose width gives the loss of diffracted light
 WHICH = "which_body"  # number of the body in `BODIES`, where the model leaves it open
-BODIES = ("none", "lambert", "plastic", "subsurface")
-ANY = "any"  # of `TwoScale.general` alone, of no material
 LIT = ("beta", "p", "b", "c", "sigma_s", "n", "k", "eta")  # what the surface's albedo depends on
 
 

@@ -15,9 +15,9 @@ multiplies lobes and body once more.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar, Literal, get_args, get_origin
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,6 +30,7 @@ from . import parameters as declared
 from . import plausible, terms
 from .acquisition import epd_of_rings
 from .diffraction import renormalisation
+from .effects import ANY, BODIES, KINDS, TWO_SCALE, Effects, Kind
 from .fresnel import fresnel, schlick
 from .geometry import Geometry
 from .interfaces import DIELECTRICS, METALS, fresnel_of_dielectric, schlick_of_dielectric
@@ -38,7 +39,6 @@ from .measured import Measured
 from .ndf.epd import HALF
 from .parameters import WAVELENGTHS_UM, Parameter
 from .reflectance import (
-    LEAST_ORDER,
     Clues,
     Factor,
     Lobes,
@@ -50,20 +50,8 @@ from .reflectance import (
     Wavelengths,
     evaluate,
 )
-from .terms import ANY, BODIES, WHICH
+from .terms import WHICH
 
-Fresnel = Literal["exact", "schlick"]
-Masking = Literal["smith", "height_correlated", "none"]
-Diffraction = Literal["off", "lobe", "scaled", "zonal", "quadrature", "exact"]
-Split = Literal["printed", "conserving"]
-Colour = Literal["rayleigh_rice", "fresnel"]
-Index = Literal["usual", "complex", "real"]
-Body = Literal["none", "lambert", "plastic", "subsurface", "any"]
-Kind = tuple[Index, Body]
-KINDS: tuple[Kind, ...] = (
-    ("complex", "none"), ("real", "lambert"), ("real", "plastic"), ("real", "subsurface"), ("complex", "lambert"),
-)  # fmt: skip
-"""Interfaces and bodies that a fit compares, the simplest first: by the number of parameters, then of effects."""
 TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # where fits start
 UNDER = {
     "none": None, "lambert": bodies.lambert_under, "plastic": bodies.plastic, "subsurface": bodies.subsurface,
@@ -72,76 +60,18 @@ MIRROR = (("n", 0.0), ("k", 1.0))  # reflects everything
 
 
 @dataclass(frozen=True)
-class TwoScale(Reflectance):
+class TwoScale(Effects, Reflectance):
     """A two-scale material by the effects it has; what is not chosen is absent from the compiled program.
 
-    Options of what is not chosen take their defaults, so that equal programs are equal values and compile once.
-
-    Attributes:
-        body: what lies under the interface, with an albedo per channel, or ``none``.
-        diffraction: how the facets' diffraction lobe is blurred by the distribution of their normals, cheapest first:
-            ``off``; ``lobe`` (normals taken as all alike); ``scaled`` (a lobe of another width and height, HP17
-            Eq. 39-41: good for most lobes while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics,
-            Appendix A: good for zonal_order >= 24 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33);
-            ``exact`` (Eq. 27, the reference: milliseconds a direction).
-        order: radial nodes of ``quadrature``, and of ``scaled`` outside its table; accuracy in
-            :func:`merlfit.model.convolution.convolve`.
-        zonal_order: highest degree of ``zonal``.
-        fresnel: of the specular term: ``exact`` (HP17 Eq. 3-4), or Schlick's polynomial.
-        masking: ``smith`` (masking and shadowing independent, HP15 Eq. 6), ``height_correlated`` (Smith's joint form,
-            Heitz 2014), ``none`` (1).
-        renormalised: sigma_rel for sigma_s and the lobe's amplitude over the directions that exist (HP17 Eq. 17-19).
-        split: of the energy, between specular term, diffraction lobe and what lies below: ``printed`` (HP17 Eq. 25), or
-            ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives.
-        colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
-            formula chosen for the specular term).
-        index: of refraction of the interface, per channel: ``complex`` (n + i k, a conductor), ``real`` (a
-            dielectric), or ``usual``: complex over no body, real over one. A Lambert floor under a complex index is
-            stray light and dust on a metal; plastic and subsurface ask how light gets through the interface, and so
-            for a real one.
+    Its fields are those of :class:`merlfit.model.effects.Effects`.
     """
 
-    name: ClassVar[str] = "two-scale"
+    name: ClassVar[str] = TWO_SCALE
     citation: ClassVar[str] = (
         "Holzschuch & Pacanowski 2017, A two-scale microfacet reflectance model combining reflection and diffraction, "
         "doi:10.1145/3072959.3073621"
     )
     bodies: ClassVar[tuple[str, ...]] = BODIES
-    body: Body = "none"
-    diffraction: Diffraction = "quadrature"
-    order: int = 32
-    zonal_order: int = 100
-    fresnel: Fresnel = "exact"
-    masking: Masking = "smith"
-    renormalised: bool = True
-    split: Split = "printed"
-    colour: Colour = "rayleigh_rice"
-    index: Index = "usual"
-
-    def __post_init__(self) -> None:
-        """Refuse names that are not effects, and numbers out of range; forget options that nothing asks for."""
-        for field in fields(self):
-            value, choices = getattr(self, field.name), get_args(field.type)
-            if get_origin(field.type) is Literal and value not in choices:
-                raise ValueError(f"{field.name} {value!r} is none of {', '.join(choices)}")
-            if field.type in (bool, int) and type(value) is not field.type:
-                raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
-        if not LEAST_ORDER <= self.order <= 256:
-            raise ValueError(f"order {self.order} of the convolution is outside 6..256")
-        if not 1 <= self.zonal_order <= 1000:
-            raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
-        used = {
-            "order": self.diffraction in ("quadrature", "scaled"),
-            "zonal_order": self.diffraction == "zonal",
-            "renormalised": self.diffraction != "off",
-            "colour": self.diffraction != "off",
-        }
-        for name in (name for name, asked in used.items() if not asked):
-            object.__setattr__(self, name, getattr(type(self), name))
-        if self.index == "usual":
-            object.__setattr__(self, "index", "complex" if self.body == "none" else "real")
-        if self.index == "complex" and self.body in ("plastic", "subsurface"):
-            raise ValueError(f"body {self.body!r} lies under a clear interface: its index is real, not complex")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
@@ -351,18 +281,6 @@ def _names_of_all() -> frozenset[str]:
     whole = TwoScale("lambert", split="conserving")
     tables = [*whole.tables(), *whole.curves()]
     return frozenset([*(q.name for model in every for q in model.parameters), *tables])
-
-
-PRESETS: dict[str, TwoScale] = {
-    "hp17": TwoScale(),
-    "conserving": TwoScale(split="conserving"),
-    "microfacet": TwoScale(diffraction="off"),
-    "preview": TwoScale(diffraction="lobe", fresnel="schlick", colour="fresnel", renormalised=False),
-    "fast": TwoScale(diffraction="scaled"),
-    "reference": TwoScale(diffraction="exact"),
-}
-"""Effects by name: HP17's model; the same conserving energy; Cook-Torrance alone; the cheapest with diffraction, for
-looks; the table instead of the quadrature; Eq. 27 itself."""
 
 
 def two_scale(

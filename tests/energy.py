@@ -16,8 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.support.compilation import use_persistent_cache
+from merlfit.model.effects import KINDS
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import KINDS, TwoScale, two_scale
+from merlfit.model.two_scale import TwoScale, two_scale
 
 SEED = 20261121
 WAVELENGTH_UM = 0.526

@@ -13,7 +13,8 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.support.compilation import use_persistent_cache
-from merlfit.model.acquisition import APPARATUS, Apparatus, derived_exponent
+from merlfit.model.acquisition import derived_exponent
+from merlfit.model.apparatus import APPARATUS, Apparatus
 from merlfit.model.measured import Measured
 
 from . import refit

@@ -19,6 +19,7 @@ from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import descend, fit
 from merlfit.fitting.results.export import finite
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import layout_for, two_scale
 from merlfit.fitting.support.clock import Clock
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.atomic import write_atomically
@@ -58,7 +59,7 @@ def ladder(path, row):
     """The same material with one weight after the other, from where the compressive one ended."""
     start, config = time.perf_counter(), load(posterior=False, weights="adaptive")
     first = row["compressive"]
-    layout, measurement = config.layout_of(config.two_scale((first["index"], first["body"]))), read(path)
+    layout, measurement = layout_for(config, two_scale(config, (first["index"], first["body"]))), read(path)
     samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     tried = descend(layout, layout.free(by_name(layout, first)), measurement, samples, config, Clock())
     spent = first["seconds"] + time.perf_counter() - start

@@ -17,6 +17,7 @@ from merlfit.fitting.assess.picture import difference, view
 from merlfit.fitting.objective.weights import THETA_MAX, weighted_samples, within
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import layout_for, two_scale
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.grid import merl_grid
@@ -70,7 +71,7 @@ def judged(row, path, pixels):
     found, spheres = {}, {"measured": pixels.render(np.where(lit, samples.value, 0.0))}
     for objective in filter(row.__contains__, OBJECTIVES):
         fit = row[objective]
-        layout = config.layout_of(config.two_scale((fit["index"], fit["body"])))
+        layout = layout_for(config, two_scale(config, (fit["index"], fit["body"])))
         predicted = predict_samples(layout, layout.free(by_name(layout, fit["parameters"])), samples)
         unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)
         found[objective] = errors(measured, unfolded[:, *BINS], used)

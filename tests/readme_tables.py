@@ -3,8 +3,9 @@
 import sys
 from pathlib import Path
 
-from merlfit.fitting.output.report import interval, number
+from merlfit.fitting.output.report import interval
 from merlfit.fitting.results.export import read_result
+from merlfit.fitting.support.numbers import number
 
 
 def parameters(result):

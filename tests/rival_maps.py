@@ -17,6 +17,7 @@ from merlfit.fitting.pictures.style import OKABE_ITO, PAGE_INCHES, new, printabl
 from merlfit.fitting.pipeline.comparison import config_of
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import candidates, layout_for, two_scale
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.grid import merl_grid
 
@@ -38,10 +39,10 @@ def predictions(material, rival, samples):
     config = load(posterior=False)
     other = json.loads((PARTS / f"{material}.json").read_text())["compressive"][rival]
     own = config_of(config, rival)
-    (model,) = own.candidates
+    (model,) = candidates(own)
     pairs = (
-        (config.layout_of(config.two_scale((row["index"], row["body"])), samples.bands), row["parameters"]),
-        (own.layout_of(model, samples.bands), other["values"]),
+        (layout_for(config, two_scale(config, (row["index"], row["body"])), samples.bands), row["parameters"]),
+        (layout_for(own, model, samples.bands), other["values"]),
     )
     return [predict_samples(layout, layout.free(values_of(layout, flat)), samples) for layout, flat in pairs]
 

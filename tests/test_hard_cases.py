@@ -11,8 +11,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 from hard_effects import MODEL, scaled_lobe
-from merlfit.model.measured import GrazingLoss
-from merlfit.model.two_scale import ANY, KINDS, TwoScale
+from merlfit.model.apparatus import GrazingLoss
+from merlfit.model.effects import ANY, KINDS
+from merlfit.model.two_scale import TwoScale
 from oracles import precise
 
 CASES, KNOWN, _ = hard_table.table()

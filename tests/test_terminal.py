@@ -11,7 +11,8 @@ import pytest
 import typer.main
 from made_results import made
 from merlfit.fitting import cli
-from merlfit.fitting.output.report import Outcome, check_table, print_result, summary_table
+from merlfit.fitting.output.checked import check_table
+from merlfit.fitting.output.report import Outcome, print_result, summary_table
 from merlfit.fitting.support import compilation, terminal
 from merlfit.fitting.support.clock import Stage
 from merlfit.fitting.support.terminal import Screen

@@ -29,6 +29,7 @@ from ..pipeline.run import GRIDS, assess, thinned
 from ..results import export, schema
 from ..settings.choice import FITTED, POINTS, REFERENCE, Choice, default_choice
 from ..settings.config import Config, ConfigError
+from ..settings.models import layout_for, variant
 from ..solve.levenberg_marquardt import Solution, compress, solve
 from .frontier import Point, load
 from .request import Request, needed, usable
@@ -77,7 +78,7 @@ def estimate(model: Model, problem: Problem, config: Config) -> float:
 def same_variant(settings: Config, layout: Layout) -> Layout:
     """What these settings make of the variant of the model that was fitted."""
     material = layout.material
-    return settings.layout_of(settings.variant(material.name, material.variant), layout.bands)
+    return layout_for(settings, variant(settings, material.name, material.variant), layout.bands)
 
 
 def reference_problem(samples: Samples) -> Problem:

@@ -20,8 +20,9 @@ import numpy as np
 from ...merl_io.binary import Measurement, write
 from ...merl_io.grid import merl_grid
 from ...merl_io.samples import Samples
+from ...model.effects import KINDS
 from ...model.measured import Measured
-from ...model.two_scale import KINDS, TwoScale
+from ...model.two_scale import TwoScale
 from ..assess.outcome import Fitted
 from ..objective.problem import Problem, directions
 from ..objective.residuals import predict
@@ -29,6 +30,7 @@ from ..output.synthesis import from_published
 from ..pipeline.run import assess, fit_file
 from ..settings.choice import REFERENCE, Choice
 from ..settings.config import Config, load
+from ..settings.models import candidates, layout_for
 from .accuracy import distance, estimate, reference_problem, resume_fit
 
 PLAUSIBLE = {
@@ -140,8 +142,8 @@ def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[
     with np.load(kept, allow_pickle=False) as reference:
         best = {key: reference[key] for key in reference}
     reference = REFERENCE.settings(config)
-    (model,) = [each for each in reference.candidates if each.variant == str(best["variant"])]
-    target, same = (reference.layout_of(model), best["z"]), model.variant == fitted.material.variant
+    (model,) = [each for each in candidates(reference) if each.variant == str(best["variant"])]
+    target, same = (layout_for(reference, model), best["z"]), model.variant == fitted.material.variant
     away = np.abs(fitted.values - best["values"]) / best["errors"] if same else np.array([])
     return {
         "body": fitted.material.variant, "status": fitted.status.name, "cost": fitted.solution.cost,

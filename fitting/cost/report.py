@@ -8,8 +8,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from ..output.report import number
 from ..settings.choice import Choice, default_choice
+from ..support.numbers import number
 from .frontier import Frontier, Percentiles, Point, pareto
 
 MARK = "*"

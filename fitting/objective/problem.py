@@ -7,7 +7,7 @@ all bins count and few are evaluated. Scattered samples are rows of their own, o
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -15,17 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ...merl_io.azimuth import gather
+from ...merl_io.azimuth import AZIMUTHS, gather
 from ...merl_io.bands import MERL, Bands
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...model.acquisition import grazing_log_base
 from ...model.geometry import Geometry
+from ..support.choices import Precision
 from ..support.threads import SHARES
 
 T = TypeVar("T")
-Precision = Literal["float64", "float32"]
-AZIMUTHS = 8  # nodes of a row of 180 bins; accuracy in `merl_io.azimuth.gather`
 BLOCK = 8_000  # directions of a block: its 30-odd intermediates of 3 channels stay in a core's cache
 LEAST_SHARE = 20_000  # directions that are worth a thread
 

@@ -26,7 +26,8 @@ from jax.typing import ArrayLike
 
 from ...merl_io.bands import MERL, Bands
 from ...model.measured import material_of, with_material
-from ...model.parameters import PRIORS, LogNormal, Parameter, Priors
+from ...model.parameters import Parameter
+from ...model.priors import PRIORS, LogNormal, Priors
 from ...model.reflectance import Reflectance
 
 INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved

@@ -35,7 +35,7 @@ from ..pictures.style import save
 from ..pipeline.comparison import FIT, Row, angles, row_of
 from ..results.export import ResultError
 from ..results.schema import Model, Result
-from .report import number
+from ..support.numbers import number
 from .synthesis import tabulate
 
 FIGURES = {

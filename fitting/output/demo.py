@@ -13,7 +13,8 @@ from ...merl_io.binary import write
 from ...model.two_scale import TwoScale, two_scale
 from ..results.schema import Result
 from ..settings.config import Config, parse
-from .report import interval, number
+from ..support.numbers import number
+from .report import interval
 from .synthesis import tabulate
 
 NAME = "synthetic-red-plastic"  # none of MERL's names: no measurement of that name is in the way

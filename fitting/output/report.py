@@ -1,6 +1,5 @@
 """Results as tables for a terminal; rich draws them, plain text when the output is not one."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +9,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ...merl_io.binary import BRIGHTEST, OUTLIER, said
-from ...merl_io.check import FileReport, ScatteredReport
-from ...model.registry import models
 from ..assess.identifiability import in_words
 from ..results.schema import Accuracy, DerivedResult, Model, ParameterResult, Result
+from ..support.numbers import number
 
 WIDE = 110  # columns, from which on a table has room for sentences
 
@@ -27,53 +24,6 @@ class Outcome:
     result: Result | None
     error: str | None = None
     bad_input: bool = False
-
-
-def number(x: float | None, digits: int = 4) -> str:
-    """A number with a few significant digits; a dash for none."""
-    if x is None or not math.isfinite(x):
-        return "-"
-    return f"{x:.{digits}g}"
-
-
-def check_table(reports: Sequence[FileReport]) -> Table:
-    """What `merlfit check` prints."""
-    table = Table(
-        title=f"MERL files (bins: of theta_h, theta_d and phi_d; inf: infinite, or above {BRIGHTEST:g}/sr; "
-        f"outliers: over {OUTLIER:g} times as bright as their neighbours; max: largest value, 1/sr; genuine: by SHA-1)",
-        title_justify="left",
-    )
-    left = ("file", "genuine MERL")
-    numbers = ("valid", "negative", "NaN", "inf", "outliers", "max R", "max G", "max B")
-    for head in ("file", "bins", *numbers, "genuine MERL"):
-        table.add_column(
-            head, justify="left" if head in left else "right", overflow="fold" if head in left else "ellipsis"
-        )
-    for r in reports:
-        table.add_row(
-            str(r.path), said(r.dims), f"{r.fraction_valid:.1%}",
-            str(r.negative), str(r.nan), str(r.inf), str(r.outliers),
-            *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no",
-        )  # fmt: skip
-    return table
-
-
-def scattered_table(reports: Sequence[ScatteredReport]) -> Table:
-    """What `merlfit check` prints of files of scattered directions."""
-    table = Table(
-        title="files of scattered directions (angles: least and largest, degrees; max: largest value, 1/sr)",
-        title_justify="left",
-    )
-    for head in ("file", "format", "samples", "channels", "valid", "theta_i", "theta_o", "theta_h", "max"):
-        table.add_column(head, justify="left" if head in ("file", "channels") else "right", overflow="fold")
-    for r in reports:
-        first, last, count = r.channels
-        many = f"{count} of {count + r.left_out}" if r.left_out else str(count)
-        channels = f"{many}: {first} to {last}" if count > 1 else first
-        angles = (f"{low:.1f} {high:.1f}" for low, high in (r.theta_i, r.theta_o, r.theta_h))
-        row = (str(r.path), r.format, str(r.samples), channels, f"{r.fraction_valid:.1%}")
-        table.add_row(*row, *angles, number(r.largest))
-    return table
 
 
 def summary_table(outcomes: Sequence[Outcome]) -> Table:
@@ -98,27 +48,6 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
             number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.picture, 2),
             number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
-    return table
-
-
-def models_table() -> Table:
-    """What `merlfit models` prints."""
-    table = Table(
-        title="reflectance models; RGB: one value per channel; numbers: over three channels. `merlfit fit` fits the "
-        "two-scale model, in the variants that --body and --index name, or another one by --model NAME; `merlfit "
-        "compare` fits several",
-        title_justify="left", box=box.SIMPLE_HEAD,
-    )  # fmt: skip
-    for head in ("model", "parameter", "unit", "meaning"):
-        table.add_column(head, overflow="fold", min_width=9 if head == "parameter" else None)
-    for name, kind in models().items():
-        variants = kind.variants()
-        counts = sorted({sum(3 if q.per_channel else 1 for q in model.parameters) for model in variants})
-        numbers = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else str(counts[0])
-        table.add_row(name, f"{numbers} numbers", "", f"body {', '.join(kind.bodies)}; {kind.citation}")
-        for q in {q.name: q for model in variants for q in model.parameters}.values():
-            unit = "-" if q.unit == "1" else q.unit
-            table.add_row("", f"{q.name} (RGB)" if q.per_channel else q.name, unit, q.meaning)
     return table
 
 

@@ -11,12 +11,11 @@ from jax import Array
 from jax.typing import ArrayLike
 from scipy.interpolate import RegularGridInterpolator
 
-from ...merl_io.azimuth import Nodes, nodes_of
+from ...merl_io.azimuth import AZIMUTHS, Nodes, nodes_of
 from ...merl_io.binary import Dims, Measurement
 from ...merl_io.grid import MerlGrid, merl_grid
 from ...model.geometry import Geometry
 from ...model.reflectance import Reflectance, contributions, evaluate, prepared
-from ..objective.problem import AZIMUTHS
 from ..results.schema import Model, Result
 
 WIDEST_DEG = 89.0  # of the viewers of a lobe

@@ -9,6 +9,7 @@ from ..objective.weights import weighted_samples
 from ..posterior.sampling import sample
 from ..results import export, schema
 from ..settings.config import parse
+from ..settings.models import layout_for
 from ..solve.levenberg_marquardt import Solution
 from ..support.clock import Clock, Report, silent
 from .result import posterior_parts
@@ -44,9 +45,8 @@ def resample(
         measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
     )
     assert isinstance(samples, Samples)
-    layout = config.layout_of(
-        result.model.measured, result.model.bands
-    )  # which may have been carried on with other settings
+    # the result's model, and not the settings': it may have been carried on with other ones
+    layout = layout_for(config, result.model.measured, result.model.bands)
     chain = chain_of(path)
     z, whole = layout.free(result.values()), make_problem(samples, config.fit.azimuths, config.fit.precision)
     normal = Objective(layout, whole).normal_equations(z)

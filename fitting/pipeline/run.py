@@ -28,6 +28,7 @@ from ..objective.transforms import Layout
 from ..objective.weights import THETA_MAX, weighted_samples
 from ..results import export, schema
 from ..settings.config import Config
+from ..settings.models import candidates, layout_for
 from ..solve.levenberg_marquardt import BLACK, LEAST_BINS, Solution, solve, solve_many
 from ..solve.starts import clues_of, starting_points
 from ..support.clock import Clock, Report, silent
@@ -122,19 +123,19 @@ def fit(
     if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
-        models = config.candidates
+        models = candidates(config)
         report(f"coarse grid: {', '.join(model.variant for model in models)}")
-        layouts = [config.layout_of(model, samples.bands) for model in models]
+        layouts = [layout_for(config, model, samples.bands) for model in models]
         sought = [cheaper(replace(layout, model=layout.model.sought), COARSE_ORDER) for layout in layouts]
         problem, roughly = make_coarse(samples)
         found = fit_coarse(sought, clues_of(samples), problem, roughly, config, first)
-        candidates, chosen = compare(sought, found, thinned(samples, COARSE))
+        compared, chosen = compare(sought, found, thinned(samples, COARSE))
         z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
         if last != sought[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
             z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
     report(f"{config.fit.grid} grid: {models[chosen].variant}")
     tried = descend(layouts[chosen], z, measurement, samples, config, clock)
-    return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=candidates)
+    return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=compared)
 
 
 @one_core_a_call

@@ -20,9 +20,10 @@ from pydantic import (
 from pydantic_core import from_json
 
 from ...merl_io.atomic import write_text
-from ...model.acquisition import Apparatus
+from ...model.apparatus import Apparatus
+from ...model.effects import ANY
 from ...model.registry import models
-from ...model.two_scale import ANY, TwoScale
+from ...model.two_scale import TwoScale
 from ..settings.choice import Choice
 from ..settings.config import Config
 from . import schema as parts

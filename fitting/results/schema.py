@@ -23,8 +23,8 @@ from pydantic import (
 
 from ...merl_io import inputs
 from ...merl_io.bands import Bands, ColourSpace
-from ...model.acquisition import APPARATUS, Apparatus
-from ...model.measured import GrazingLoss, Measured
+from ...model.apparatus import APPARATUS, Apparatus, GrazingLoss
+from ...model.measured import Measured
 from ...model.reflectance import Reflectance, Values
 from ...model.registry import made
 from ..settings.choice import Choice

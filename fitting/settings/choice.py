@@ -4,8 +4,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from ...model.two_scale import Diffraction
-from ..objective.problem import Precision
+from ...model.effects import Diffraction
+from ..support.choices import Precision
 from .config import Config
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,9 +25,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from ..objective.residuals import Objective
+from ..support.choices import Backend
 from .trust_region import TrustRegion
 
-Backend = Literal["optimistix", "scipy", "jaxopt"]
 PRIOR = 1e-2  # weight of |z|^2: as much as in the posterior of a material whose residuals are worth 100 bins in all
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
 NON_FINITE_COST = 1e12  # stands for a trial point whose prediction overflows: always rejected

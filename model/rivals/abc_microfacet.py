@@ -9,7 +9,8 @@ from jax import Array
 from ..body import lambert
 from ..interfaces import fresnel_of_dielectric
 from ..masking.v_groove import v_groove
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, OneFormula, Separated, Setting, Values
 from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
 from .smooth import C_, lobe

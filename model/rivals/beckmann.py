@@ -7,7 +7,8 @@ from jax import Array
 
 from ..masking import beckmann as masking
 from ..ndf import beckmann
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, Values
 from .microfacets import Microfacets
 

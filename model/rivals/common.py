@@ -5,7 +5,8 @@ import numpy as np
 from jax import Array
 
 from ..body import lambert_under
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Reflectance, Separated
 
 LOEW_PAPER = (

@@ -24,7 +24,8 @@ from ..fresnel import schlick_of_F0
 from ..interfaces import fresnel_of_dielectric
 from ..masking.v_groove import v_groove
 from ..ndf import beckmann
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, OneFormula, Separated, Setting, Values
 from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
 

@@ -7,7 +7,8 @@ from jax import Array
 
 from ..masking import ggx as masking
 from ..ndf import ggx
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, Values
 from .microfacets import Microfacets
 

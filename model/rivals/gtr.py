@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..ndf import gtr
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, Values
 from .microfacets import NumericMasking
 

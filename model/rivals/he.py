@@ -33,7 +33,8 @@ from jax.scipy.special import erfc
 from ..body import lambert
 from ..interfaces import fresnel_of_dielectric
 from ..numerics import TINY, safe_sqrt
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values
 from .common import DIFFUSE, weighted
 

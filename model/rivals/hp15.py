@@ -15,7 +15,8 @@ from ..fresnel import schlick_of_F0
 from ..masking import smith
 from ..ndf.epd import HALF, epd
 from ..numerics import Real
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, Factor, Lobes, Reflectance, Setting, Values, Wavelengths
 from .common import DIFFUSE
 

@@ -22,7 +22,8 @@ from ..body import plastic, substrate
 from ..geometry import Geometry
 from ..interfaces import fresnel_of_dielectric
 from ..numerics import Real, safe_divide, safe_sqrt, total
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..quadrature import gauss_legendre
 from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values
 from .beckmann import Beckmann

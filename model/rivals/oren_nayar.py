@@ -16,7 +16,8 @@ from jax import Array
 from ..geometry import Geometry
 from ..masking.v_groove import v_groove
 from ..numerics import Real, Scalar, safe_divide, safe_sqrt
-from ..parameters import ALBEDO, LogNormal, Parameter
+from ..parameters import ALBEDO, Parameter
+from ..priors import LogNormal
 from ..quadrature import gauss_legendre
 from ..reflectance import Clues, Factor, Lobes, OneFormula, Reflectance, Setting, Values
 

@@ -9,7 +9,8 @@ from jax import Array
 from ..body import lambert
 from ..ndf import sgd
 from ..numerics import Real
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, OneFormula, Setting, Values
 from .common import DIFFUSE
 

@@ -6,7 +6,8 @@ from typing import ClassVar
 from jax import Array
 
 from ..ndf import sgd
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, Values
 from .microfacets import NumericMasking
 

@@ -10,7 +10,8 @@ from ..body import lambert
 from ..geometry import Geometry
 from ..interfaces import fresnel_of_dielectric
 from ..numerics import Real, safe_sqrt
-from ..parameters import LogNormal, Parameter
+from ..parameters import Parameter
+from ..priors import LogNormal
 from ..reflectance import Clues, OneFormula, Separated, Setting, Values
 from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
 

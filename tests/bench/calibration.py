@@ -13,6 +13,7 @@ from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import fit, predict_samples
 from merlfit.fitting.posterior.sampling import draw
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import layout_for, two_scale
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import Measurement
@@ -42,7 +43,7 @@ def synthetic(seed):
     """Layout, truth in free coordinates and noisy samples of one material drawn from the prior."""
     rng, kind = np.random.default_rng([20261122, seed]), KINDS[seed % len(KINDS)]
     config = load(index=kind[0], body=kind[1])
-    layout = config.layout_of(config.two_scale(kind))
+    layout = layout_for(config, two_scale(config, kind))
     truth, grid = rng.standard_normal(layout.size), merl_grid()
     used = grid.above & (grid.weight > 0)
     blank = Measurement(Path(f"synthetic-{seed}"), np.ones((3, *used.shape)), used, 0, 0, 0, "", "")

@@ -6,6 +6,7 @@ from merlfit.fitting.assess.outcome import Fitted
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import candidates, layout_for
 from merlfit.merl_io.binary import read
 
 from .materials import TWELVE, measured
@@ -27,8 +28,8 @@ def measure(path, body, starts):
     """The runs from random points, the one from the data, and one of a longer search."""
     config = load(body=body, posterior=False)
     measurement = read(path)
-    (model,) = config.candidates
-    samples, layout = weighted_samples(measurement, config.rungs[0], config.fit.theta_max), config.layout_of(model)
+    (model,) = candidates(config)
+    samples, layout = weighted_samples(measurement, config.rungs[0], config.fit.theta_max), layout_for(config, model)
 
     def run(config, first=None):
         return told(fit(measurement, samples, config, first=first))

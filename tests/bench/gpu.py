@@ -12,6 +12,7 @@ from merlfit.fitting.output.synthesis import from_published
 from merlfit.fitting.pipeline.batch import fit_batch, prepare, solve_batch
 from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import candidates, layout_for
 from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read, write
@@ -72,7 +73,7 @@ def run(folder, out, every, on_cpu=False):
         return
     counts = COUNTS if device.platform == "gpu" else COUNTS_ON_CPU
     config = load(body=BODY, posterior=False)
-    layout = config.layout_of(*config.candidates)
+    layout = layout_for(config, *candidates(config))
     everything, preparing = prepared(materials(SOURCE)[: max(counts)], config)
     record = Record(
         "gpu", "Fits batched over materials",

@@ -8,6 +8,7 @@ from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import GRIDS
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import candidates, layout_for
 from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io.binary import read
@@ -28,7 +29,7 @@ NEVER = 1e-14  # tolerance that no step meets
 def measure(path, grid, azimuths, precision):
     """Seconds a step of a solve that has not converged, and the peaks before and after it (MiB)."""
     config = load(body=BODY)
-    layout = config.layout_of(*config.candidates)
+    layout = layout_for(config, *candidates(config))
     samples = thin(weighted_samples(read(path)), GRIDS[grid])
     problem = make_problem(samples, int(azimuths), precision)
     typical = {q.name: q.default for q in layout.parameters}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.settings.config import load
-from merlfit.model.two_scale import PRESETS
+from merlfit.model.effects import PRESETS
 
 from .materials import file
 from .processes import worker

@@ -12,6 +12,7 @@ from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import candidates, layout_for
 from merlfit.fitting.solve.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
 from merlfit.fitting.solve.trust_region import TrustRegion
 from merlfit.merl_io.binary import read
@@ -79,7 +80,7 @@ def ours(layout, z, problem):
 def measure(path, body):
     """Costs, evaluations and ends of all from random starting points, and seconds of each."""
     config = load(body=body)
-    layout = cheaper(config.layout_of(*config.candidates), COARSE_ORDER)
+    layout = cheaper(layout_for(config, *candidates(config)), COARSE_ORDER)
     problem = make_problem(thin(weighted_samples(read(path)), COARSE), COARSE_AZIMUTHS)
     rng, rows = np.random.default_rng(0), {name: [] for name in (*SOLVERS, "ours")}
     for _ in range(STARTS):

@@ -7,6 +7,7 @@ from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.settings.models import candidates, layout_for
 from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io.binary import read
@@ -19,8 +20,8 @@ TOLERANCES = {"ftol": 1e-6, "xtol": 1e-5}
 def coarse_optimum(path, body):
     """Config, layout, samples of all bins, and the coarse optimum from which `run.fit` goes on."""
     config = load(body=body, posterior=False)
-    (model,) = config.candidates
-    layout, samples = config.layout_of(model), weighted_samples(read(path), config.rungs[0], config.fit.theta_max)
+    (model,) = candidates(config)
+    layout, samples = layout_for(config, model), weighted_samples(read(path), config.rungs[0], config.fit.theta_max)
     (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], clues_of(samples), *make_coarse(samples), config)
     return config, layout, samples, found.z
 

@@ -19,12 +19,39 @@ QUICK = {
 PICTURES = "lobes", "spheres", "errors", "isolines", "corner", "trace"
 
 
-def test_importing_does_not_wait_for_jax():
-    heavy = "jax", "matplotlib", "pydantic", "numpy"
-    program = f"import sys, merlfit; print([m for m in {heavy} if m in sys.modules], *dir(merlfit))"
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    assert said.startswith("[] ")
-    assert set(said.split()[1:]) == set(merlfit.__all__)
+WITHOUT_JAX = f"""
+import sys
+seen = lambda *names: [name for name in names if name in sys.modules]
+import merlfit
+assert not seen("jax", "matplotlib", "pydantic", "numpy")
+assert set(dir(merlfit)) == {set(merlfit.__all__)}
+from merlfit.fitting import cli
+assert not seen("jax", "equinox", "matplotlib", "pydantic", "numpy")
+from merlfit.fitting.settings import choice, command, config
+assert config.load({{"fit": {{"weights": "adaptive"}}}}).for_scattered.has_lobes
+from merlfit.fitting.output import checked
+from merlfit.merl_io import check, inputs
+assert not seen("jax", "equinox", "matplotlib", "scipy")
+try:
+    config.load({{"effects": {{"boddy": "plastic"}}}})
+except config.ConfigError as error:
+    assert "effects.body" in str(error)
+assert not seen("jax", "equinox")
+assert merlfit.models()
+assert seen("jax", "equinox") == ["jax", "equinox"]
+import jax
+assert jax.numpy.ones(1).dtype == "float64"
+"""
+
+
+def test_only_what_computes_waits_for_jax():
+    """merlfit itself, settings and their errors, and a look at a file load none; then float64 is on all the same."""
+    subprocess.run([sys.executable, "-c", WITHOUT_JAX], capture_output=True, text=True, check=True)
+
+
+def test_float64_is_switched_on_where_jax_was_there_before():
+    program = "import jax; import merlfit.model; assert jax.numpy.ones(1).dtype == 'float64'"
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 @pytest.mark.parametrize("name", merlfit.__all__)

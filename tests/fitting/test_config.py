@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 from merlfit.fitting import cli
 from merlfit.fitting.settings.config import Config, ConfigError, known_keys, load, parse
-from merlfit.model.acquisition import Apparatus
+from merlfit.fitting.settings.models import candidates, layout_for, two_scale
+from merlfit.model.apparatus import Apparatus
+from merlfit.model.effects import KINDS, PRESETS
 from merlfit.model.measured import Measured
 from merlfit.model.rivals.ggx import GGX
-from merlfit.model.two_scale import KINDS, PRESETS, TwoScale
+from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
 ROOT = Path(__file__).parents[2]
@@ -85,17 +87,22 @@ def test_settings_of_effects_are_those_of_the_model():
     assert set(section) == {field.name for field in dataclasses.fields(TwoScale)} | {"preset"}
     chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False}
     found = parse({"effects": chosen, "acquisition": {"grazing_loss": 0.5}}, "here")
-    assert found.two_scale(("complex", "none")) == Measured(TwoScale(**chosen), 0.5)
+    assert two_scale(found, ("complex", "none")) == Measured(TwoScale(**chosen), 0.5)
 
 
 def test_settings_of_the_acquisition_are_those_of_the_model():
-    assert {model.grazing_loss for model in Config().candidates} == {Measured.grazing_loss}
+    assert {model.grazing_loss for model in candidates(Config())} == {Measured.grazing_loss}
     assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
     derived = {"acquisition": {"grazing_loss": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
-    lamp = parse(derived, "here").two_scale(("complex", "none"))
+    lamp = two_scale(parse(derived, "here"), ("complex", "none"))
     assert lamp == Measured(TwoScale(), "derived", Apparatus(lamp_sigma_rad=0.01))
     with pytest.raises(ConfigError, match=r"'effects.acquisition' is called 'acquisition.grazing_loss' now"):
         parse({"effects": {"acquisition": "off"}}, "here")
+
+
+def preset(name, **changed):
+    """The model with a preset's effects."""
+    return TwoScale(**(dataclasses.asdict(PRESETS[name]) | changed))
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -104,11 +111,11 @@ def test_presets_are_those_of_the_model(name):
         with pytest.raises(ConfigError, match="fit with quadrature"):
             parse({"effects": {"preset": name}}, "here")
         return
-    expected = dataclasses.replace(PRESETS[name], index="real", body="plastic")
-    assert parse({"effects": {"preset": name}}, "here").two_scale(("real", "plastic")) == Measured(expected)
-    assert load(preset=name, body="plastic").candidates == [Measured(expected)]
+    expected = preset(name, index="real", body="plastic")
+    assert two_scale(parse({"effects": {"preset": name}}, "here"), ("real", "plastic")) == Measured(expected)
+    assert candidates(load(preset=name, body="plastic")) == [Measured(expected)]
     beside = parse({"effects": {"preset": name, "masking": "none"}}, "here")
-    assert beside.two_scale(("real", "plastic")).material == dataclasses.replace(expected, masking="none")
+    assert two_scale(beside, ("real", "plastic")).material == dataclasses.replace(expected, masking="none")
 
 
 def test_the_command_line_replaces_the_preset_and_leaves_the_keys_beside_it(tmp_path):
@@ -116,7 +123,7 @@ def test_the_command_line_replaces_the_preset_and_leaves_the_keys_beside_it(tmp_
     path.write_text('seed = 3\n[effects]\npreset = "conserving"\nmasking = "none"\n[acquisition]\ngrazing_loss = 0.5\n')
     found = load(path, preset="preview", body="plastic", posterior=False)
     kind = {"index": "real", "body": "plastic"}
-    assert found.candidates == [Measured(dataclasses.replace(PRESETS["preview"], **kind, masking="none"), 0.5)]
+    assert candidates(found) == [Measured(preset("preview", **kind, masking="none"), 0.5)]
     assert found.seed == 3
     assert not found.posterior.enabled
     assert load(path, seed=5).seed == 5
@@ -149,15 +156,15 @@ def test_the_command_line_replaces_index_and_weights(tmp_path):
 )
 def test_kinds_are_those_that_agree_with_what_is_given(given, kinds):
     config = load(**given)
-    assert [model.material.kind for model in config.candidates] == list(kinds)
-    for model in config.candidates:
-        assert config.layout_of(model).model == model == config.two_scale(model.material.kind)
+    assert [model.material.kind for model in candidates(config)] == list(kinds)
+    for model in candidates(config):
+        assert layout_for(config, model).model == model == two_scale(config, model.material.kind)
 
 
 def test_models_are_candidates_the_fewest_parameters_first():
-    assert load(model="ggx").candidates == [Measured(GGX())]
+    assert candidates(load(model="ggx")) == [Measured(GGX())]
     assert load(model=["ggx"]).model.name == "ggx"
-    found = load(model=["two-scale", "oren-nayar-qualitative", "ggx"]).candidates
+    found = candidates(load(model=["two-scale", "oren-nayar-qualitative", "ggx"]))
     assert [model.variant for model in found] == ["oren-nayar-qualitative", "ggx", *map(" ".join, KINDS)]
     assert found[0].grazing_loss == "off"  # it has nothing sharp
 

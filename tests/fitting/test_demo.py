@@ -7,6 +7,7 @@ from merlfit.fitting import cli
 from merlfit.fitting.execution import unit
 from merlfit.fitting.output import demo
 from merlfit.fitting.results.export import write_result
+from merlfit.fitting.settings.models import candidates
 from merlfit.merl_io.binary import genuine_names, read, write
 from merlfit.model.measured import Measured
 from typer.testing import CliRunner
@@ -62,7 +63,7 @@ def test_its_name_is_none_of_merl():
 def test_no_apparatus_is_fitted_to_a_synthetic_material():
     settings = demo.settings(3)
     assert settings.seed == 3
-    assert settings.candidates == [Measured(demo.EFFECTS, "off")]
+    assert candidates(settings) == [Measured(demo.EFFECTS, "off")]
 
 
 def test_without_intervals_the_verdict_says_so():

@@ -14,7 +14,8 @@ from merlfit.fitting.solve import levenberg_marquardt
 from merlfit.fitting.solve.levenberg_marquardt import Status
 from merlfit.merl_io.binary import read, write
 from merlfit.model.acquisition import derived_exponent
-from merlfit.model.two_scale import KINDS, TwoScale
+from merlfit.model.effects import KINDS
+from merlfit.model.two_scale import TwoScale
 
 
 @pytest.fixture(scope="module")

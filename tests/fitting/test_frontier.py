@@ -12,6 +12,7 @@ from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
 from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.settings.config import Config, ConfigError, load
+from merlfit.fitting.settings.models import two_scale
 from typer.testing import CliRunner
 
 runner = CliRunner()
@@ -113,8 +114,8 @@ def test_a_tier_that_was_asked_for_is_not_replaced(made):
     assert settings.effects == fast.effects
     assert (settings.fit.grid, settings.fit.starts) == ("coarse", 1)
     replaced = POINTS[0].settings(load(preset="conserving"))
-    assert replaced.two_scale(("complex", "none")).material.diffraction == "lobe"
-    assert replaced.two_scale(("complex", "none")).material.split == "conserving"
+    assert two_scale(replaced, ("complex", "none")).material.diffraction == "lobe"
+    assert two_scale(replaced, ("complex", "none")).material.split == "conserving"
 
 
 def test_the_defaults_are_a_point():

@@ -20,8 +20,9 @@ from merlfit.fitting.solve.starts import clues_of, starting_points
 from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
+from merlfit.model.effects import KINDS
 from merlfit.model.measured import Measured
-from merlfit.model.two_scale import KINDS, TwoScale
+from merlfit.model.two_scale import TwoScale
 from plain_jacobian import difference, plain
 
 FREE = layout_of(Measured(TwoScale("none")))

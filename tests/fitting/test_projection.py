@@ -13,6 +13,7 @@ from merlfit.fitting.solve import projection
 from merlfit.fitting.solve.projection import ALBEDOS, BATCH, project
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
+from merlfit.model.effects import KINDS
 from merlfit.model.interfaces import DIELECTRICS, METALS
 from merlfit.model.measured import Measured
 from merlfit.model.rivals.abc_microfacet import ABCMicrofacet
@@ -21,7 +22,7 @@ from merlfit.model.rivals.epd import EPD
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.he import He
 from merlfit.model.rivals.smooth import Smooth
-from merlfit.model.two_scale import KINDS, TwoScale
+from merlfit.model.two_scale import TwoScale
 
 SHARED = {"beta": 0.15, "p": 0.7, "b": 1.5, "c": 1.8, "sigma_s": 0.03, "grazing_exponent": 0.3,
           "grazing_exponent_diffracted": 0.1}  # fmt: skip

@@ -16,8 +16,9 @@ from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.settings.config import Config, parse
+from merlfit.fitting.settings.models import candidates, layout_for, two_scale
 from merlfit.merl_io.binary import DIMS, write
-from merlfit.model.acquisition import Apparatus
+from merlfit.model.apparatus import Apparatus
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from scipy.stats import norm
@@ -94,7 +95,7 @@ def test_priors_for_programs_are_those_of_the_coordinates(effects):
 
 def test_a_prior_that_was_changed_is_told_as_it_is():
     changed = Config.model_validate({"priors": {"b": {"median": 5.0, "factor": 2.0}}})
-    told = {p.parameter: p for p in priors(changed.layout_of(changed.two_scale(("complex", "none"))))}
+    told = {p.parameter: p for p in priors(layout_for(changed, two_scale(changed, ("complex", "none"))))}
     assert (told["b"].median, told["b"].factor, told["b"].quantity) == (5.0, 2.0, "b")
     assert told["c"].offset == 1.0
 
@@ -160,7 +161,7 @@ def test_results_of_older_versions_are_read_as_this_one(version, model, tmp_path
     assert [(c.model, c.variant) for c in found.fit.candidates] == [
         ("two-scale", "complex none"), ("two-scale", "real plastic"),
     ]  # fmt: skip
-    assert parse(found.config, "old").candidates == Config().candidates
+    assert candidates(parse(found.config, "old")) == candidates(Config())
     assert found.values().keys() == new.values().keys()
     exponents = dict(new.model.acquisition.exponents)
     if version == "1.2" and "diffracted" in exponents:

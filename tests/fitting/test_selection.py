@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from merlfit.fitting.assess.selection import ALIKE, MARGIN, PATIENCE, choose, lost, nearest, score
-from merlfit.model.two_scale import KINDS, TwoScale
+from merlfit.model.effects import KINDS
+from merlfit.model.two_scale import TwoScale
 
 COUNT = 13.0
 

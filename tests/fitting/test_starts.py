@@ -27,7 +27,7 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.interfaces import DIELECTRICS
 from merlfit.model.measured import Measured
-from merlfit.model.parameters import PRIORS, LogNormal
+from merlfit.model.priors import PRIORS, LogNormal
 from merlfit.model.reflectance import Clues
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar import OrenNayarQualitative

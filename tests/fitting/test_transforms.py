@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.settings.config import Config, ConfigError, load, parse
+from merlfit.fitting.settings.models import layout_for, two_scale
 from merlfit.model.diffraction import renormalisation
+from merlfit.model.effects import KINDS
 from merlfit.model.measured import Measured
-from merlfit.model.parameters import PRIORS, WAVELENGTHS_UM, LogNormal
-from merlfit.model.two_scale import KINDS, TwoScale
+from merlfit.model.parameters import WAVELENGTHS_UM
+from merlfit.model.priors import PRIORS, LogNormal
+from merlfit.model.two_scale import TwoScale
 from scipy.special import ndtr
 from scipy.stats import kstest, truncnorm
 
@@ -199,9 +202,9 @@ def test_other_priors_in_the_configuration_are_those_of_the_coordinates():
     given = {"half_width": {"median": 0.1, "factor": 1.5}, "eta": {"median": 0.3, "factor": 1.2},
              "dispersion": {"median": 1.1, "factor": 1.15}, "odds": {"median": 0.5, "factor": 2.0}}  # fmt: skip
     config = parse({"effects": {"preset": "microfacet"}, "priors": given}, "here")
-    layout = config.layout_of(config.two_scale(("real", "plastic")))
+    layout = layout_for(config, two_scale(config, ("real", "plastic")))
     assert layout.priors == replace(PRIORS, **{name: LogNormal(**prior) for name, prior in given.items()})
-    assert layout.model == config.two_scale(("real", "plastic"))
+    assert layout.model == two_scale(config, ("real", "plastic"))
     _, values = drawn(layout, seed=7, most=np.inf)
     above = values["eta"] - 1
     for x, name in (
@@ -221,7 +224,7 @@ def test_other_priors_in_the_configuration_are_those_of_the_coordinates():
 
 def test_the_configuration_s_priors_are_the_model_s():
     assert Config().priors.model_dump() == asdict(PRIORS)
-    assert load().layout_of(Measured(TwoScale())) == layout_of(Measured(TwoScale()))
+    assert layout_for(load(), Measured(TwoScale())) == layout_of(Measured(TwoScale()))
     for bad in ({"median": 0.0, "factor": 2.0}, {"median": 1.0, "factor": 1.0}, {"median": 1.0}, {"mean": 1.0}):
         with pytest.raises(ConfigError, match="priors"):
             parse({"priors": {"p": bad}}, "here")

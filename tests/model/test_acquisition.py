@@ -5,13 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.model.acquisition import (
-    APPARATUS,
     FIT_ANGLES_RAD,
-    Apparatus,
     derived_exponent,
     grazing_log_base,
     mirror_loss,
 )
+from merlfit.model.apparatus import APPARATUS, Apparatus
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import DIFFRACTION, SURFACE

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
-from merlfit.model.acquisition import RINGS_RAD, Apparatus, exponent_of_lobe
+from merlfit.model.acquisition import RINGS_RAD, exponent_of_lobe
+from merlfit.model.apparatus import Apparatus
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured, material_of, with_material
 from merlfit.model.ndf.ggx import D

@@ -12,14 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax.flatten_util import ravel_pytree
 from jaxtyping import TypeCheckError
-from merlfit.model.acquisition import Apparatus
+from merlfit.model.apparatus import Apparatus
+from merlfit.model.effects import KINDS
 from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured, material_of
 from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.reflectance import factor_values, reads, setting, shaped
-from merlfit.model.two_scale import KINDS, TwoScale
+from merlfit.model.two_scale import TwoScale
 from oracles import bodies as o_bodies
 from oracles import two_scale as o_two_scale
 
