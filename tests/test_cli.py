@@ -121,6 +121,9 @@ def test_sampling_goes_on_with_the_chain_beside_a_fit(fitted, tmp_path, monkeypa
     with np.load(chain) as longer, np.load(folder / "out" / chain.name) as shorter:
         np.testing.assert_array_equal(longer["chain_free"][: before.posterior.steps], shorter["chain_free"])
         spoiled = {**shorter, "fit_free": shorter["fit_free"] + 0.1}
+    shutil.copy(folder / "out" / path.name, path)  # as if it had been killed between its chain and its result
+    call("sample", path, "--max-steps", "20")
+    assert export.read_result(path).posterior == after.posterior
     np.savez(chain, **spoiled)
     refused = call("sample", path, "--max-steps", "20")
     assert refused.exit_code == 2

@@ -55,6 +55,8 @@ def resample(
     fitted = assess(layout, solution, measurement, samples, config.fit.theta_max)
     with clock.stage("posterior"):
         steps = config.posterior.max_steps if max_steps is None else max_steps
+        if result.posterior is not None:  # of which the chain may have gone beyond, if it was stopped before
+            steps += result.posterior.steps
         sampled = sample(fitted, samples, steps, result.seed, chain, chain.is_file(), report)
     seconds = result.seconds["total"] + clock.seconds["posterior"]
     spent = result.seconds.get("posterior", 0.0) + clock.seconds["posterior"]

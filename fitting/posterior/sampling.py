@@ -68,7 +68,7 @@ def draw(
     """Sample until the chain is long enough, and correct it; the chain is in ``path`` at every look at it.
 
     Args:
-        samples: those that were fitted. max_steps: at the most; of a finished chain that goes on, those to add.
+        samples: those that were fitted. max_steps: of the whole chain, at the most.
         seed: of walkers and moves.
         path: .npz with the chain. resume: go on with the chain in it.
 
@@ -87,7 +87,6 @@ def draw(
         chain = read_chain(path, solution.z)
         if drawn := _drawn(path):  # those that the result names, until there are new ones
             chain = replace(chain, lessons=0)  # one that was long enough once is not given up
-            max_steps += len(chain.states)
         emulator = Emulator.of(few, layout, chain.taught)
     else:
         covariance = laplace_covariance(solution.normal, fitted.count)
