@@ -1,6 +1,7 @@
 """`python -m tests.faults [SECTION ...]`: tries faults and writes results/faults.md.
 
 `--few` tries a twentieth and writes nothing, `--times N` has folders and kills tried so often, `--out` names a folder.
+A section is loaders, inputs, folders or kills, or one trial of the last two: `folders.vanish`, `kills.posterior`.
 """
 
 import sys
@@ -18,11 +19,14 @@ def main(
     from . import folders, inputs, kills, loaders
 
     tried = Tried(None if few else out)
-    for section in sections or TITLES:
+    for asked in sections or TITLES:
+        section, _, trial = asked.partition(".")
+        only = [trial] if trial else []
+        tried.begin(section, only)
         if section in ("loaders", "inputs"):
             {"loaders": loaders, "inputs": inputs}[section].run(tried, few)
         else:
-            {"folders": folders, "kills": kills}[section].run(tried, few, times)
+            {"folders": folders, "kills": kills}[section].run(tried, only, few, times)
     sys.exit(1 if tried.wrong else 0)
 
 

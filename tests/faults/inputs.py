@@ -122,7 +122,6 @@ def as_documented(found, path):
 
 def run(tried, few=False):
     """All of them."""
-    tried.begin("inputs")
     share = 20 if few else 1
     whole = {spectral: fields(spectral) for spectral in (True, False)}
     tracemalloc.start()

@@ -314,7 +314,6 @@ def names(tried):
 
 def run(tried, few=False):
     """All of them."""
-    tried.begin("loaders")
     share = 20 if few else 1
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "made.json")

@@ -1,6 +1,8 @@
 """What was tried and what came of it: results/faults.json, and the table results/faults.md."""
 
 import json
+import shlex
+import sys
 from pathlib import Path
 
 from ..bench.record import machine
@@ -25,10 +27,11 @@ TEXTS = {
     "program's own. After each the same command with --resume, the fault mended, has to bring every file to its end. "
     "A wrong outcome is a traceback, a failure without a line that names the file, an exit code of success although "
     "something failed, a torn file, a finished result that is lost, or values other than of an undisturbed run.",
-    "kills": "Each run is killed at a moment drawn evenly over the time that an undisturbed one takes, and the same "
-    "command given again, until it comes to its end. After every kill: no result or chain is torn, and nothing that "
-    "the manifest calls finished is lost; at the end all values are those of an undisturbed run to the last bit, "
-    "nothing unfinished is left in the folder and no process runs on.",
+    "kills": "Data are made up and small, so that many runs can be tried. Each run is killed at a moment drawn evenly "
+    "over what an undisturbed one takes, and a little more, and the same command given again, until it is let come to "
+    "its end. After every kill: no result or chain is torn, and nothing that the manifest calls finished is lost; at "
+    "the end all values are those of an undisturbed run to the last bit, nothing unfinished is left in the folder and "
+    "no process runs on.",
 }
 
 
@@ -40,15 +43,22 @@ class Tried:
         path = folder / "faults.json" if folder else None
         self.sections = json.loads(path.read_text()) if path and path.is_file() else {}
 
-    def begin(self, section):
-        """The rows of this section are made anew."""
-        self.sections[section] = {"machine": machine(), "rows": []}
+    def begin(self, section, only=()):
+        """The rows of this section are made anew, or those of some of its trials."""
+        rows = self.sections[section]["rows"] if only and section in self.sections else []
+        self.sections[section] = {"machine": machine(), "rows": rows}
 
     def add(self, section, what, times, outcome, wrong):
         """A row: what was tried, how often, what came of it, and how many outcomes were wrong."""
-        row = {"tried": what, "times": times, "outcome": outcome, "wrong": wrong}
+        held = self.sections[section]
+        row = {
+            "tried": what, "times": times, "outcome": outcome, "wrong": wrong, "date": held["machine"]["date"],
+            "by": f"`{shlex.join(['python', '-m', 'tests.faults', *sys.argv[1:]])}`",
+        }  # fmt: skip
         print(f"{section}: {row}", flush=True)
-        self.sections[section]["rows"].append(row)
+        names = [each["tried"] for each in held["rows"]]
+        at = names.index(what) if what in names else len(names)
+        held["rows"][at : at + 1] = [row]
         self.write()
 
     def write(self):
@@ -65,7 +75,7 @@ class Tried:
 
     def markdown(self):
         """The table as it is read."""
-        lines = ["# Faults, tried", "", "Data: synthetic. Made by `make faults`.", ""]
+        lines = ["# Faults, tried", "", "Data: synthetic. `make faults` makes all of it.", ""]
         for section, title in TITLES.items():
             if section not in self.sections:
                 continue
@@ -73,8 +83,11 @@ class Tried:
             m = held["machine"]
             lines += [
                 f"## {title}", "", TEXTS[section], "",
-                f"{m['cores']} cores of {m['processor']}, {m['memory_gib']} GiB, {m['date']}.", "",
-                "| tried | times | outcome | wrong |", "|---|---|---|---|",
-                *(f"| {r['tried']} | {r['times']:,} | {r['outcome']} | {r['wrong']} |" for r in held["rows"]), "",
+                f"{m['cores']} cores of {m['processor']}, {m['memory_gib']} GiB.", "",
+                "| tried | times | outcome | wrong | by | date |", "|---|---|---|---|---|---|",
+                *(
+                    f"| {r['tried']} | {r['times']:,} | {r['outcome']} | {r['wrong']} | {r['by']} | {r['date']} |"
+                    for r in held["rows"]
+                ), "",
             ]  # fmt: skip
         return "\n".join(lines)
