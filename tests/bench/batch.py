@@ -1,23 +1,22 @@
-"""Many files: `merlfit fit` of N files with one and two jobs, a plain loop and a Dask cluster beside it, all 100."""
+"""Many files: `merlfit fit` of N files with one and two jobs, a plain loop beside it, all 100."""
 
 import tempfile
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 from merlfit.fitting.execution.unit import Kind, Unit, fit_unit
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.support.threads import CORES
 
 from .materials import TWELVE, file
 from .materials import every as every_material
-from .processes import MERLFIT, watch, worker
+from .processes import MERLFIT, measuring, watch
 from .record import RECONSTRUCTIONS, Record, Target, exponent
 
 COUNTS = (1, 2, 4, 8)
 FILES = 100
 REPEATS = 3
-LOOP, POOL, DASK = "plain loop", "merlfit fit", "merlfit fit --executor dask"
+MIXED = [m for pair in zip(list(TWELVE)[:6], list(TWELVE)[6:], strict=True) for m in pair]  # conductor, plastic, ...
+LOOP, POOL = "plain loop", "merlfit fit"
 
 
 def measure(out, *files):
@@ -29,47 +28,33 @@ def measure(out, *files):
     return time.perf_counter() - start
 
 
-def fitted(files, jobs=None):
-    """A row: the files in a process of its own, by a plain loop, by `merlfit fit --jobs`, or on a cluster (`DASK`).
+def fitted(files, *options):
+    """What a call was like that fits files in a process of its own: a plain loop, or `merlfit fit` with options.
 
     An exit code of 1 says that a fit ended at its step limit.
     """
-    with tempfile.TemporaryDirectory() as out, _ways(jobs, Path(out, "cluster")) as way:
-        if jobs is None:
-            start = time.monotonic()
-            _, peak = worker("batch", out, *files)
-            seconds, peaks = time.monotonic() - start, (peak, peak)
-        else:
-            done = watch([MERLFIT, "fit", *map(str, files), "-o", out, "--no-posterior", *way], codes=(0, 1))
-            seconds, peaks = done.seconds, (done.peaks_mib[0], done.sums_mib[0])
+    with tempfile.TemporaryDirectory() as out:
+        program = [MERLFIT, "fit", *map(str, files), "-o", out, "--no-posterior", *options]
+        done = watch(program if options else measuring("batch", out, *files), codes=(0, 1) if options else (0,))
         written = len(list(Path(out).glob("*.json")))
     if written != len(files):
         raise RuntimeError(f"{written} results of {len(files)} files")
+    return done
+
+
+def row(files, jobs=None):
+    """Of a table: by ``jobs`` processes, None for a plain loop."""
+    done = fitted(files, *(() if jobs is None else ("-j", jobs)))
     return {
-        "files": len(files), "by": {None: LOOP, DASK: DASK}.get(jobs, POOL),
-        "jobs": "1" if jobs in (None, DASK) else jobs,
-        "seconds": seconds, "s a file": seconds / len(files),
-        "largest process GiB": peaks[0] / 1024, "all processes GiB": peaks[1] / 1024,
+        "files": len(files), "by": LOOP if jobs is None else POOL, "jobs": jobs or "1", "seconds": done.seconds,
+        "s a file": done.seconds / len(files), "largest process GiB": done.peaks_mib[0] / 1024,
+        "all processes GiB": done.sums_mib[0] / 1024,
     }  # fmt: skip
-
-
-@contextmanager
-def _ways(jobs, folder):
-    """Options of `merlfit fit`; a cluster of one new worker with all cores, as long as this lasts."""
-    if jobs != DASK:
-        yield ["-j", jobs]
-        return
-    from ..clusters import scheduler, until, workers
-
-    folder.mkdir()
-    with scheduler(folder) as (_, address), workers(address, folder, threads=CORES):
-        until(lambda: b"Registered to" in (folder / "worker/said").read_bytes(), "no worker")
-        yield ["--executor", address]
 
 
 def median_of(files, jobs=None):
     """The row of the median time of some runs."""
-    rows = sorted((fitted(files, jobs) for _ in range(REPEATS)), key=lambda row: row["seconds"])
+    rows = sorted((row(files, jobs) for _ in range(REPEATS)), key=lambda row: row["seconds"])
     return rows[REPEATS // 2]
 
 
@@ -79,20 +64,15 @@ def run(folder, out, every):
         "batch", "Many files in one call", RECONSTRUCTIONS,
         ["`merlfit fit FILE ... --no-posterior --jobs N`, five kinds of interface and body on the coarse grid, the "
          "best on all bins; wall time of the whole call with the start of its processes, compiled programs in the "
-         "cache. The plain loop: one process of Python that fits one file after the other. On a cluster: a scheduler "
-         "and a worker of this machine, both new, which run already and have fitted nothing; memory is then that of "
-         f"`merlfit fit` alone. Up to {max(COUNTS)} files: the median of {REPEATS} runs."],
+         "cache. The plain loop: one process of Python that fits one file after the other. "
+         f"Up to {max(COUNTS)} files: the median of {REPEATS} runs."],
         {"files": Target(f"all {FILES} materials in one call, no posterior", 10, "minutes"),
          "overhead": Target(f"a file of {max(COUNTS)}: one job against the plain loop", 10, "%"),
-         "two": Target(f"a file of {max(COUNTS)}: two jobs against the plain loop", 10, "%"),
-         "dask": Target(f"a file of {max(COUNTS)}: a Dask worker against the plain loop", 10, "%")},
+         "two": Target(f"a file of {max(COUNTS)}: two jobs against the plain loop", 10, "%")},
         folder=out,
     )  # fmt: skip
-    mixed = [
-        m for pair in zip(list(TWELVE)[:6], list(TWELVE)[6:], strict=True) for m in pair
-    ]  # conductor, plastic, ...
-    files = [file(folder, material) for material in mixed[: max(COUNTS)]]
-    fitted(files, "1")  # every body that they choose is compiled
+    files = [file(folder, material) for material in MIXED[: max(COUNTS)]]
+    fitted(files, "-j", "1")  # every body that they choose is compiled
     for count in COUNTS:
         record.add(median_of(files[:count], "1"))
     counts, seconds = record.column("files"), record.column("seconds")
@@ -102,16 +82,15 @@ def run(folder, out, every):
         f"each further one; peak memory as files^{exponent(counts, record.column('largest process GiB')):.2f}."
     )
     one = seconds[-1]
-    loop, two, dask = median_of(files), median_of(files, "2"), median_of(files, DASK)
-    for row in (loop, two, dask):
-        record.add(row)
+    loop, two = median_of(files), median_of(files, "2")
+    for each in (loop, two):
+        record.add(each)
     record.set("overhead", 100 * (one / loop["seconds"] - 1))
-    record.set("dask", 100 * (dask["seconds"] / loop["seconds"] - 1))
     record.set("two", 100 * (two["seconds"] / loop["seconds"] - 1))
     if every:
         hundred = [file(folder, material) for material in every_material()]
         for jobs in ("1", "2"):
-            record.add(fitted(hundred, jobs))
+            record.add(row(hundred, jobs))
         record.set("files", min(record.column("seconds", files=FILES)) / 60)
     else:
         record.notes.append(f"All {FILES} files were left out (`--few`).")

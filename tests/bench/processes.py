@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import resource
 import subprocess
 import sys
 import time
@@ -25,13 +26,14 @@ class Watched:
     Attributes:
         seconds: from the start of the first to the end of the last. peaks_mib: largest resident set of each, or of one
         that it started. sums_mib: largest sum over each and all that it started, at one moment.
-        outputs: what each printed.
+        outputs: what each printed. cpu: seconds of processors of all together, user and system.
     """
 
     seconds: float
     peaks_mib: list[float]
     sums_mib: list[float]
     outputs: list[str]
+    cpu: float
 
 
 def watch(*commands, codes=(0,), blas=1):
@@ -47,7 +49,7 @@ def watch(*commands, codes=(0,), blas=1):
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": str(blas)}
     with ExitStack() as files:
         said = [files.enter_context(TemporaryFile("w+")) for _ in commands]  # a pipe would fill
-        start = time.monotonic()
+        start, before = time.monotonic(), _spent()
         running = [
             subprocess.Popen(c, cwd=ROOT, stdout=file, env=environment) for c, file in zip(commands, said, strict=True)
         ]
@@ -63,7 +65,13 @@ def watch(*commands, codes=(0,), blas=1):
     for command, process, output in zip(commands, running, outputs, strict=True):
         if process.returncode not in codes:
             raise RuntimeError(f"{' '.join(command)}: exit code {process.returncode}: {output[-2000:]}")
-    return Watched(seconds, peaks, sums, outputs)
+    return Watched(seconds, peaks, sums, outputs, _spent() - before)
+
+
+def _spent():
+    """Seconds of processors of all processes that have ended and were waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def read_back(file):
@@ -91,7 +99,12 @@ def _status(pid, key):
     return int(found[1]) / 1024 if found else 0.0
 
 
+def measuring(section, *arguments):
+    """The command of ``measure(*arguments)`` of a section in a process of its own."""
+    return [sys.executable, "-m", "tests.bench.worker", section, *map(str, arguments)]
+
+
 def worker(section, *arguments, blas=1):
-    """``measure(*arguments)`` of a section in a process of its own: what it returns, and its peak (MiB)."""
-    done = watch([sys.executable, "-m", "tests.bench.worker", section, *map(str, arguments)], blas=blas)
+    """What `measuring` returns, and the peak of its process (MiB)."""
+    done = watch(measuring(section, *arguments), blas=blas)
     return json.loads(done.outputs[0].splitlines()[-1]), done.peaks_mib[0]

@@ -1,0 +1,66 @@
+"""Files on a Dask cluster of this machine, beside a plain loop over the same ones."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import psutil
+from merlfit.fitting.support.threads import CORES
+
+from ..clusters import scheduler, until, workers
+from .batch import LOOP, MIXED, fitted
+from .materials import file
+from .record import RECONSTRUCTIONS, Record, Target
+
+FILES, TURNS = 8, 3
+DASK = "merlfit fit --executor dask"
+
+
+def spent(process):
+    """Seconds of processors of a process and of all that it started, those that ended included."""
+    times = [each.cpu_times() for each in (process, *process.children(recursive=True))]
+    return sum(t.user + t.system for t in times) + sum(t.children_user + t.children_system for t in times)
+
+
+def on_cluster(files):
+    """Seconds, and seconds of processors with those of scheduler and worker, which have fitted nothing before."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        with scheduler(folder) as (one, address), workers(address, folder, threads=CORES) as other:
+            until(lambda: b"Registered to" in (folder / "worker/said").read_bytes(), "no worker")
+            cluster = [psutil.Process(each.pid) for each in (one, other)]
+            before = sum(map(spent, cluster))
+            done = fitted(files, "--executor", address)
+            return done.seconds, done.cpu + sum(map(spent, cluster)) - before
+
+
+def in_loop(files):
+    """The same of a plain loop."""
+    done = fitted(files)
+    return done.seconds, done.cpu
+
+
+def run(folder, out, every):
+    """By turns; targets are of the medians so far."""
+    record = Record(
+        "cluster", "Files on a cluster", RECONSTRUCTIONS,
+        [f"`merlfit fit FILE ... --no-posterior --executor dask://...` of {FILES} files: a scheduler and a worker with "
+         "all cores, processes of this machine, both new. Their start belongs to the cluster and is not counted; that "
+         "the worker imports merlfit and reads compiled programs is. The plain loop: one process of Python that fits "
+         f"one file after the other, its start included. Run by turns, targets are of the medians of {TURNS}. Seconds "
+         "of processors (CPU) are those of `merlfit fit`, scheduler and worker together; where others use the machine, "
+         "they are what can be compared."],
+        {"clock": Target("a Dask worker against the plain loop, clock", 10, "%"),
+         "cpu": Target("a Dask worker against the plain loop, processors", 10, "%")},
+        folder=out,
+    )  # fmt: skip
+    files = [file(folder, material) for material in MIXED[:FILES]]
+    fitted(files)  # every body that they choose is compiled
+    for turn in range(1, TURNS + 1):
+        for by, (seconds, cpu) in ((LOOP, in_loop(files)), (DASK, on_cluster(files))):
+            record.add({"turn": turn, "by": by, "s": seconds, "CPU s": cpu, "CPU s a file": cpu / FILES})
+        for target, name in (("clock", "s"), ("cpu", "CPU s")):
+            loop, dask = (np.median(record.column(name, by=by)) for by in (LOOP, DASK))
+            record.set(target, 100 * (dask / loop - 1))
+        record.write()
+    record.finish()
