@@ -201,6 +201,12 @@ class Diagnosis:
         """Of the longest autocorrelation times, how many the chain spans."""
         return self.steps / float(self.times.max())
 
+    @property
+    def needed(self) -> float:
+        """Steps of a chain like this one that would be enough."""
+        least = float(min(self.bulk.min(), self.tail.min()))
+        return max(ENOUGH * float(self.times.max()), self.steps * LEAST_SIZE / least if least > 0 else np.inf)
+
     def failures(self, names: Sequence[str] = ()) -> list[str]:
         """In what it is not good enough, in sentences; names: of the coordinates."""
         name = names or tuple(map(str, range(len(self.times))))
@@ -370,12 +376,6 @@ def begin(
     return chain, Emulator.of(few, layout, chain.taught)  # to the last bit what `extend` has from a file
 
 
-def _slow(chain: Chain) -> bool:
-    """Whether a chain is so far from long enough that one which begins anew may be there before it."""
-    found = diagnose(chain)
-    return not ENOUGH * float(found.times.max()) - found.steps <= max(SOON, found.steps)
-
-
 def _ignored(emulator: Emulator, way: _Way) -> tuple[float, np.ndarray]:
     """By how much the emulated log posterior is too low where walkers went, but for the few where it is most so.
 
@@ -422,7 +422,9 @@ def extend(
             accepted=chain.accepted + way.accepted,
             random=random,
         )
-        low, where = _ignored(emulator, way) if chain.lessons and _slow(chain) else (0.0, now.coords)
+        steps = len(chain.states)
+        slow = diagnose(chain).needed > steps + max(SOON, steps)  # one that begins anew may be there before it
+        low, where = _ignored(emulator, way) if chain.lessons and slow else (0.0, now.coords)
         if low > TOO_LOW:
             lessons = chain.lessons - 1
             taught = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER).points
