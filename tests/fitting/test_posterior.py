@@ -248,6 +248,7 @@ def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_p
     longer = go_on(done, 401)
     np.testing.assert_array_equal(longer.states[:301], done.states)
     monkeypatch.setattr(sampler, "ENOUGH", 2)  # nearly there: what it would learn does not pay
+    monkeypatch.setattr(sampler, "LEAST_SIZE", 10)
     assert go_on(chain, 201).lessons == sampler.LESSONS
 
 
