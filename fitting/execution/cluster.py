@@ -26,7 +26,7 @@ from ...merl_io.atomic import WriteError, write_bytes
 from ..output.keeping import place_of
 from ..pipeline.run import chain_of
 from ..results.export import versions, write_result
-from ..results.schema import this_run
+from ..results.run import this_run
 from ..support.clock import Stage
 from .connection import CONNECT, SLURM, ClusterError, address_of, connected, library, line
 from .pool import PATIENCE, Note, Tell

@@ -16,7 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...merl_io.atomic import WriteError
 from ..results.export import versions
-from ..results.schema import Text, this_run
+from ..results.part import Text
+from ..results.run import this_run
 from ..settings.config import Config
 from .unit import Ended, Kind, Unit
 

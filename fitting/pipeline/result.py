@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
+from ...merl_io.bands import ColourSpace
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
@@ -120,7 +121,7 @@ def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedRe
     return found
 
 
-def _model_part(layout: Layout, z: np.ndarray, colour_space: schema.ColourSpace) -> schema.Model:
+def _model_part(layout: Layout, z: np.ndarray, colour_space: ColourSpace) -> schema.Model:
     measured = layout.model if isinstance(layout.model, Measured) else Measured(layout.model, "off")
     return schema.Model.of(measured, layout.values(jnp.asarray(z)), layout.bands, colour_space)
 

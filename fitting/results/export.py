@@ -26,7 +26,6 @@ from ...model.registry import models
 from ...model.two_scale import TwoScale
 from ..settings.choice import Choice
 from ..settings.config import Config
-from . import schema as parts
 from .schema import OLDER, SCHEMA_VERSION, Model, Result
 from .upgrade import upgraded
 
@@ -155,13 +154,13 @@ def schema() -> dict[str, Any]:
 
 
 def _below_fields() -> dict[str, dict[str, str]]:
-    """Descriptions by class and field from the strings below the fields of this file.
+    """Descriptions by class and field from the strings below the fields of the parts.
 
     Pydantic would read them, too (``use_attribute_docstrings``), but at every import, which takes a tenth of a second.
     """
     found: dict[str, dict[str, str]] = {}
-    tree = ast.parse(Path(str(parts.__file__)).read_text(encoding="utf-8"))
-    for kind in (node for node in tree.body if isinstance(node, ast.ClassDef)):
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in sorted(Path(__file__).parent.glob("*.py"))]
+    for kind in (node for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)):
         for field, below in pairwise(kind.body):
             if (
                 isinstance(field, ast.AnnAssign)
