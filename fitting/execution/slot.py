@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from distributed import Worker, get_worker
 
 from ..support.affinity import begun_on, cores_of, spread
+from ..support.allocation import keep_freed_memory
 from .admission import TOPIC
 
 if TYPE_CHECKING:
@@ -109,6 +110,7 @@ def sha1_of(path: Path) -> str | None:
 @cache
 def _begin(cores: int) -> None:
     """Once a process: libraries, with a thread for each of the worker's cores."""
+    keep_freed_memory()
     every, worker = cores_of(), get_worker()
     with begun_on(every[:cores]):
         import jax

@@ -1,0 +1,35 @@
+"""Memory that is freed is kept where Dask's workers are told to give it back."""
+
+import subprocess
+import sys
+
+import pytest
+
+PAGES = 250  # of 4 KiB, in an array
+PROGRAM = f"""
+import resource, sys
+from merlfit.fitting.support.allocation import keep_freed_memory
+if sys.argv[1] == "kept":
+    keep_freed_memory()
+import numpy as np
+def faults():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+np.ones({PAGES} * 512)
+before = faults()
+for _ in range(10):
+    np.ones({PAGES} * 512)
+print(faults() - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what glibc does")
+def test_arrays_of_a_dask_worker_come_from_pages_that_it_has():
+    def faults(how):
+        environment = {"MALLOC_TRIM_THRESHOLD_": "65536"}
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, how], env=environment, capture_output=True, text=True, check=True
+        )
+        return int(done.stdout)
+
+    assert faults("given back") > 9 * PAGES
+    assert faults("kept") < PAGES
