@@ -9,14 +9,8 @@ from typing import Annotated
 import typer
 
 from .support.terminal import (
-    BAD_INPUT,
-    FAILED_FIT,
-    Stopped,
     console,
     fail,
-    note,
-    progress_display,
-    reporter,
     run,
     writable_folder,
 )
@@ -93,27 +87,10 @@ Jobs = Annotated[
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
 def check(files: Files, dims: Dims = None) -> None:
     """Print what files hold: bins or samples, bad numbers, largest values, and whether they are genuine MERL files."""
-    from ..merl_io.binary import MerlError
-    from ..merl_io.check import FileReport, inspect_file
-    from .output.checked import check_table, scattered_table
+    from .output.checked import check_files
     from .settings.command import settings_of
 
-    allowed = settings_of(dims=dims).input.allowed
-    reports, bad = [], 0
-    for path in files:
-        try:
-            reports.append(inspect_file(path, allowed))
-        except MerlError as error:
-            bad += 1
-            fail(str(error))
-    gridded = [each for each in reports if isinstance(each, FileReport)]
-    listed = [each for each in reports if not isinstance(each, FileReport)]
-    if gridded:
-        console.print(check_table(gridded))
-    if listed:
-        console.print(scattered_table(listed))
-    if bad:
-        raise typer.Exit(BAD_INPUT)
+    check_files(files, settings_of(dims=dims).input.allowed)
 
 
 @app.command(epilog="Example: merlfit fit nickel.binary gray-plastic.binary -o fits --no-posterior")
@@ -208,7 +185,7 @@ def compare(
     from .settings.command import settings_of
 
     settings = settings_of(config, dims=dims, weights=weights, posterior=False)
-    from .files import compare_files
+    from .comparisons import compare_files
 
     compare_files(files, models, out, settings, published)
 
@@ -229,7 +206,7 @@ def which(
     from .settings.command import settings_of
 
     settings = settings_of(None, dims=dims, weights=weights, posterior=False)
-    from .files import which_model
+    from .comparisons import which_model
 
     with TemporaryDirectory(prefix="merlfit-") as scratch:
         which_model(file, models, out or Path(scratch), settings)
@@ -245,7 +222,7 @@ def metrics(
     ] = None,
 ) -> None:
     """Print all errors of fits against a file: RMSE, sMAPE, cube root, log, CIELAB of spheres, peak."""
-    from .files import metrics_of
+    from .comparisons import metrics_of
 
     metrics_of(results, against, out)
 
@@ -264,32 +241,9 @@ def sample(
     ] = None,
 ) -> None:
     """Sample the posterior of a fit, or continue the chain that lies beside it, and update both files."""
-    from ..merl_io.atomic import WriteError
-    from ..merl_io.binary import MerlError
-    from .output.inspection import file_of
-    from .output.keeping import claimed
-    from .output.report import print_result
-    from .pipeline.resampling import resample
-    from .posterior.chain import ChainError
-    from .results.export import ResultError, read_result
-    from .settings.config import ConfigError
-    from .support.compilation import use_persistent_cache
+    from .output.sampling import sample_result
 
-    use_persistent_cache()
-    try:
-        read = read_result(result)
-        with claimed(result.parent), progress_display() as progress:
-            task = progress.add_task(result.name)
-            report = reporter(progress, task, read.source.material)
-            found = resample(result, read, file or file_of(result, read), max_steps, report)
-    except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
-        raise fail(str(error)) from None
-    except Stopped as stop:
-        note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` continues the chain so far")
-        raise typer.Exit(stop.code) from None
-    print_result(console, found)
-    if found.posterior is not None and not found.posterior.sufficient:
-        raise typer.Exit(FAILED_FIT)
+    sample_result(result, file, max_steps)
 
 
 @app.command(epilog="Example: merlfit synth nickel --source sgd -o nickel-sgd.binary")
@@ -309,25 +263,9 @@ def synth(
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
 ) -> None:
     """Write a MERL file from a published parameter set, or from a fit (of the material, without the apparatus)."""
-    from ..merl_io.binary import MerlError, write
-    from .output.synthesis import from_published, from_result
-    from .results.export import ResultError
-    from .support.compilation import use_persistent_cache
+    from .output.synthesis import synthesise
 
-    fitted = material.endswith(".json")
-    if fitted and source is not None:
-        raise fail(f"--source names a published table; {material} is a fit: leave it out")
-    if loss and not fitted:
-        raise fail(f"--with-grazing-loss is for the RESULT.json of a fit; {material} is none: leave it out")
-    if out.exists() and not force:
-        raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
-    use_persistent_cache()
-    try:
-        values, said = from_result(Path(material), loss) if fitted else from_published(material, source or "sgd")
-        write(out, values)
-    except (MerlError, ResultError, KeyError, ValueError) as error:
-        raise fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
-    console.print(f"{out}: {said}", soft_wrap=True)
+    synthesise(material, out, source, loss, force)
 
 
 @app.command(epilog="Example: merlfit materials")
@@ -363,23 +301,9 @@ def inspect(
 
     Spheres, lobes, isolines, peak, residuals, errors, effects; with a posterior corner plots and a trace.
     """
-    from .output.inspection import file_of, show
-    from .pictures.all import PICTURES
-    from .results.export import ResultError, read_result
+    from .output.inspection import inspect_result
 
-    try:
-        read = read_result(result)
-    except ResultError as error:
-        raise fail(str(error)) from None
-    only = [] if pictures is None else [name.strip() for name in pictures.split(",")]
-    for name in only:
-        if name not in PICTURES:
-            raise fail(f"--pictures {name}: no such picture; there are {', '.join(PICTURES)}")
-    if kind not in ("png", "pdf", "svg"):
-        raise fail(f"--format {kind}: should be png, pdf or svg")
-    found = file or file_of(result, read)
-    if not show(result, read, found, out or result.parent, kind, only, needs_file=file is not None):
-        raise typer.Exit(BAD_INPUT)
+    inspect_result(result, file, out, pictures, kind)
 
 
 @app.command(epilog="Example: merlfit table fits")
@@ -510,37 +434,9 @@ def cost(
 
     With a FILE it measures that material only and writes the result, but `merlfit fit` does not use it.
     """
-    from ..merl_io.binary import MerlError
-    from .cost.frontier import keep
-    from .cost.measure import CostError, measure, tidy
-    from .cost.plot import frontier_figure
-    from .cost.report import gains, tables, write_markdown
-    from .pictures.style import save
-    from .support.compilation import cache_folder
+    from .cost.command import measure_on
 
-    writable_folder(out)
-    try:
-        with progress_display() as progress:
-            frontier = measure(file, out, repeats, reporter(progress, progress.add_task("cost"), "cost"))
-        kept = [keep(frontier, folder) for folder in (out, *([] if file else [cache_folder()]))]
-        write_markdown(frontier, out / "cost.md")
-        save(frontier_figure(frontier), out / "cost.png")
-        tidy(out)
-    except MerlError as error:
-        raise fail(str(error)) from None
-    except Stopped as stop:
-        note(f"stopped by {stop}; what was measured is kept; the same command continues from there")
-        raise typer.Exit(stop.code) from None
-    except OSError as error:
-        raise fail(f"{error}; what was measured is kept; the same command continues from there") from None
-    except CostError as error:
-        fail(str(error))
-        raise typer.Exit(FAILED_FIT) from None
-    for table in tables(frontier):
-        console.print(table)
-    console.print(gains(frontier), soft_wrap=True)
-    used = "" if file else f"; fits will use {kept[1]}"
-    console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}", soft_wrap=True)
+    measure_on(file, out, repeats)
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")

@@ -4,7 +4,6 @@ import hashlib
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -13,8 +12,7 @@ from rich.progress import Progress, TaskID
 
 from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
-from ..merl_io.inputs import Input, is_scattered
-from ..model.registry import made, models
+from ..merl_io.inputs import is_scattered
 from .cost.accuracy import Aim, aim
 from .cost.request import request
 from .execution.cluster import Cluster, ClusterError
@@ -22,15 +20,12 @@ from .execution.here import Here
 from .execution.journal import Journal
 from .execution.pool import Pool, jobs_for
 from .execution.unit import Ended, Kind, Unit
-from .output.comparison import by_label, judged_result, metrics_table, table_of, verdict, write_metrics, write_tables
-from .output.keeping import Complete, Taken, claimed, completeness, place_of
+from .output.keeping import Complete, claimed, completeness
 from .output.report import Outcome, accuracy_line, summary_table
-from .pipeline.comparison import FIT, compare_file
-from .pipeline.run import fit_file, settled
-from .results.export import ResultError, read_result, valid_result
+from .pipeline.run import settled
+from .results.export import valid_result
 from .results.schema import Result
-from .settings.config import Config, ConfigError
-from .support.compilation import use_persistent_cache
+from .settings.config import Config
 from .support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
@@ -42,8 +37,6 @@ from .support.terminal import (
     reporter,
     writable_folder,
 )
-
-NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
 
 
 def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim | None:
@@ -274,114 +267,3 @@ def summarise(outcomes: list[Outcome]) -> None:
         raise typer.Exit(BAD_INPUT)
     if any(o.result is None or not o.result.fit.succeeded for o in outcomes):
         raise typer.Exit(FAILED_FIT)
-
-
-def chosen_models(names: str | None) -> list[str]:
-    """Models by name, with commas between; all for none."""
-    if names is None:
-        return list(models())
-    found = [name.strip() for name in names.split(",") if name.strip()]
-    try:
-        for name in found:
-            made(name, {})
-    except ValueError as error:
-        raise fail(str(error)) from None
-    if not found or len(set(found)) < len(found):
-        raise fail(f"--models {names!r} should be different names, with commas between")
-    return found
-
-
-def placed(measurement: Input, folder: Path, settings: Config) -> Result:
-    """Fit, and write the result where it replaces none that is more complete."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with place_of(folder, measurement.name) as place:
-        result = fit_file(measurement, place.folder, settings)
-    if place.said:
-        note(place.said)
-    return result
-
-
-def compare_files(
-    files: list[Path], names: str | None, out: Path, settings: Config, with_published: bool = True
-) -> None:
-    """Fit all models to each file, print medians and write tables; whatever one file runs into, the others go on.
-
-    Exits with 2 after bad input, with 1 if no model could be fitted to a file.
-    """
-    use_persistent_cache()
-    writable_folder(out)
-    refuse_same_names(files)
-    wanted, rows, code = chosen_models(names), [], 0
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(claimed(out))
-        except Taken as error:
-            raise fail(str(error)) from None
-        progress = stack.enter_context(progress_display())
-        for k, path in enumerate(files, 1):
-            task = progress.add_task(path.name, total=None)
-            label = f"[{k}/{len(files)}] {path.stem}"
-            say = reporter(progress, task, label)
-            try:
-                found, _ = compare_file(path, wanted, settings, out, say, with_published, placed)
-                rows += found
-                code = max(code, 0 if any(row.origin == FIT for row in found) else FAILED_FIT)
-                console.print(f"{label}: {verdict(found)}", soft_wrap=True)
-            except ConfigError as error:
-                raise fail(str(error)) from None
-            except MerlError as error:
-                code = BAD_INPUT
-                fail(str(error))
-            except WriteError as error:
-                code = max(code, FAILED_FIT)
-                fail(str(error))
-            except Stopped as stop:
-                note(f"stopped by {stop}; the same command goes on from there")
-                raise typer.Exit(stop.code) from None
-            except Exception as error:  # of any kind: said with its name, and the next file has its turn
-                code = max(code, FAILED_FIT)
-                fail(f"{path}: failed unexpectedly: {type(error).__name__}: {error}")
-            progress.remove_task(task)
-    if rows:
-        data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE
-        title = f"{len({row.material for row in rows})} materials, {len(by_label(rows))} models"
-        console.print(table_of(rows))
-        written = write_tables(rows, out, "comparison", title, data)
-        console.print(f"wrote {written[0]}, and .md, .html and .png beside it", soft_wrap=True)
-    if code:
-        raise typer.Exit(code)
-
-
-def which_model(path: Path, names: str | None, out: Path, settings: Config) -> None:
-    """Print which model is the least that explains a file; exits with 2 after bad input, with 1 if none was fitted."""
-    use_persistent_cache()
-    writable_folder(out)
-    wanted = chosen_models(names)
-    try:
-        with progress_display() as progress:
-            task = progress.add_task(path.name, total=None)
-            rows, _ = compare_file(path, wanted, settings, out, reporter(progress, task, path.stem), False, placed)
-    except (MerlError, WriteError, ConfigError) as error:
-        raise fail(str(error)) from None
-    except Stopped as stop:
-        note(f"stopped by {stop}")
-        raise typer.Exit(stop.code) from None
-    if not rows:
-        fail(f"{path}: no model could be fitted; see `merlfit check`")
-        raise typer.Exit(FAILED_FIT)
-    console.print(table_of(rows))
-    console.print(verdict(rows), soft_wrap=True)
-
-
-def metrics_of(results: list[Path], against: Path, out: Path | None) -> None:
-    """Print the errors of results against a file; with a folder, write them and the curves over theta_i."""
-    use_persistent_cache()
-    try:
-        found = [judged_result(path, read_result(path), against) for path in results]
-    except (MerlError, ResultError, ValueError) as error:
-        raise fail(str(error)) from None
-    console.print(metrics_table(found, against))
-    if out is not None:
-        writable_folder(out)
-        for path in write_metrics(found, out):
-            console.print(f"wrote {path}", soft_wrap=True)

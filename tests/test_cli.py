@@ -16,6 +16,7 @@ from merlfit.fitting.posterior import chain as sampler
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.solve.levenberg_marquardt import Status
+from merlfit.fitting.support.terminal import FAILED_FIT
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
@@ -112,7 +113,7 @@ def test_sampling_goes_on_with_the_chain_beside_a_fit(fitted, tmp_path, monkeypa
     monkeypatch.setattr(importance, "MOST_DRAWS", 60)
     monkeypatch.setattr(importance, "DRAWS", 40)
     shown = call("sample", path, "--max-steps", "20")
-    assert shown.exit_code == cli.FAILED_FIT
+    assert shown.exit_code == FAILED_FIT
     assert "50 are needed" in shown.stdout
     after = export.read_result(path)
     assert after.posterior.steps == before.posterior.steps + 20

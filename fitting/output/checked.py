@@ -1,12 +1,34 @@
-"""What files hold, as tables for a terminal. A look at a file needs no model, and does not wait for jax."""
+"""`merlfit check`: what files hold, as tables. A look at a file needs no model, and does not wait for jax."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
+import typer
 from rich.table import Table
 
-from ...merl_io.binary import BRIGHTEST, OUTLIER, said
-from ...merl_io.check import FileReport, ScatteredReport
+from ...merl_io.binary import BRIGHTEST, OUTLIER, Dims, MerlError, said
+from ...merl_io.check import FileReport, ScatteredReport, inspect_file
 from ..support.numbers import number
+from ..support.terminal import BAD_INPUT, console, fail
+
+
+def check_files(files: list[Path], allowed: Dims | None) -> None:
+    """Print what files hold; whatever is wrong with one, the others have their turn. Exits with 2 after bad input."""
+    reports, bad = [], 0
+    for path in files:
+        try:
+            reports.append(inspect_file(path, allowed))
+        except MerlError as error:
+            bad += 1
+            fail(str(error))
+    gridded = [each for each in reports if isinstance(each, FileReport)]
+    listed = [each for each in reports if not isinstance(each, FileReport)]
+    if gridded:
+        console.print(check_table(gridded))
+    if listed:
+        console.print(scattered_table(listed))
+    if bad:
+        raise typer.Exit(BAD_INPUT)
 
 
 def check_table(reports: Sequence[FileReport]) -> Table:

@@ -3,14 +3,36 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import typer
+
 from ...merl_io.atomic import WriteError
 from ..pictures import style
 from ..pictures.all import PICTURES, SCATTERED
 from ..pictures.subject import NoPicture, Subject, subject_of
+from ..results.export import ResultError, read_result
 from ..results.schema import Result
 from ..support.compilation import use_persistent_cache
-from ..support.terminal import console, fail, note, writable_folder
+from ..support.terminal import BAD_INPUT, console, fail, note, writable_folder
 from .report import pictures_table, print_result
+
+FORMATS = ("png", "pdf", "svg")
+
+
+def inspect_result(result: Path, file: Path | None, out: Path | None, pictures: str | None, kind: str) -> None:
+    """Print a result and write its pictures; exits with 2 where the file that was asked for cannot be drawn."""
+    try:
+        read = read_result(result)
+    except ResultError as error:
+        raise fail(str(error)) from None
+    only = [] if pictures is None else [name.strip() for name in pictures.split(",")]
+    for name in only:
+        if name not in PICTURES:
+            raise fail(f"--pictures {name}: no such picture; there are {', '.join(PICTURES)}")
+    if kind not in FORMATS:
+        raise fail(f"--format {kind}: should be png, pdf or svg")
+    found = file or file_of(result, read)
+    if not show(result, read, found, out or result.parent, kind, only, needs_file=file is not None):
+        raise typer.Exit(BAD_INPUT)
 
 
 def file_of(path: Path, result: Result) -> Path:

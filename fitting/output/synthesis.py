@@ -1,19 +1,39 @@
-"""MERL files without a measurement: tabulated from published parameter sets or from a fit."""
+"""`merlfit synth`: MERL files without a measurement, tabulated from published parameter sets or from a fit."""
 
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from ...merl_io.binary import CHANNELS, DIMS, Dims
+from ...merl_io.binary import CHANNELS, DIMS, Dims, MerlError, write
 from ...merl_io.grid import merl_grid
 from ...model import published
 from ...model.geometry import Geometry
 from ...model.reflectance import evaluate
 from ..results.export import ResultError, read_result
+from ..support.compilation import use_persistent_cache
+from ..support.terminal import console, fail
 
 ROWS = 10  # of theta_h evaluated at a time
 WITHOUT_SURFACE = "index printed as 1.00, so that the Fresnel term and with it all specular light are 0"
+
+
+def synthesise(material: str, out: Path, source: str | None, loss: bool, force: bool) -> None:
+    """Write a MERL file of a published material or of a result, over another file only if that is asked for."""
+    fitted = material.endswith(".json")
+    if fitted and source is not None:
+        raise fail(f"--source names a published table; {material} is a fit: leave it out")
+    if loss and not fitted:
+        raise fail(f"--with-grazing-loss is for the RESULT.json of a fit; {material} is none: leave it out")
+    if out.exists() and not force:
+        raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
+    use_persistent_cache()
+    try:
+        values, said = from_result(Path(material), loss) if fitted else from_published(material, source or "sgd")
+        write(out, values)
+    except (MerlError, ResultError, KeyError, ValueError) as error:
+        raise fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
+    console.print(f"{out}: {said}", soft_wrap=True)
 
 
 def tabulate(evaluate: object, dims: Dims = DIMS) -> np.ndarray:

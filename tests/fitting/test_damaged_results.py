@@ -11,6 +11,7 @@ from merlfit.fitting.pictures import subject
 from merlfit.fitting.posterior.chain import ChainError, read_chain
 from merlfit.fitting.results.export import ResultError, read_result, write_result
 from merlfit.fitting.results.schema import Source
+from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
@@ -98,7 +99,7 @@ def test_every_command_refuses_an_edited_result_and_writes_nothing(command, tmp_
     out.mkdir(parents=True)
     options = {"inspect": ["-o", out], "sample": [], "synth": ["-o", out / "x.binary"]}[command]
     shown = CliRunner().invoke(cli.app, [command, *map(str, [path, *options])])
-    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.exit_code == BAD_INPUT
     assert "is not the name of a file" in shown.stderr
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "b", "edited.json"]
 
@@ -191,7 +192,7 @@ def test_sampling_a_finished_posterior_whose_chain_is_gone_is_refused(tmp_path):
     """It would have begun anew, and replaced the intervals by those of a chain that may be too short."""
     write_result(tmp_path / "nickel.json", made(posterior=True))
     shown = CliRunner().invoke(cli.app, ["sample", str(tmp_path / "nickel.json")])
-    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.exit_code == BAD_INPUT
     assert "its chain nickel.chain.npz is not beside it: put it back, or fit again" in shown.stderr
     assert read_result(tmp_path / "nickel.json") == made(posterior=True)
 
@@ -199,6 +200,6 @@ def test_sampling_a_finished_posterior_whose_chain_is_gone_is_refused(tmp_path):
 def test_settings_of_another_version_in_a_result_are_one_line(tmp_path):
     path = edited(tmp_path, lambda d: d["config"].update(colour=1))
     shown = CliRunner().invoke(cli.app, ["sample", str(path)])
-    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.exit_code == BAD_INPUT
     assert "unknown key 'colour'" in shown.stderr
     assert shown.exception is None or isinstance(shown.exception, SystemExit)

@@ -8,6 +8,7 @@ from merlfit.fitting.execution import unit
 from merlfit.fitting.output import demo
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.settings.models import candidates
+from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.binary import genuine_names, read, write
 from merlfit.model.measured import Measured
 from typer.testing import CliRunner
@@ -49,7 +50,7 @@ def test_the_demo_does_not_overwrite_another_file(stand_in, tmp_path):
     path, mine = tmp_path / f"{demo.NAME}.binary", np.ones((3, 90, 90, 180))
     write(path, mine)
     refused = run("-o", tmp_path)
-    assert refused.exit_code == cli.BAD_INPUT
+    assert refused.exit_code == BAD_INPUT
     assert "was not made by this demo; --force overwrites it" in refused.stderr
     assert read(path).values.max() == pytest.approx(1.0)
     assert run("-o", tmp_path, "--force").exit_code == 0

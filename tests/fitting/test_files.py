@@ -18,7 +18,7 @@ from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.importance import Posterior
 from merlfit.fitting.results.export import read_result, write_result
 from merlfit.fitting.settings.config import Config
-from merlfit.fitting.support.terminal import Stopped
+from merlfit.fitting.support.terminal import BAD_INPUT, FAILED_FIT, Stopped
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, MerlError, write
 from merlfit.model.measured import Measured
@@ -154,7 +154,7 @@ def test_nothing_is_left_of_a_fit_that_wrote_nothing(tmp_path, stand_in):
         raise MerlError(f"{path}: no such file")
 
     stand_in(fails)
-    assert call("fit", "nickel.binary", "-o", out).exit_code == cli.BAD_INPUT
+    assert call("fit", "nickel.binary", "-o", out).exit_code == BAD_INPUT
     assert results_in(out) == ["nickel.json"]
     assert read_result(out / "nickel.json") == before
 
@@ -165,7 +165,7 @@ def test_a_result_that_cannot_be_written_is_not_the_inputs_fault(tmp_path, stand
 
     stand_in(fails)
     shown = call("fit", "data/nickel.binary", "-o", tmp_path)
-    assert shown.exit_code == cli.FAILED_FIT
+    assert shown.exit_code == FAILED_FIT
     assert f"merlfit: {tmp_path}/nickel.json: cannot be written (No space left on device)" in shown.stderr
     assert "unexpectedly" not in shown.stderr
     assert "data/nickel" not in shown.stderr
@@ -185,7 +185,7 @@ def test_a_file_that_may_not_be_read_does_not_stop_the_batch(tmp_path, stand_in,
 
     stand_in(fit)
     shown = call("fit", *paths, "-o", tmp_path / "fits")
-    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.exit_code == BAD_INPUT
     assert "a.binary: no permission" in shown.stderr
     assert (tmp_path / "fits" / "b.json").is_file()
 
@@ -212,7 +212,7 @@ def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
     target = tmp_path / "mine.binary"
     target.write_bytes(b"measured")
     refused = call("synth", "nickel", "-o", target)
-    assert refused.exit_code == cli.BAD_INPUT
+    assert refused.exit_code == BAD_INPUT
     assert "mine.binary: is there already" in refused.stderr
     assert "--force" in refused.stderr
     assert target.read_bytes() == b"measured"
@@ -232,7 +232,7 @@ def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monk
     assert "with the grazing loss of MERL's apparatus" in " ".join(lossy.stdout.split())
     assert seen == [TwoScale("none"), Measured(TwoScale("none"))]
     refused = call("synth", "nickel", "-o", tmp_path / "x.binary", "--with-grazing-loss")
-    assert refused.exit_code == cli.BAD_INPUT
+    assert refused.exit_code == BAD_INPUT
 
 
 def test_inspect_finds_the_file_of_a_project_that_moved(tmp_path, monkeypatch):
@@ -258,13 +258,13 @@ def test_inspect_draws_a_fit_without_its_file_and_says_what_is_missing(tmp_path,
     assert "not drawn: errors (they need the file)" in shown.stderr
     assert [p.name for p in tmp_path.glob("*.png")] == ["nickel.peak.png"]
     named = call("inspect", tmp_path / "nickel.json", "--pictures", "peak", "--file", tmp_path / "gone.binary")
-    assert named.exit_code == cli.BAD_INPUT
+    assert named.exit_code == BAD_INPUT
 
 
 def test_inspect_that_draws_nothing_says_so_and_fails(tmp_path):
     put_result(tmp_path, path="nowhere/nickel.binary")
     shown = call("inspect", tmp_path / "nickel.json", "--pictures", "errors")
-    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.exit_code == BAD_INPUT
     assert "nothing was drawn" in shown.stderr
     assert not list(tmp_path.glob("*.png"))
 
@@ -285,7 +285,7 @@ def test_text_that_looks_like_markup_is_printed_as_it_is(tmp_path):
     result.fit.message = "[/] ended"
     write_result(tmp_path / "x.json", result)
     shown = call("inspect", tmp_path / "x.json", "--pictures", "errors")
-    assert shown.exit_code == cli.BAD_INPUT  # there is no file to draw
+    assert shown.exit_code == BAD_INPUT  # there is no file to draw
     for text in ("[bold]x", "[red]nowhere", "a [/] b", r"\frac{", "[/] ended"):
         assert text in shown.stdout
 
@@ -302,7 +302,7 @@ def test_a_picture_of_broken_text_is_said_to_be_impossible(tmp_path):
         weights=np.full(200, 5e-3),
     )
     shown = call("inspect", tmp_path / "nickel.json", "--pictures", "corner")
-    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.exit_code == BAD_INPUT
     assert "nickel.corner.png: cannot be drawn" in shown.stderr
     assert "Traceback" not in shown.stderr
     assert keeping.completeness(tmp_path / "nickel.json") == Complete.INTERVALS
@@ -312,7 +312,7 @@ def test_a_second_run_into_a_folder_is_refused(tmp_path, stand_in):
     stand_in(lambda path, folder: put_result(folder, name=path.stem))
     with keeping.claimed(tmp_path):
         shown = call("fit", "nickel.binary", "-o", tmp_path)
-    assert shown.exit_code == cli.BAD_INPUT
+    assert shown.exit_code == BAD_INPUT
     assert shown.stderr == (
         f"merlfit: {tmp_path}: another merlfit is writing there; wait for it, or name another folder\n"
     )

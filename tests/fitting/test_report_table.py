@@ -10,6 +10,7 @@ from merlfit.fitting.execution.unit import Ended, Kind, Unit
 from merlfit.fitting.report.table import HEADS
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.settings.config import Config
+from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.rivals.ggx import GGX
 from typer.testing import CliRunner
 
@@ -91,7 +92,7 @@ def test_no_cell_is_a_formula(tmp_path):
 
 def test_where_there_is_nothing_that_is_said(tmp_path):
     done = call(tmp_path)
-    assert (done.exit_code, done.stdout) == (cli.BAD_INPUT, "")
+    assert (done.exit_code, done.stdout) == (BAD_INPUT, "")
     assert done.stderr.startswith(f"merlfit: {tmp_path}: no results in there")
     assert call(tmp_path / "gone").stderr == f"merlfit: {tmp_path}/gone: no such folder\n"
     write_result(tmp_path / "nickel.json", made())

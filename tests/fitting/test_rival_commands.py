@@ -10,7 +10,7 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
-from merlfit.model.rivals.oren_nayar import OrenNayarQualitative
+from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
 from typer.testing import CliRunner
 
 TRUTH = {

@@ -30,7 +30,7 @@ from merlfit.model.measured import Measured
 from merlfit.model.priors import PRIORS, LogNormal
 from merlfit.model.reflectance import Clues
 from merlfit.model.rivals.ggx import GGX
-from merlfit.model.rivals.oren_nayar import OrenNayarQualitative
+from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
 from merlfit.model.two_scale import TYPICAL, TwoScale
 from scipy.special import ndtr, ndtri
 

@@ -11,7 +11,7 @@ from merlfit.model.measured import Measured, material_of, with_material
 from merlfit.model.ndf.ggx import D
 from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
-from merlfit.model.rivals.oren_nayar import OrenNayarQualitative
+from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
 from merlfit.model.two_scale import TwoScale
 
 VALUES = {"alpha": 0.02, "F0": np.array([0.9, 0.6, 0.3]), "albedo": np.array([0.02, 0.1, 0.3])}

@@ -7,7 +7,8 @@ import pytest
 from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking.v_groove import v_groove
-from merlfit.model.rivals.oren_nayar import OrenNayar, OrenNayarQualitative
+from merlfit.model.rivals.oren_nayar import OrenNayar
+from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
 from oracles import rivals as oracle
 from oracles.facets import direction
 

@@ -1,0 +1,41 @@
+"""`merlfit cost` in a terminal: its progress, and what it says."""
+
+from pathlib import Path
+
+import typer
+
+from ...merl_io.binary import MerlError
+from ..pictures.style import save
+from ..support.compilation import cache_folder
+from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
+from .frontier import keep
+from .measure import CostError, measure, tidy
+from .plot import frontier_figure
+from .report import gains, tables, write_markdown
+
+
+def measure_on(file: Path | None, out: Path, repeats: int) -> None:
+    """Measure, write what was found, and print it; what was measured is kept whatever ends it."""
+    writable_folder(out)
+    try:
+        with progress_display() as progress:
+            frontier = measure(file, out, repeats, reporter(progress, progress.add_task("cost"), "cost"))
+        kept = [keep(frontier, folder) for folder in (out, *([] if file else [cache_folder()]))]
+        write_markdown(frontier, out / "cost.md")
+        save(frontier_figure(frontier), out / "cost.png")
+        tidy(out)
+    except MerlError as error:
+        raise fail(str(error)) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}; what was measured is kept; the same command continues from there")
+        raise typer.Exit(stop.code) from None
+    except OSError as error:
+        raise fail(f"{error}; what was measured is kept; the same command continues from there") from None
+    except CostError as error:
+        fail(str(error))
+        raise typer.Exit(FAILED_FIT) from None
+    for table in tables(frontier):
+        console.print(table)
+    console.print(gains(frontier), soft_wrap=True)
+    used = "" if file else f"; fits will use {kept[1]}"
+    console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}", soft_wrap=True)

@@ -1,0 +1,36 @@
+"""`merlfit sample`: its progress, and what it says."""
+
+from pathlib import Path
+
+import typer
+
+from ...merl_io.atomic import WriteError
+from ...merl_io.binary import MerlError
+from ..pipeline.resampling import resample
+from ..posterior.chain import ChainError
+from ..results.export import ResultError, read_result
+from ..settings.config import ConfigError
+from ..support.compilation import use_persistent_cache
+from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter
+from .inspection import file_of
+from .keeping import claimed
+from .report import print_result
+
+
+def sample_result(result: Path, file: Path | None, max_steps: int | None) -> None:
+    """Sample the posterior of a result, and print it; exits with 1 if the chain is too short still."""
+    use_persistent_cache()
+    try:
+        read = read_result(result)
+        with claimed(result.parent), progress_display() as progress:
+            task = progress.add_task(result.name)
+            report = reporter(progress, task, read.source.material)
+            found = resample(result, read, file or file_of(result, read), max_steps, report)
+    except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
+        raise fail(str(error)) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` continues the chain so far")
+        raise typer.Exit(stop.code) from None
+    print_result(console, found)
+    if found.posterior is not None and not found.posterior.sufficient:
+        raise typer.Exit(FAILED_FIT)
