@@ -40,6 +40,17 @@ def compilation_cache():
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
+@pytest.fixture(autouse=True)
+def shared_programs(compilation_cache):
+    """A test that gives merlfit another cache folder takes it with it.
+
+    JAX's keys of programs depend on the folder's name: all later tests would compile anew what is there.
+    """
+    folder = jax.config.jax_compilation_cache_dir
+    yield
+    jax.config.update("jax_compilation_cache_dir", folder)
+
+
 @pytest.fixture(scope="module")
 def compiled_quickly():
     """Half the time to compile, twice the time to run: for modules whose programs run a few times on few directions."""

@@ -46,8 +46,8 @@ def _row(row: np.ndarray, subject: Subject, degrees: float) -> tuple[float, floa
     i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
     fitted = prediction.predicted_lobe(subject.fitted, i, o)
     alone = prediction.predicted_lobe(subject.fitted, i, o, loss=False) if model.measured.loses else None
-    chain, file = subject.trusted, subject.measurement
-    shaded = None if chain is None else prediction.band(subject.result, chain, Geometry.from_vectors(i, o))
+    likely, file = subject.likely, subject.measurement
+    shaded = None if likely is None else prediction.band(likely, Geometry.from_vectors(i, o))
     seen = np.full_like(fitted, np.nan)
     if file is not None:
         seen = prediction.measured_lobe(file, grid, *prediction.half_difference(i, o))

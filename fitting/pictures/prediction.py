@@ -119,15 +119,21 @@ def _place(part: str) -> tuple[int, str]:
     return (order.index(part) if part in order else 1), part
 
 
-def band(result: Result, chain: Mapping[str, np.ndarray], geometry: Geometry) -> np.ndarray:
-    """5 and 95 % of what the posterior predicts for these directions, (2, C, ...)."""
+def draws_of(result: Result, chain: Mapping[str, np.ndarray]) -> Fitted:
+    """Draws of the posterior, ready for :func:`band`: every array has a leading axis, tables are made once for each."""
     assert result.model is not None
     count = np.arange(BAND_DRAWS) + 0.5
     drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
-    every = [Fitted.of(result.model, result.values(chain["values"][k])) for k in drawn]
-    general, _, wavelengths = every[0].seen_as(result.model.measured)
-    stacked = {name: jnp.asarray([each.values[name] for each in every]) for name in every[0].values}
-    lobes = _compiled_of_many(general, stacked, geometry, wavelengths)
+    every = [result.model.measured.generalised(result.values(chain["values"][k])) for k in drawn]
+    stacked = {name: jnp.asarray([each[name] for each in every]) for name in every[0]}
+    wavelengths = tuple(result.model.wavelengths_um)
+    return Fitted(result.model, _prepared_of_many(result.model.measured.general, stacked, wavelengths))
+
+
+def band(draws: Fitted, geometry: Geometry) -> np.ndarray:
+    """5 and 95 % of what the posterior predicts for these directions, (2, C, ...)."""
+    general, values, wavelengths = draws.seen_as(draws.model.measured)
+    lobes = _compiled_of_many(general, values, geometry, wavelengths)
     return np.quantile(np.asarray(lobes), [0.05, 0.95], axis=0)
 
 
@@ -159,6 +165,11 @@ def _at_bins(nodes: Nodes, values: np.ndarray, dims: Dims) -> np.ndarray:
 
 
 _prepared = jax.jit(prepared, static_argnums=(0, 2))
+
+
+@partial(jax.jit, static_argnums=(0, 2))
+def _prepared_of_many(model: Reflectance, values: dict, wavelengths_um: tuple[float, ...]) -> dict[str, Array]:
+    return jax.lax.map(lambda v: prepared(model, v, wavelengths_um), values)
 
 
 @partial(jax.jit, static_argnums=0)

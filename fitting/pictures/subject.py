@@ -79,6 +79,11 @@ class Subject:
         """The material, with tables for all directions of all pictures."""
         return prediction.Fitted.tabled(self.model, self.values)
 
+    @cached_property
+    def likely(self) -> prediction.Fitted | None:
+        """The same of draws of the posterior, if they are good enough for intervals."""
+        return None if self.trusted is None else prediction.draws_of(self.result, self.trusted)
+
     @property
     def dims(self) -> Dims:
         """Of the file, or MERL's where there is none."""

@@ -47,7 +47,7 @@ def lobes(subject: Subject) -> tuple[Rows, Rows]:
 
 
 def _plane(subject: Subject, degrees: float, angles: np.ndarray, is_datum: np.ndarray, told: np.ndarray) -> Rows:
-    m, file, chain = subject.model, subject.measurement, subject.trusted
+    m, file = subject.model, subject.measurement
     i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
     none = np.full((len(m.channels), len(angles)), np.nan)
     fit = prediction.predicted_lobe(subject.fitted, i, o)
@@ -55,8 +55,8 @@ def _plane(subject: Subject, degrees: float, angles: np.ndarray, is_datum: np.nd
     seen = none if file is None else prediction.measured_lobe(file, subject.grid, *prediction.half_difference(i, o))
     seen = np.where(is_datum, seen, np.nan)
     bands = none[None].repeat(2, 0)
-    if chain is not None:
-        bands = prediction.band(subject.result, chain, Geometry.from_vectors(i, o))
+    if subject.likely is not None:
+        bands = prediction.band(subject.likely, Geometry.from_vectors(i, o))
     columns = {"fit": fit, "file": seen, "alone": alone, "low": bands[0], "high": bands[1]}
     return [
         {"i": degrees, "o": short(float(angles[k]), 5), "channel": channel}

@@ -1,8 +1,11 @@
 """What several tests of the fit share."""
 
 import frontiers
+import jax
 import pytest
 from merlfit.fitting.cost import calibration
+
+PROGRAMS = "jax_compilation_cache_dir"
 
 
 @pytest.fixture
@@ -15,3 +18,12 @@ def made():
 def file(tmp_path):
     """A synthetic conductor as a MERL file."""
     return calibration.make("drawn-1000", tmp_path / "files")
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    """A cache folder of its own, for what merlfit has measured of this machine; programs stay with those of others."""
+    folder, update = tmp_path / "cache", jax.config.update
+    monkeypatch.setenv("MERLFIT_CACHE_DIR", str(folder))
+    monkeypatch.setattr(jax.config, "update", lambda name, x: update(name, x) if name != PROGRAMS else None)
+    return folder

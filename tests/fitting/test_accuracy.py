@@ -208,8 +208,8 @@ def test_the_estimate_keeps_its_word_on_twenty_held_cases():
 
 
 @pytest.mark.parametrize("words", [("--accuracy", "0.2"), ("--time", "100s")])
+@pytest.mark.usefixtures("own_cache")
 def test_a_fit_that_was_asked_for_something_says_what_it_did(monkeypatch, tmp_path, file, words):
-    monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))
     points = [point(choice, 0.1 / 2**k, 1.5**k) for k, choice in enumerate(POINTS[1:4])]
     monkeypatch.setattr(
         accuracy, "load", lambda: (frontier.shipped().model_copy(update={"points": points}), "invented")

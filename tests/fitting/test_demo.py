@@ -15,9 +15,8 @@ from typer.testing import CliRunner
 
 
 @pytest.fixture
-def stand_in(monkeypatch, tmp_path):
+def stand_in(monkeypatch, own_cache):
     """A short way to the BRDF and to the fit."""
-    monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(demo, "values", lambda: np.full((3, 90, 90, 180), 0.5))
 
     def fit(path, out, settings, *_):

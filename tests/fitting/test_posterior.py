@@ -29,6 +29,7 @@ from merlfit.fitting.posterior.emulator import Emulator, log_posterior
 from scipy.optimize import minimize
 from stand_ins import LAYOUT, banana, gentle, taught
 
+LOOK = 25  # steps between looks, where only that counts what is done at them
 NOBODY = np.random.RandomState(0).get_state()[1:]
 
 
@@ -209,17 +210,18 @@ def test_a_chain_begun_has_its_walkers_where_the_posterior_is(monkeypatch):
 
 def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_path, monkeypatch):
     monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
     few, fit, chain, emulator = begun()
     kept = []
-    whole = extend(chain, few, LAYOUT, emulator, 201, silent, kept.append)
-    assert [len(c.states) for c in kept] == [101, 201]
-    half = extend(chain, few, LAYOUT, emulator, 101, silent, silent)
+    whole = extend(chain, few, LAYOUT, emulator, 1 + 2 * LOOK, silent, kept.append)
+    assert [len(c.states) for c in kept] == [1 + LOOK, 1 + 2 * LOOK]
+    half = extend(chain, few, LAYOUT, emulator, 1 + LOOK, silent, silent)
     write_chain(tmp_path / "x.npz", half.arrays())
     again = read_chain(tmp_path / "x.npz", fit)
     assert again.random[1:] == half.random[1:]
     for name, array in again.arrays().items():
         np.testing.assert_array_equal(array, half.arrays()[name])
-    other = extend(again, few, LAYOUT, Emulator.of(few, LAYOUT, again.taught), 201, silent, silent)
+    other = extend(again, few, LAYOUT, Emulator.of(few, LAYOUT, again.taught), 1 + 2 * LOOK, silent, silent)
     np.testing.assert_array_equal(other.states, whole.states)
     np.testing.assert_array_equal(other.log_prob, whole.log_prob)
     assert other.accepted == pytest.approx(whole.accepted)
@@ -228,6 +230,7 @@ def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_pa
 def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_path, monkeypatch):
     monkeypatch.setattr(sampler, "ENOUGH", np.inf)
     monkeypatch.setattr(sampler, "TOO_LOW", 1.0)
+    monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
     few, fit, chain, emulator = begun()
     of, kept = Emulator.of, []
 
@@ -235,21 +238,22 @@ def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_p
         return dataclasses.replace(of(*arguments), scale=3 * few.scale)
 
     def go_on(chain, steps, keep=silent):
-        return extend(chain, few, LAYOUT, sharp(few, LAYOUT, chain.taught), steps, silent, keep)
+        with np.errstate(invalid="ignore"):  # a walker that stays where it is for a whole look
+            return extend(chain, few, LAYOUT, sharp(few, LAYOUT, chain.taught), steps, silent, keep)
 
     monkeypatch.setattr(sampler.Emulator, "of", sharp)
-    done = go_on(chain, 301, kept.append)
-    assert [len(c.states) for c in kept] == [1] * sampler.LESSONS + [101, 201, 301]
+    done = go_on(chain, 1 + 3 * LOOK, kept.append)
+    assert [len(c.states) for c in kept] == [1] * sampler.LESSONS + [1 + LOOK, 1 + 2 * LOOK, 1 + 3 * LOOK]
     assert not set(map(tuple, emulator.points)) >= set(map(tuple, done.taught))
     np.testing.assert_array_equal(done.taught, kept[sampler.LESSONS - 1].taught)
     write_chain(tmp_path / "x.npz", kept[1].arrays())  # interrupted between two lessons
-    again = go_on(read_chain(tmp_path / "x.npz", fit), 301)
+    again = go_on(read_chain(tmp_path / "x.npz", fit), 1 + 3 * LOOK)
     np.testing.assert_array_equal(again.states, done.states)
-    longer = go_on(done, 401)
-    np.testing.assert_array_equal(longer.states[:301], done.states)
+    longer = go_on(done, 1 + 4 * LOOK)
+    np.testing.assert_array_equal(longer.states[: 1 + 3 * LOOK], done.states)
     monkeypatch.setattr(sampler, "ENOUGH", 2)  # nearly there: what it would learn does not pay
     monkeypatch.setattr(sampler, "LEAST_SIZE", 10)
-    assert go_on(chain, 201).lessons == sampler.LESSONS
+    assert go_on(chain, 1 + 2 * LOOK).lessons == sampler.LESSONS
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # numpy leaves damaged files open
