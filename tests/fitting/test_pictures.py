@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compiled import evaluate as evaluated
 from made_results import made
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -51,6 +52,12 @@ def subject(measurement, compiled_quickly):
     result.config["input"] = {"origin": "synthetic: a constant, for tests of pictures"}
     walkers = np.random.default_rng(0).normal(size=(40, 8, len(result.parameters)))
     return Subject(result, measurement, chain(result), walkers)
+
+
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch):
+    """Of the posterior, for bands: a fifth of a second each."""
+    monkeypatch.setattr(prediction, "BAND_DRAWS", 10)
 
 
 @pytest.mark.parametrize("name", PICTURES)
@@ -145,6 +152,17 @@ def test_only_a_chain_that_is_long_enough_gives_bands(sufficient, measurement):
     result = made(posterior=sufficient)
     figure = LOBES(Subject(result, measurement, chain(result)))
     assert all(bool(axis.collections) == sufficient for axis in figure.axes)
+
+
+def test_bands_are_quantiles_of_what_the_draws_predict():
+    """Each direction of each draw computed for itself, where bands look up in a table a draw."""
+    result = made(posterior=True, model=Measured(TwoScale("none")))
+    drawn, model = chain(result, count=10), result.model
+    where = Geometry.from_vectors(*prediction.plane_of_incidence(0.5, np.array([-0.9, 0.1, 0.5, 1.2])))
+    each = [evaluated(model.measured, result.values(x), where, tuple(model.wavelengths_um)) for x in drawn["values"]]
+    found = prediction.band(prediction.draws_of(result, drawn), where)
+    np.testing.assert_allclose(found, np.quantile(each, [0.05, 0.95], axis=0), rtol=1e-3)
+    assert np.all(found[0] < 0.95 * found[1])
 
 
 def test_the_peak_has_every_row_above_the_horizon(measurement):
