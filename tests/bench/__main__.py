@@ -15,17 +15,9 @@ import typer
 from . import record
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-ON_CPU = (
-    "fit",
-    "presets",
-    "cold",
-    "growth",
-    "batch",
-    "cluster",
-    "solver",
-    "against_scipy",
-    "against_numpy",
-)  # short ones first
+ON_CPU = (  # short ones first
+    "fit", "presets", "cold", "growth", "channels", "batch", "cluster", "solver", "against_scipy", "against_numpy",
+)  # fmt: skip
 APART = ("convergence", "posterior", "calibration", "halves", "nickel", "gpu", "report")  # only when they are named
 SECTIONS = (*ON_CPU, *APART)
 
