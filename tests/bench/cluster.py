@@ -23,7 +23,7 @@ def spent(process):
 
 
 def on_cluster(files):
-    """Seconds, and seconds of processors with those of scheduler and worker, which have fitted nothing before."""
+    """Seconds; seconds of processors of `merlfit fit`, and of scheduler and worker, which fitted nothing before."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         with scheduler(folder) as (one, address), workers(address, folder, threads=CORES) as other:
@@ -31,13 +31,13 @@ def on_cluster(files):
             cluster = [psutil.Process(each.pid) for each in (one, other)]
             before = sum(map(spent, cluster))
             done = fitted(files, "--executor", address)
-            return done.seconds, done.cpu + sum(map(spent, cluster)) - before
+            return done.seconds, done.cpu, sum(map(spent, cluster)) - before
 
 
 def in_loop(files):
     """The same of a plain loop."""
     done = fitted(files)
-    return done.seconds, done.cpu
+    return done.seconds, done.cpu, 0.0
 
 
 def run(folder, out, every):
@@ -57,8 +57,12 @@ def run(folder, out, every):
     files = [file(folder, material) for material in MIXED[:FILES]]
     fitted(files)  # every body that they choose is compiled
     for turn in range(1, TURNS + 1):
-        for by, (seconds, cpu) in ((LOOP, in_loop(files)), (DASK, on_cluster(files))):
-            record.add({"turn": turn, "by": by, "s": seconds, "CPU s": cpu, "CPU s a file": cpu / FILES})
+        for by, (seconds, own, cluster) in ((LOOP, in_loop(files)), (DASK, on_cluster(files))):
+            cpu = own + cluster
+            record.add({
+                "turn": turn, "by": by, "s": seconds, "CPU s": cpu, "of scheduler and worker": cluster,
+                "CPU s a file": cpu / FILES,
+            })  # fmt: skip
         for target, name in (("clock", "s"), ("cpu", "CPU s")):
             loop, dask = (np.median(record.column(name, by=by)) for by in (LOOP, DASK))
             record.set(target, 100 * (dask / loop - 1))
