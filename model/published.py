@@ -61,17 +61,17 @@ def _table(source: str) -> dict[str, dict[str, list]]:
     return json.loads((files(__name__.rpartition(".")[0]) / "data" / name).read_text(encoding="utf-8"))["materials"]
 
 
-def _known(kind: str, name: str, names: tuple[str, ...]) -> None:
-    """Raise KeyError with the nearest known name unless ``name`` is known."""
+def _known(lack: str, name: str, names: tuple[str, ...]) -> None:
+    """Raise KeyError, saying what is lacking and the nearest known name, unless ``name`` is known."""
     if name in names:
         return
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
-    raise KeyError(f"unknown {kind} {name!r}; the nearest known one is {near[0]!r}")
+    raise KeyError(f"{lack} {name!r}; the nearest is {near[0]!r}")
 
 
 def materials(source: str = "sgd") -> tuple[str, ...]:
     """Names of the materials that a source has parameters for, sorted. KeyError: unknown source."""
-    _known("source of published parameters", source, tuple(SOURCES))
+    _known("there is no source of published parameters", source, tuple(SOURCES))
     return tuple(sorted(_table(source)))
 
 
@@ -84,7 +84,7 @@ def without_surface(source: str = "he") -> tuple[str, ...]:
     Raises:
         KeyError: unknown source.
     """
-    _known("source of published parameters", source, tuple(SOURCES))
+    _known("there is no source of published parameters", source, tuple(SOURCES))
     if "eta" not in {q.name for q in SOURCES[source].model.parameters}:
         return ()
     return tuple(name for name in materials(source) if _table(source)[name]["eta"] == 1)
@@ -106,7 +106,7 @@ def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> 
     Raises:
         KeyError: the material or the source is unknown; the message names the nearest known one.
     """
-    _known(f"material in {source!r}", material, materials(source))
+    _known(f"{source!r} has no material", material, materials(source))
     entry = {name: np.asarray(value, dtype=float) for name, value in _table(source)[material].items()}
     if source == "sgd":
         entry["F0"], entry["F1"] = entry.pop("eta")

@@ -65,18 +65,18 @@ def test_materials_of_index_1_are_diffuse_alone():
         brdf = np.asarray(evaluate(material, "he", mirror))
         assert np.array_equal(brdf, diffuse) == (material in flat), material
     assert not any(without_surface(source) for source in SOURCES if source != "he")
-    with pytest.raises(KeyError, match="nearest known one is 'smooth'"):
+    with pytest.raises(KeyError, match="nearest is 'smooth'"):
         without_surface("smoth")
 
 
 def test_unknown_names_are_answered_with_the_nearest():
     with pytest.raises(KeyError, match="'blue-metallic-paint'"):
         published("blue-metalic-paint")
-    with pytest.raises(KeyError, match="nearest known one is 'smooth'"):
+    with pytest.raises(KeyError, match="nearest is 'smooth'"):
         published("nickel", "smoth")
-    with pytest.raises(KeyError, match="nearest known one is 'smooth'"):
+    with pytest.raises(KeyError, match="nearest is 'smooth'"):
         materials("smoth")
-    with pytest.raises(KeyError, match="nearest known one is 'nickel'"):
+    with pytest.raises(KeyError, match="nearest is 'nickel'"):
         evaluate("nikel", "he", Geometry.from_half_difference(0.1, 0.1, 0.1))
 
 
