@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_results import made
-from merlfit.fitting import cli, files
+from merlfit.fitting import cli, comparisons
 from merlfit.fitting.assess.metrics import Errors, by_incidence, errors
 from merlfit.fitting.assess.published import judged
 from merlfit.fitting.assess.selection import ALIKE, SEEN, bic, least
@@ -71,7 +71,7 @@ def test_a_file_is_compared_and_gone_on_with(file, tmp_path, monkeypatch):
     def fails(*_):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr(files, "fit_file", fails)
+    monkeypatch.setattr(comparisons, "fit_file", fails)
     again = call("compare", file, "--models", "ggx,smooth", "-o", tmp_path)
     assert again.exit_code == 0, again.output
     assert (
@@ -215,7 +215,7 @@ def test_the_curve_over_incidence_adds_up_to_the_rmse():
     (["metrics", "nowhere.json", "--against", "FILE"], "nowhere.json: cannot be read"),
 ])  # fmt: skip
 def test_bad_input_is_told(words, said, file, tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "use_persistent_cache", lambda: None)
+    monkeypatch.setattr(comparisons, "use_persistent_cache", lambda: None)
     more = ["-o", tmp_path] if words[0] != "metrics" else []
     shown = CliRunner().invoke(cli.app, [str(file) if w == "FILE" else str(w) for w in (*words, *more)])
     assert shown.exit_code == 2
