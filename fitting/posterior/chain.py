@@ -39,6 +39,7 @@ TOO_LOW, RARE = (
 LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
 TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
 SOON = 400  # steps: a chain that needs no more of them, or no more than it has made, is not worth beginning anew
+EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not begin anew
 DEPTH = 25.0  # of log posterior below the highest: deeper points teach nothing that matters
 LED = 0.8  # share of moves that are led; the others are differential evolution
 WAYS = 3  # of a led move, one after the other
@@ -203,9 +204,16 @@ class Diagnosis:
 
     @property
     def needed(self) -> float:
-        """Steps of a chain like this one that would be enough."""
-        least = float(min(self.bulk.min(), self.tail.min()))
-        return max(ENOUGH * float(self.times.max()), self.steps * LEAST_SIZE / least if least > 0 else np.inf)
+        """Steps of a chain like this one that would be enough; sizes grow with them, R-hat - 1 falls inversely."""
+        least = np.min([self.bulk, self.tail])
+        for_sizes = self.steps * LEAST_SIZE / least if least > 0 else np.inf
+        for_r_hat = self.steps * (self.r_hat.max() - 1) / (LARGEST_R_HAT - 1)
+        return float(np.max([ENOUGH * self.times.max(), for_sizes, for_r_hat]))
+
+    @property
+    def slow(self) -> bool:
+        """Whether a chain that begins anew, its emulator better, may well be long enough before this one."""
+        return not self.needed <= self.steps + max(SOON, self.steps)
 
     def failures(self, names: Sequence[str] = ()) -> list[str]:
         """In what it is not good enough, in sentences; names: of the coordinates."""
@@ -402,13 +410,15 @@ def extend(
     """Go on until the chain is good enough (`diagnose`), or to ``max_steps``.
 
     Where a chain is slow since walkers came to a tail of which the emulator knows nothing, it learns of it, and the
-    chain begins anew. A chain that is kept, read from its file and extended is the same to the last bit as one that
-    goes on at once.
+    chain begins anew. A chain that is kept, read from its file and extended to as many steps is the same to the
+    last bit as one that goes on at once.
 
     Args:
+        max_steps: at the most, in all; those given up for lessons come on top, at most `EARLY` of them for each.
         progress: called with (steps done, steps at the most). keep: called with the chain at every look.
     """
-    while len(chain.states) < max_steps and diagnose(chain).failures():
+    found = diagnose(chain)
+    while len(chain.states) < max_steps and found.failures():
         done = len(chain.states)
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
         lead = Hamiltonian(emulator, chain.root, chain.leap)
@@ -422,9 +432,9 @@ def extend(
             accepted=chain.accepted + way.accepted,
             random=random,
         )
-        steps = len(chain.states)
-        slow = diagnose(chain).needed > steps + max(SOON, steps)  # one that begins anew may be there before it
-        low, where = _ignored(emulator, way) if chain.lessons and slow else (0.0, now.coords)
+        found = diagnose(chain)
+        may = chain.lessons and len(chain.states) <= EARLY * max_steps
+        low, where = _ignored(emulator, way) if may and found.slow else (-np.inf, now.coords)
         if low > TOO_LOW:
             lessons = chain.lessons - 1
             taught = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER).points
@@ -435,5 +445,6 @@ def extend(
                 leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, random=random,
                 lessons=lessons,
             )  # fmt: skip
+            found = diagnose(chain)
         keep(chain)
     return chain

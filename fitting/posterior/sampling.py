@@ -18,7 +18,7 @@ from ..objective.problem import make_problem
 from ..objective.transforms import Layout
 from ..support.clock import Report, Stage, silent
 from ..support.threads import SHARES, one_core_a_call, side_by_side
-from .chain import Chain, begin, extend, read_chain, write_chain
+from .chain import Chain, begin, diagnose, extend, read_chain, write_chain
 from .emulator import Emulator
 from .importance import Posterior, correct
 from .likelihood import log_likelihood, stand_in
@@ -85,7 +85,8 @@ def draw(
     drawn: dict[str, np.ndarray] = {}
     if resume:
         chain = read_chain(path, solution.z)
-        if drawn := _drawn(path):  # those that the result names, until there are new ones
+        drawn = _drawn(path)  # those that the result names, until there are new ones
+        if drawn and not diagnose(chain).failures():
             chain = replace(chain, lessons=0)  # one that was long enough once is not given up
         emulator = Emulator.of(few, layout, chain.taught)
     else:

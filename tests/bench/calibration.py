@@ -106,6 +106,8 @@ def tell(record, kept):
     told = [r["details"] for r in kept.rows]
     good = [r for r in told if r["ranks"] is not None]
     record.rows.clear()
+    if not good:
+        return
     covered = []
     for name in dict.fromkeys(name for r in good for name in r["ranks"]):
         ranks = np.array([r["ranks"][name] for r in good if name in r["ranks"]])

@@ -227,8 +227,37 @@ def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_pa
     assert other.accepted == pytest.approx(whole.accepted)
 
 
+def test_what_a_chain_still_needs_is_told_by_the_worst_of_its_measures():
+    one = np.ones(2)
+    fine = sampler.Diagnosis(200, 3 * one, 1.01 * one, 900 * one, 800 * one)
+    assert fine.needed == pytest.approx(150)  # 50 autocorrelation times of 3 steps
+    assert not fine.slow
+    for worse, needed in (
+        ({"times": np.array([3.0, 20.0])}, 1000), ({"bulk": np.array([900.0, 50.0])}, 1600), ({"tail": 20 * one}, 4000),
+        ({"r_hat": np.array([1.01, 1.2])}, 800),
+    ):  # fmt: skip
+        found = dataclasses.replace(fine, **worse)
+        assert found.needed == pytest.approx(needed)
+        assert found.slow == (needed > 200 + sampler.SOON)
+    late = dataclasses.replace(fine, steps=2000, times=70 * one)
+    assert (late.needed, late.slow) == (pytest.approx(3500), False)  # less than it has made
+    for name in ("times", "r_hat", "bulk", "tail"):
+        assert dataclasses.replace(fine, **{name: np.array([1.0, np.nan])}).slow
+
+
+def test_a_late_chain_does_not_begin_anew(monkeypatch):
+    monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    monkeypatch.setattr(sampler, "TOO_LOW", -1e9)
+    monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
+    few, _, chain, emulator = begun()
+    monkeypatch.setattr(sampler, "EARLY", LOOK / (1 + 2 * LOOK))
+    done = extend(chain, few, LAYOUT, emulator, 1 + 2 * LOOK, silent, silent)
+    assert (len(done.states), done.lessons) == (1 + 2 * LOOK, sampler.LESSONS)
+
+
 def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_path, monkeypatch):
     monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    monkeypatch.setattr(sampler, "EARLY", 1.0)
     monkeypatch.setattr(sampler, "TOO_LOW", 1.0)
     monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
     few, fit, chain, emulator = begun()
@@ -251,9 +280,6 @@ def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_p
     np.testing.assert_array_equal(again.states, done.states)
     longer = go_on(done, 1 + 4 * LOOK)
     np.testing.assert_array_equal(longer.states[: 1 + 3 * LOOK], done.states)
-    monkeypatch.setattr(sampler, "ENOUGH", 2)  # nearly there: what it would learn does not pay
-    monkeypatch.setattr(sampler, "LEAST_SIZE", 10)
-    assert go_on(chain, 1 + 2 * LOOK).lessons == sampler.LESSONS
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # numpy leaves damaged files open
