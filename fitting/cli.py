@@ -159,7 +159,8 @@ def fit(
     )  # fmt: skip
     from .files import aim_of, fit_files, refuse_unoffered, summarise
 
-    refuse_unoffered(files, settings, accuracy is not None or within is not None, posterior)
+    given = {"--accuracy": accuracy is not None, "--time": within is not None, "--posterior": bool(posterior)}
+    refuse_unoffered(files, settings, *(option for option, asked in given.items() if asked))
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
     summarise(outcomes)
 

@@ -60,11 +60,11 @@ def refuse_same_names(files: list[Path]) -> None:
         )
 
 
-def refuse_unoffered(files: list[Path], settings: Config, aimed: bool, posterior: bool | None) -> None:
+def refuse_unoffered(files: list[Path], settings: Config, *options: str) -> None:
     """End with an error where more is asked for than there is of scattered directions, before anything is read."""
     try:
         for path in filter(is_scattered, files):
-            settled(path, settings, aimed, bool(posterior))
+            settled(path, settings, *options)
     except MerlError as error:
         raise fail(str(error)) from None
 

@@ -75,7 +75,7 @@ def fit_file(
         report("reading")
         measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
         if isinstance(measurement, ScatteredMeasurement):
-            config = settled(measurement.path, config, finish is not None)
+            config = settled(measurement.path, config, *(["--accuracy"] if finish else []))
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
     if fitted is not None and fitted.bend != config.rungs[0]:
@@ -168,22 +168,26 @@ def chain_of(result: Path) -> Path:
     return result.with_name(f"{result.stem}.chain.npz")
 
 
-def settled(path: Path, config: Config, aimed: bool = False, posterior: bool = False) -> Config:
+UNGRIDDED = {  # what there is not without a grid, by the option that asks for it
+    "--posterior": "of which no posterior is sampled",
+    "--accuracy": "and what settings reach is calibrated on MERL's grid",
+    "--time": "and what settings take is calibrated on MERL's grid",
+    "weights adaptive": "of which no picture is rendered to choose by",
+}
+
+
+def settled(path: Path, config: Config, *options: str) -> Config:
     """Settings for a file of scattered directions.
 
     Args:
-        aimed: whether an accuracy or a time is asked for. posterior: whether one is asked for, beyond what is default.
+        options: that were given, of `UNGRIDDED`; the weights are known from the settings.
 
     Raises:
         merlfit.merl_io.binary.MerlError: they ask for what there is not without a grid.
     """
-    for asked, options, why in (
-        (posterior, "--posterior", "of which no posterior is sampled"),
-        (aimed, "--accuracy and --time", "and what settings reach and take is calibrated on MERL's grid"),
-        (config.fit.weights == "adaptive", "weights adaptive", "of which no picture is rendered to choose by"),
-    ):
-        if asked:
-            raise MerlError(f"{path}: holds scattered directions, {why}: leave {options} out")
+    for option in (*options, f"weights {config.fit.weights}"):
+        if option in UNGRIDDED:
+            raise MerlError(f"{path}: holds scattered directions, {UNGRIDDED[option]}: leave {option} out")
     return config.for_scattered
 
 

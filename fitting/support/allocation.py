@@ -11,7 +11,8 @@ def keep_freed_memory() -> None:
     """Let glibc keep arrays that are freed, as it does by default, whatever MALLOC_TRIM_THRESHOLD_ says.
 
     Dask sets it for its workers so that each array goes back to the system at once. Fits free and take the same arrays
-    again and again, and new pages cost them a fifth of their time. Elsewhere than in glibc nothing is done.
+    again and again, and every new page is a fault, after which the system fills it with zeros. Elsewhere than in glibc
+    nothing is done.
     """
     with suppress(OSError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt

@@ -47,9 +47,9 @@ def run(folder, out, every):
         [f"`merlfit fit FILE ... --no-posterior --executor dask://...` of {FILES} files: a scheduler and a worker with "
          "all cores, processes of this machine, both new. Their start belongs to the cluster and is not counted; that "
          "the worker imports merlfit and reads compiled programs is. The plain loop: one process of Python that fits "
-         f"one file after the other, its start included. Run by turns, targets are of the medians of {TURNS}. Seconds "
-         "of processors (CPU) are those of `merlfit fit`, scheduler and worker together; where others use the machine, "
-         "they are what can be compared."],
+         "one file after the other, its start included. Run by turns, and the one that begins changes; targets are of "
+         f"the medians of {TURNS}. Seconds of processors (CPU) are those of `merlfit fit`, scheduler and worker "
+         "together; where others use the machine, they are what can be compared."],
         {"clock": Target("a Dask worker against the plain loop, clock", 10, "%"),
          "cpu": Target("a Dask worker against the plain loop, processors", 10, "%")},
         folder=out,
@@ -57,7 +57,9 @@ def run(folder, out, every):
     files = [file(folder, material) for material in MIXED[:FILES]]
     fitted(files)  # every body that they choose is compiled
     for turn in range(1, TURNS + 1):
-        for by, (seconds, own, cluster) in ((LOOP, in_loop(files)), (DASK, on_cluster(files))):
+        both = {LOOP: in_loop, DASK: on_cluster}
+        for by in both if turn % 2 else reversed(both):
+            seconds, own, cluster = both[by](files)
             cpu = own + cluster
             record.add({
                 "turn": turn, "by": by, "s": seconds, "CPU s": cpu, "of scheduler and worker": cluster,

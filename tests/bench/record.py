@@ -159,8 +159,8 @@ def summary(folder=RESULTS):
     lines = [
         "# Targets",
         "",
-        f"Data: {RECONSTRUCTIONS}. Tables and machines: the files named. "
-        "Made by `make bench`.",
+        f"Data: {RECONSTRUCTIONS}, unless the section says otherwise (synthetic for calibration and tables of "
+        "directions). Tables and machines: the files named. Made by `make bench`.",
         "", "| target | measured | asked | met | section |", "|---|---|---|---|---|",
     ]  # fmt: skip
     for path in sorted(folder.glob("*.json")):

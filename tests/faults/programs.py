@@ -103,7 +103,7 @@ def faults_of(folder, undisturbed):
         if isinstance(line, FileEnded) and line.ended in FINISHED and found.get(line.material) is None:
             wrong.append(f"lost: {line.material}")
     for name, held in found.items():
-        if held["posterior"] is not None and held != undisturbed[name]:
+        if held["posterior"] is not None and held != undisturbed.get(name):
             wrong.append(f"other values: {name}")
     return wrong
 

@@ -1,5 +1,6 @@
 """Memory that is freed is kept where Dask's workers are told to give it back."""
 
+import platform
 import subprocess
 import sys
 
@@ -22,7 +23,7 @@ print(faults() - before)
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="what glibc does")
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what glibc does")
 def test_arrays_of_a_dask_worker_come_from_pages_that_it_has():
     def faults(how):
         environment = {"MALLOC_TRIM_THRESHOLD_": "65536"}
@@ -31,5 +32,6 @@ def test_arrays_of_a_dask_worker_come_from_pages_that_it_has():
         )
         return int(done.stdout)
 
-    assert faults("given back") > 9 * PAGES
-    assert faults("kept") < PAGES
+    given_back = faults("given back")
+    assert given_back > 9 * PAGES
+    assert faults("kept") < given_back / 4

@@ -204,8 +204,8 @@ def test_the_commands_take_a_table(file, tmp_path):
     [
         (("--posterior",), "holds scattered directions, of which no posterior is sampled"),
         (("--weights", "adaptive"), "of which no picture is rendered to choose by: leave weights adaptive out"),
-        (("--accuracy", "1e-2"), "calibrated on MERL's grid: leave --accuracy and --time out"),
-        (("--time", "20s"), "calibrated on MERL's grid: leave --accuracy and --time out"),
+        (("--accuracy", "1e-2"), "what settings reach is calibrated on MERL's grid: leave --accuracy out"),
+        (("--time", "20s"), "what settings take is calibrated on MERL's grid: leave --time out"),
     ],
 )
 def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
