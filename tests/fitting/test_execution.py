@@ -25,8 +25,9 @@ from worker_tasks import task
 
 TESTS = Path(__file__).parents[1]
 PROGRAM = f"""
-import sys
+import signal, sys
 sys.path.insert(0, {str(TESTS)!r})
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever it is begun by: a shell's "&" makes it deaf
 from worker_tasks import task
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution.pool import Pool

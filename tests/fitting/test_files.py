@@ -222,8 +222,8 @@ def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monk
     monkeypatch.setattr("merlfit.fitting.output.synthesis.tabulate", lambda evaluate: evaluate)
     seen = []
     monkeypatch.setattr("merlfit.fitting.output.synthesis.evaluate", lambda *words: seen.append(words[0]))
-    monkeypatch.setattr("merlfit.merl_io.binary.write", lambda out, values: values(None))
-    monkeypatch.setattr("merlfit.fitting.support.compilation.use_persistent_cache", lambda: None)
+    monkeypatch.setattr("merlfit.fitting.output.synthesis.write", lambda out, values: values(None))
+    monkeypatch.setattr("merlfit.fitting.output.synthesis.use_persistent_cache", lambda: None)
     put_result(tmp_path)
     alone = call("synth", tmp_path / "nickel.json", "-o", tmp_path / "x.binary")
     assert "near grazing angles many times brighter" in " ".join(alone.stdout.split())
