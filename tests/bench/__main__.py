@@ -17,6 +17,7 @@ from . import record
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 ON_CPU = (  # short ones first
     "fit", "presets", "cold", "growth", "channels", "batch", "cluster", "solver", "against_scipy", "against_numpy",
+    "rivals",
 )  # fmt: skip
 APART = ("convergence", "posterior", "calibration", "halves", "nickel", "gpu", "report")  # only when they are named
 SECTIONS = (*ON_CPU, *APART)

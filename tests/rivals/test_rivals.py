@@ -10,7 +10,7 @@ import pytest
 from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.published import SOURCES, materials, published
-from merlfit.model.rivals import he as he_module
+from merlfit.model.rivals import he_series
 from rivals import rival_oracles as oracle
 
 # parameters that a random test draws, log-uniform between two bounds; every channel its own
@@ -109,7 +109,7 @@ def check_series(series):
 
 
 def test_he_series_from_smooth_to_very_rough():
-    check_series(he_module._series)
+    check_series(he_series.full)
 
 
 def test_he_series_cut_short_is_noticed():
@@ -118,6 +118,37 @@ def test_he_series_cut_short_is_noticed():
     short = lambda g, e: jnp.sum(jnp.exp(m * jnp.log(g) - g - jax.scipy.special.gammaln(m + 1.0) - e / m) / m) / g  # noqa: E731
     with pytest.raises(AssertionError):
         check_series(short)
+
+
+def he_domain():
+    """g and e over what the table holds, more of them where the lobe is bright."""
+    rng = np.random.default_rng(4)
+    g = np.exp(rng.uniform(np.log(1e-8), np.log(4e5), 100_000))
+    return g, 60 * rng.uniform(size=g.size) ** 4 * (1 + g)
+
+
+def test_he_series_looked_up_is_the_sum():
+    """Values to 1e-7, derivatives by log g and log e to 2e-5 of the value."""
+    g, e = he_domain()
+    for along in ((g, 0 * e), (0 * g, e)):
+        (value, slope), (looked_up, its_slope) = (
+            jax.jit(partial(jax.jvp, f))((g, e), along) for f in (he_series.full, he_series.series)
+        )
+        assert (value != looked_up).mean() > 0.9  # it is another route
+        np.testing.assert_allclose(looked_up, value, rtol=1e-7)
+        assert (np.abs(its_slope - slope) <= 2e-5 * value).all()
+
+
+def test_he_series_looked_up_stays_finite_beyond_its_table():
+    """Black or nearly so, and falling with e."""
+    phases, decays = [0.0, 1e-300, 1e-12, 1.0, 4e5, 1e9], np.geomspace(50, 1e6, 1000)
+    g, decay = (jnp.asarray(x.ravel()) for x in np.meshgrid(phases, decays, indexing="ij"))
+    e = decay * (1 + g)
+    value, by_e = jax.jit(partial(jax.jvp, partial(he_series.series, g)))((e,), (jnp.ones_like(e),))
+    _, by_g = jax.jit(partial(jax.jvp, lambda g: he_series.series(g, e)))((g,), (jnp.ones_like(g),))
+    assert np.isfinite([value, by_e, by_g]).all()
+    assert (value >= 0).all()
+    assert (np.diff(np.asarray(value).reshape(len(phases), -1)) <= 0).all()
 
 
 def test_he_geometrical_factor_collapses():
@@ -131,9 +162,9 @@ def test_he_geometrical_factor_collapses():
 
 def test_lambert_w():
     x = np.array([0.0, 1e-12, 1e-3, 0.5, 3.0, 1e3, 1e50, 1e249])
-    w = he_module.lambert_w(jnp.asarray(x))
+    w = he_series.lambert_w(jnp.asarray(x))
     np.testing.assert_allclose(w, [float(mp.lambertw(float(v)).real) for v in x], rtol=1e-14)
-    slope = jax.vmap(jax.grad(he_module.lambert_w))(jnp.asarray(x))
+    slope = jax.vmap(jax.grad(he_series.lambert_w))(jnp.asarray(x))
     np.testing.assert_allclose(slope, np.exp(-np.asarray(w)) / (1 + np.asarray(w)), rtol=1e-14)
 
 
