@@ -58,9 +58,13 @@ bench-posterior: install
 	$(BIN)/python -m tests.bench halves
 	$(BIN)/python -m tests.bench nickel
 
-# Half an hour: all 100 materials with three objectives, beside published parameters; goes on where it was stopped.
+# Hours: all 100 materials, the two-scale model with three objectives (half an hour), then every other model with
+# compressive weights and with none, published parameters beside them; goes on where it was stopped.
 merl100: install
 	$(BIN)/python -m tests.merl100
+	$(BIN)/python -m tests.merl100_rivals compressive
+	$(BIN)/python -m tests.merl100_rivals none
+	$(BIN)/python -m tests.rival_maps
 
 bench-gpu: install
 	$(BIN)/python -m tests.bench gpu

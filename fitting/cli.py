@@ -42,6 +42,12 @@ Weights = Annotated[
     str | None,
     typer.Option(help="compressive (dark bins count, too), log, none (least RMSE) or adaptive (nearest picture)."),
 ]
+SameWeights = Annotated[
+    str | None,
+    typer.Option(
+        "--weights", help="compressive (dark bins count, too), log or none (least RMSE): the same for every model."
+    ),
+]
 Dims = Annotated[
     str | None,
     typer.Option(
@@ -174,7 +180,7 @@ def compare(
         Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
     ] = None,
     dims: Dims = None,
-    weights: Weights = None,
+    weights: SameWeights = None,
     published: Annotated[
         bool, typer.Option("--published/--no-published", help="Beside the fits, published parameters of the material.")
     ] = True,
@@ -199,7 +205,7 @@ def which(
         Path | None, typer.Option("-o", "--out", help="Folder to keep the results in \\[default: they are not kept].")
     ] = None,
     dims: Dims = None,
-    weights: Weights = None,
+    weights: SameWeights = None,
 ) -> None:
     """Say which model is the least that explains a material, and how the others compare."""
     from tempfile import TemporaryDirectory

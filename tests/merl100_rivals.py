@@ -11,20 +11,18 @@ import time
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-import jax.numpy as jnp
 import typer
 from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.published import judged, sources_of
 from merlfit.fitting.assess.selection import bic
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output.comparison import write_tables
-from merlfit.fitting.pipeline.comparison import FIT, Row, config_of
+from merlfit.fitting.pipeline.comparison import FIT, Row, config_of, published_row
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read
-from merlfit.model import published
 from merlfit.model.registry import models
 
 from .bench.materials import every, file
@@ -110,13 +108,8 @@ def rows_of(weights, names):
                 bic(r["cost"], numbers, count), r["seconds"], r["values"],
             ))  # fmt: skip
         for source, r in done.get("published", {}).items():
-            model = published.SOURCES[source].model
-            values = published.published(material, source, rescaled=True)
-            found.append(Row(
-                material, False, model.name, model.variant, source, None, "published",
-                sum(int(jnp.size(x)) for x in values.values()), Errors(**{k: r[k] for k in FIGURES}), r["cost"],
-                float("nan"), None, {},
-            ))  # fmt: skip
+            errors = Errors(**{k: r[k] for k in FIGURES})
+            found.append(published_row(material, source, False, errors, r["cost"]))
     return found
 
 

@@ -62,8 +62,11 @@ WHAT = (
     "RMSE: root of the mean squared error weighted by cos^2 theta_i over directions of the light and the viewer (HP15 "
     "Eq. 31, HP17 Table 2, normalised to a mean); sMAPE: mean of |m - p| / (m + p); cube-root and log error: root mean "
     "squares of differences of cube roots and of log(1 + x) of BRDF times cos theta_i; dE: mean CIELAB distance of "
-    "spheres under a lamp and under an environment (D65); peak: brightest value at theta_h = 0 over the file's. BIC: "
-    "N log J + P log N of the cost J with the effective count N of the best fit"
+    "spheres under a lamp and under an environment (D65); peak: brightest value at theta_h = 0 over the file's"
+)
+CRITERION = (
+    "BIC: N log J + P log N of the cost J with the effective count N of the best fit and the P numbers of the model, "
+    "the apparatus's among them"
 )
 
 
@@ -161,7 +164,7 @@ def verdict(rows: Sequence[Row]) -> str:
             why = f"but its picture is off by {number(lowest.errors.picture, 2)}"
         said += f" The lowest BIC is that of {_named(lowest)}, {number(less, 2)} lower: {why}."
     if lost(peak := chosen.errors.highlight):
-        said += f" Its highlight is {number(peak, 2)} times the file's: try --weights adaptive."
+        said += f" Its highlight is {number(peak, 2)} times the file's: try `merlfit fit --weights adaptive`."
     return said
 
 
@@ -225,7 +228,7 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
     lines = [
         f"# {title}",
         "",
-        f"Data: {data}. Errors over {angles()}, both directions at theta < fit.theta_max. {WHAT}.",
+        f"Data: {data}. Errors over {angles()}, both directions at theta < fit.theta_max. {WHAT}. {CRITERION}.",
     ]
 
     def section(title: str, said: str, heads: Sequence[str], table: Iterable[Sequence[object]]) -> None:
@@ -268,11 +271,18 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
     )
     kinds = {row.material: row.variant for row in rows if row.model == "two-scale"}
     grouped("By the interface and body that the two-scale model found", lowest, kinds)
+    names, bodies = sorted({group_of(m) for m in kinds}), sorted(set(kinds.values()))
+    if len(names) > 1 and len(bodies) > 1:
+        both = Counter((group_of(m), body) for m, body in kinds.items())
+        section(
+            "Kinds of material, and what the two-scale model found", "Materials of each, as in HP17 5.1.4.",
+            ["kind", *bodies], ([name, *(both[name, body] for body in bodies)] for name in names),
+        )  # fmt: skip
     lines += ["", f"![sorted errors]({picture})"]
     found = {(name, row.material): row.errors.rmse for name, own in labels.items() for row in own}
     section(
-        "Every material: RMSE (1/sr)", "", ["material", *labels],
-        ([m, *(number(found.get((name, m)), 3) for name in labels)] for m in materials),
+        "Every material: RMSE (1/sr)", "The lowest of each material in bold.", ["material", *labels],
+        ([m, *_lowest_bold([found.get((name, m)) for name in labels])] for m in materials),
     )  # fmt: skip
     return "\n".join(lines) + "\n"
 
@@ -292,6 +302,12 @@ def _bold(rows: list[list]) -> list[list[str]]:
         [row[0], *(f"**{number(x, 3)}**" if x == low else number(x, 3) for x, low in zip(row[1:], lowest, strict=True))]
         for row in rows
     ]
+
+
+def _lowest_bold(row: Sequence[float | None]) -> list[str]:
+    """Numbers as text, the lowest in bold."""
+    low = min((x for x in row if x is not None and np.isfinite(x)), default=None)
+    return [f"**{number(x, 3)}**" if x is not None and x == low else number(x, 3) for x in row]
 
 
 def _won(winners_: dict[str, tuple[str, float]], name: str) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...merl_io import inputs
+from ...merl_io.bands import MERL
 from ...merl_io.grid import merl_grid
 from ...merl_io.inputs import Input
 from ...merl_io.scattered import ScatteredMeasurement
@@ -120,18 +121,22 @@ def compare_file(
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
         for source in sources:
             errors, cost = judged(source, measurement, samples, config.fit.theta_max)
-            values = published.published(measurement.name, source, rescaled=True)
-            model = published.SOURCES[source].model
-            flat = {
-                f"{name}_{channel}" if np.ndim(x) else name: float(y)
-                for name, x in values.items()
-                for channel, y in zip(measurement.bands.names if np.ndim(x) else [""], np.ravel(x), strict=True)
-            }
-            rows.append(Row(
-                measurement.name, measurement.genuine is not None, model.name, model.variant, source, None, "published",
-                len(flat), errors, cost, float("nan"), None, flat,
-            ))  # fmt: skip
+            rows.append(published_row(measurement.name, source, measurement.genuine is not None, errors, cost))
     return with_bic(rows, results), results
+
+
+def published_row(material: str, source: str, genuine: bool, errors: metrics.Errors, cost: float) -> Row:
+    """Of a published table, Ngan's on the scale of MERL's files."""
+    model = published.SOURCES[source].model
+    flat = {
+        f"{name}_{channel}" if np.ndim(x) else name: float(y)
+        for name, x in published.published(material, source, rescaled=True).items()
+        for channel, y in zip(MERL.names if np.ndim(x) else [""], np.ravel(x), strict=True)
+    }
+    return Row(
+        material, genuine, model.name, model.variant, source, None, "published", len(flat), errors, cost, float("nan"),
+        None, flat,
+    )  # fmt: skip
 
 
 def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:

@@ -100,6 +100,7 @@ def test_rows_of_a_file_have_one_count_and_the_published_sets_beside_them(file, 
         "cook_torrance_ngan",
         "he",
     ]
+    assert all(len(r.values) == r.numbers > 0 for r in rows), "parameters, of published sets too"
     size = len(results["ggx"].parameters)
     np.testing.assert_allclose([r.bic for r in rows[:2]], [bic(0.02, size, 20.0), bic(0.01, size, 20.0)])
 
@@ -162,7 +163,7 @@ def test_what_speaks_for_another_model_is_said():
     assert "but its picture is off by 4" in comparison.verdict([row(numbers=16), low])
     assert "it loses the highlight" in comparison.verdict([row(numbers=16), row("b", bic=-30.0, highlight=0.2)])
     assert "no strong evidence" in comparison.verdict([row(), row("b", numbers=9, bic=-12.0)])
-    assert "try --weights adaptive" in comparison.verdict([row(highlight=0.3)])
+    assert "try `merlfit fit --weights adaptive`" in comparison.verdict([row(highlight=0.3)])
 
 
 def test_tables_say_who_wins_where_and_by_how_much(tmp_path):
@@ -180,10 +181,21 @@ def test_tables_say_who_wins_where_and_by_how_much(tmp_path):
     assert "| ggx | 1 (3) |" in text
     assert "| model | fabrics (1) | metals (1) |" in text
     assert "| sgd (published) | 1 |" in text
+    assert "| nickel | **0.01** | 0.03 | 0.5 |" in text, "who wins on each material"
+    assert "N log J" in text
     assert page.count("<table>") == text.count("\n|---")
     assert "<h2>Who wins where</h2>" in page
     lines = list(csv.DictReader(written[0].read_text().splitlines()))
     assert [line["group"] for line in lines] == ["metals", "metals", "fabrics", "fabrics", "metals"]
+
+
+def test_names_are_counted_by_the_body_that_was_found(tmp_path):
+    bodies = {"nickel": "complex none", "brass": "complex none", "red-plastic": "real plastic"}
+    rows = [replace(row("two-scale", material), variant=body) for material, body in bodies.items()]
+    text = comparison.write_tables(rows, tmp_path, "all", "Three", "made up")[1].read_text()
+    assert "| kind | complex none | real plastic |" in text
+    assert "| metals | 2 | 0 |" in text
+    assert "| plastics | 0 | 1 |" in text
 
 
 @pytest.mark.parametrize(("material", "group"), [
