@@ -66,9 +66,9 @@ linkcheck_timeout = 30
 ARRAY_LIKE = re.compile(r"(~?[\w.]*Array \| ~?[\w.]*ndarray( \| [~\w.]+)*)(?=[,)\]=]| =| \||$)")
 
 
-def short_signature(*told: Any) -> tuple[str, str | None] | None:  # noqa: ANN401 - what Sphinx tells of a thing
+def short_signature(*said: Any) -> tuple[str, str | None] | None:  # noqa: ANN401 - what Sphinx says of a thing
     """Types as the source has them: JAX spells out what may be an array in nine words."""
-    *_, given, returns = told
+    *_, given, returns = said
     if given is None:
         return None
     given = ARRAY_LIKE.sub("ArrayLike", given)

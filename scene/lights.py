@@ -134,14 +134,14 @@ def environment(radiance: np.ndarray) -> Environment:
     edges = np.cos(np.arange(ROWS + 1) / ROWS * np.pi)
     solid_angle = np.broadcast_to((edges[:-1] - edges[1:])[:, None] * 2 * np.pi / COLUMNS, at.shape[:2])
     mean = np.sum(luminance * solid_angle) / (4 * np.pi)
-    spread = np.sqrt(np.sum((luminance - mean) ** 2 * solid_angle) / (4 * np.pi)) / mean if mean > 0 else 0.0
+    variation = np.sqrt(np.sum((luminance - mean) ** 2 * solid_angle) / (4 * np.pi)) / mean if mean > 0 else 0.0
     share = np.maximum(luminance, FEWEST * mean if mean > 0 else 1.0) * solid_angle
     share = share / share.sum()
     alias, threshold = _aliases(share.ravel())
     density = (share / solid_angle).ravel()
     return Environment(
         jnp.asarray(radiance, jnp.float32), jnp.asarray(alias, jnp.int32), jnp.asarray(threshold, jnp.float32),
-        jnp.asarray(density, jnp.float32), jnp.asarray(spread / (1 + 2 * spread), jnp.float32),
+        jnp.asarray(density, jnp.float32), jnp.asarray(variation / (1 + 2 * variation), jnp.float32),
     )  # fmt: skip
 
 

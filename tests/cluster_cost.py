@@ -39,9 +39,9 @@ class Counted(Cluster):
             self.got += len(pickle.dumps(brought))
         return brought
 
-    def _told(self, event):
+    def _reported(self, event):
         self.messages += 1
-        super()._told(event)
+        super()._reported(event)
 
 
 def cpu(process):

@@ -10,8 +10,8 @@ from ..objective.transforms import Layout
 from ..results import schema
 from .laplace import laplace_covariance, likelihood_precision
 
-TOLD = 0.3  # of a unit vector: smaller components of a direction are not named
-STRONG = 0.9  # correlations beyond this are told in words
+NAMED = 0.3  # of a unit vector: smaller components of a direction are not named
+STRONG = 0.9  # correlations beyond this are put into words
 
 
 def identifiability(layout: Layout, normal: np.ndarray, count: float, covariance: np.ndarray) -> schema.Identifiability:
@@ -22,23 +22,23 @@ def identifiability(layout: Layout, normal: np.ndarray, count: float, covariance
     """
     precision = likelihood_precision(normal, count)
     values, vectors = np.linalg.eigh((precision + precision.T) / 2)
-    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     names, left = layout.coordinates, np.sqrt(np.diag(laplace_covariance(normal, count)))
     return schema.Identifiability(
         names=list(layout.names),
         covariance=covariance.tolist(),
         priors=priors(layout),
-        correlation=np.clip(covariance / spread / spread[:, None], -1, 1).round(3).tolist(),
+        correlation=np.clip(covariance / deviation / deviation[:, None], -1, 1).round(3).tolist(),
         coordinates=list(names),
         contraction=(1 - left).round(3).tolist(),
         determined=int(np.sum(values >= 1)),
         undetermined=[
             schema.Direction(
                 curvature=float(max(value, 0.0)),
-                components={names[i]: round(float(vector[i]), 3) for i in np.argsort(-np.abs(vector)) if told[i]},
+                components={names[i]: round(float(vector[i]), 3) for i in np.argsort(-np.abs(vector)) if named[i]},
             )
             for value, vector in zip(values, vectors.T, strict=True)
-            if value < 1 and (told := np.abs(vector) >= TOLD).any()
+            if value < 1 and (named := np.abs(vector) >= NAMED).any()
         ],
     )
 
@@ -68,8 +68,8 @@ def in_words(found: schema.Identifiability) -> list[str]:
     said = [f"the data determine {found.determined} of {size} independent combinations of the parameters"]
     for direction in found.undetermined:
         together = ", ".join(f"{name} {value:+.1f}" for name, value in direction.components.items())
-        told = f"the data constrain it {direction.curvature:.2g} times as much as the prior does"
-        said.append(f"not determined by the data ({told}): {together}")
+        how_much = f"the data constrain it {direction.curvature:.2g} times as much as the prior does"
+        said.append(f"not determined by the data ({how_much}): {together}")
     pairs = [
         (found.correlation[i][j], found.names[i], found.names[j])
         for i in range(size)

@@ -146,13 +146,13 @@ def _point(choice: Choice, rows: list[dict[str, Any]]) -> Point:
     column = {key: [row[key] for row in rows] for key in rows[0]}
     pairs = list(zip(column["error"], column["estimate"], strict=True))
     away = [x for x in column["parameters"] if x is not None]
-    spreads = {key: Percentiles.of(column[key]) for key in ("error", "rmse", "seconds", "estimate_seconds")}
+    percentiles = {key: Percentiles.of(column[key]) for key in ("error", "rmse", "seconds", "estimate_seconds")}
     return Point(
         choice=choice, promised=Percentiles.of([max(pair) for pair in pairs]),
         other_minimum=Percentiles.of([error if error > estimated else 0.0 for error, estimated in pairs]).p95,
         failed=sum(not Status[name].succeeded for name in column["status"]) / len(rows),
         other_body=sum(column["other_body"]) / len(rows), parameters=Percentiles.of(away) if away else None,
-        megabytes=max(column["megabytes"]), **spreads,
+        megabytes=max(column["megabytes"]), **percentiles,
     )  # fmt: skip
 
 

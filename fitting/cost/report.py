@@ -32,8 +32,8 @@ def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
     return table
 
 
-def _cells(spread: Percentiles | None) -> list[str]:
-    return [number(x, 2) for x in ((None,) * 3 if spread is None else (spread.median, spread.p95, spread.worst))]
+def _cells(found: Percentiles | None) -> list[str]:
+    return [number(x, 2) for x in ((None,) * 3 if found is None else (found.median, found.p95, found.worst))]
 
 
 def tier_table(frontier: Frontier) -> Table:

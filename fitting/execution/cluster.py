@@ -77,7 +77,7 @@ class Cluster:
 
     Attributes:
         name: address of the scheduler. jobs: units at once, at the most; None for one a worker.
-        note: told what concerns the run and not one unit.
+        note: called with what concerns the run and not one unit.
     """
 
     def __init__(self, where: str, jobs: int | None = None, task: Task = fit_unit, note: Note = print) -> None:
@@ -121,7 +121,7 @@ class Cluster:
 
         from . import admission
 
-        self._client.subscribe_topic(admission.TOPIC, self._told)
+        self._client.subscribe_topic(admission.TOPIC, self._reported)
         self._client.subscribe_topic("all", self._changed)
         cloudpickle.register_pickle_by_value(admission)
         made = admission.Admission(self._run, versions())
@@ -297,23 +297,23 @@ class Cluster:
         self._fetched[k] = fetched
         fetched.add_done_callback(lambda fetched: self._inbox.put((k, _Back(future, fetched))))
 
-    def _told(self, event: tuple[float, Any]) -> None:
+    def _reported(self, event: tuple[float, Any]) -> None:
         """Of a worker: what it is doing."""
-        told = event[1]
-        if "note" in told:
-            self._inbox.put((None, told["note"]))
-        elif told["run"] == self._run:
-            if "refused" in told:
-                self._inbox.put((None, f"worker {told['refused']}; it gets no files: install there what is here"))
+        report = event[1]
+        if "note" in report:
+            self._inbox.put((None, report["note"]))
+        elif report["run"] == self._run:
+            if "refused" in report:
+                self._inbox.put((None, f"worker {report['refused']}; it gets no files: install there what is here"))
             else:
-                self._inbox.put((told["unit"], _Word(Stage(told["stage"], told["share"]), told["worker"])))
+                self._inbox.put((report["unit"], _Word(Stage(report["stage"], report["share"]), report["worker"])))
 
     def _changed(self, event: tuple[float, Any]) -> None:
         """Of the scheduler: a worker came or went."""
-        told = event[1]
-        if isinstance(told, dict) and told.get("action") == "remove-worker" and not told.get("expected"):
-            found = [re.match(rf"{self._resource}-(\d+)-", key) for key in told["processing-tasks"]]
-            gone = _Gone(told["worker"], sorted(int(each[1]) for each in found if each))
+        report = event[1]
+        if isinstance(report, dict) and report.get("action") == "remove-worker" and not report.get("expected"):
+            found = [re.match(rf"{self._resource}-(\d+)-", key) for key in report["processing-tasks"]]
+            gone = _Gone(report["worker"], sorted(int(each[1]) for each in found if each))
             # after what the scheduler says beside it: whether it gives a unit up
             loop: Any = self._client.loop
             loop.add_callback(self._inbox.put, (None, gone))
@@ -334,7 +334,7 @@ class Cluster:
             self.note(text)
 
     def _aside(self, call: Callable[[], object], wait: float = CONNECT) -> None:
-        """Call what may never return; whether it does is waited for so long, and an error is told when it comes."""
+        """Call what may never return; whether it does is waited for so long, and an error is reported when it comes."""
 
         def called() -> None:
             try:
@@ -352,7 +352,7 @@ class Cluster:
 
         self._watch.close()
         if self._client.status == "running":
-            for topic in (TOPIC, "all"):  # that this client leaves would be told to itself
+            for topic in (TOPIC, "all"):  # that this client leaves would be reported to itself
                 self._client.unsubscribe_topic(topic)
             self._aside(lambda: self._client.unregister_worker_plugin(self._resource))
         for fetched in list(self._fetched.values()):

@@ -50,7 +50,7 @@ class Pool:
     """Units in ``jobs`` processes at once, each with its share of the cores.
 
     Attributes:
-        note: told what concerns the run and not one unit alone.
+        note: called with what concerns the run and not one unit alone.
     """
 
     name = "Pool"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..results.schema import Run
     from .unit import Ended, Task, Unit
 
-PERIOD = 2.0  # seconds between two steps of one stage that are told: all of them pass through the scheduler
+PERIOD = 2.0  # seconds between two steps of one stage that are reported: all of them pass through the scheduler
 _halted: set[str] = set()  # runs that are to end
 
 
@@ -95,7 +95,7 @@ def fit(order: bytes, data: bytes | None) -> Brought | None:
             return None
         out.mkdir()
         unit = replace(given.unit, path=path, out=out)
-        return _brought(given, unit, given.task(unit, _told(worker, given)))
+        return _brought(given, unit, given.task(unit, _reports(worker, given)))
 
 
 def sha1_of(path: Path) -> str | None:
@@ -122,7 +122,7 @@ def _begin(cores: int) -> None:
     use_persistent_cache(lambda text: worker.log_event(TOPIC, {"note": f"{platform.node()}: {text}"}))
 
 
-def _told(worker: Worker, order: Order) -> Callable[[str], None]:
+def _reports(worker: Worker, order: Order) -> Callable[[str], None]:
     """Reports that the client hears, and that end the unit where its run is to end."""
     from ..support.terminal import Stopped
 

@@ -75,7 +75,7 @@ Task = Callable[[Unit, Report], Ended]
 
 
 def fit_unit(unit: Unit, report: Report = silent) -> Ended:
-    """Fit the file and write its result; whatever it runs into is told by what is returned.
+    """Fit the file and write its result; whatever it runs into is in what is returned.
 
     A stop ends the fit where it is: what is computed so far is on disk, the chain of an unfinished posterior, too.
     """
@@ -114,10 +114,10 @@ def _logged(unit: Unit, report: Report) -> Report:
     """Reports whose stages, without every step, are also written to the log."""
     last = [""]
 
-    def told(stage: str) -> None:
+    def reported(stage: str) -> None:
         if (begun := stage.split(":")[0]) != last[0]:
             last[0] = begun
             log(unit, stage)
         report(stage)
 
-    return told
+    return reported

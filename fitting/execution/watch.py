@@ -81,17 +81,17 @@ class Watch:
             self._first.set()
             self._over.wait(max(LOOK, SHARE * (time.monotonic() - begun)))
 
-    def _look(self, told: Any) -> None:  # noqa: ANN401 - as Dask made it of JSON
+    def _look(self, info: Any) -> None:  # noqa: ANN401 - as Dask made it of JSON
         now = time.monotonic()
-        self._scheduler = self._scheduler or told["id"]
-        self.lost = self.lost or told["id"] != self._scheduler
-        self.workers = {address: self._state(address, each, now) for address, each in told["workers"].items()}
+        self._scheduler = self._scheduler or info["id"]
+        self.lost = self.lost or info["id"] != self._scheduler
+        self.workers = {address: self._state(address, each, now) for address, each in info["workers"].items()}
         self._heard = now
 
-    def _state(self, address: str, told: dict[str, Any], now: float) -> State:
-        metrics, before = told["metrics"], self.workers.get(address)
+    def _state(self, address: str, info: dict[str, Any], now: float) -> State:
+        metrics, before = info["metrics"], self.workers.get(address)
         works = metrics.get("cpu", 100.0) >= IDLE
         return State(
-            self._resource in told["resources"], told["status"] == "running", metrics.get("memory", 0),
-            told["memory_limit"] or 0, now if works or before is None else before.worked,
+            self._resource in info["resources"], info["status"] == "running", metrics.get("memory", 0),
+            info["memory_limit"] or 0, now if works or before is None else before.worked,
         )  # fmt: skip

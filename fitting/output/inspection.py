@@ -82,7 +82,7 @@ def show(
 
 
 def draw(subject: Subject, out: Path, kind: str, names: Sequence[str]) -> dict[Path, str]:
-    """Write pictures; what each written one shows. What cannot be drawn is told."""
+    """Write pictures; what each written one shows. What cannot be drawn is named."""
     written, missing = {}, {}
     for name in names:
         target = out / f"{subject.result.source.material}.{name}.{kind}"
@@ -98,6 +98,6 @@ def draw(subject: Subject, out: Path, kind: str, names: Sequence[str]) -> dict[P
             continue
         written[target] = ({**PICTURES, **SCATTERED})[name].words
     for why, those in missing.items():
-        told = "they need the file" if why == subject.lacks.get("measurement") else why
-        note(f"not drawn: {', '.join(those)} ({told})")
+        reason = "they need the file" if why == subject.lacks.get("measurement") else why
+        note(f"not drawn: {', '.join(those)} ({reason})")
     return written

@@ -41,12 +41,12 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
     """A chain that is too short gets a watermark. Parameters with log-normal priors have logarithmic axes."""
     chain, names = subject.draws, [subject.result.parameters[k] for k in kept]
     weights, values = chain["weights"].ravel(), chain["values"][:, list(kept)]
-    spread = [_interval(values[:, k], weights) for k in range(len(names))]
+    bounds = [_interval(values[:, k], weights) for k in range(len(names))]
     scales = [
-        "log" if "log-normal" in q.prior and low > 0 else "linear" for q, (low, *_) in zip(names, spread, strict=True)
+        "log" if "log-normal" in q.prior and low > 0 else "linear" for q, (low, *_) in zip(names, bounds, strict=True)
     ]
     ranges = [
-        _range(low, high, q.value, scale) for q, (low, _, _, high), scale in zip(names, spread, scales, strict=True)
+        _range(low, high, q.value, scale) for q, (low, _, _, high), scale in zip(names, bounds, scales, strict=True)
     ]
     heading = f"{subject.heading}\nred: fit; dashed, in brackets: 5 and 95 %{said}"
     head = LINE * len(heading.splitlines()) + 0.06
@@ -62,7 +62,7 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
     axes = np.array(figure.axes).reshape(len(names), len(names))
     for line in (line for axis in figure.axes for line in axis.lines if line.get_color() == FITTED):
         line.set(markersize=2, linewidth=0.6)  # which corner takes no word of
-    for k, (q, (_, low, high, _)) in enumerate(zip(names, spread, strict=True)):
+    for k, (q, (_, low, high, _)) in enumerate(zip(names, bounds, strict=True)):
         axes[-1, k].set_xlabel(label(q))
         axes[-1, k].xaxis.set_label_coords(0.5, -(MARGIN - 0.12) / _panel(width, len(names)))
         if k:
@@ -75,7 +75,7 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
     figure.subplots_adjust(
         left=MARGIN / width, bottom=MARGIN / high, right=1 - 0.05 / width, top=1 - head / high, wspace=0.08, hspace=0.08
     )
-    _table(figure, names, spread, 1 - head / high)
+    _table(figure, names, bounds, 1 - head / high)
     posterior = subject.result.posterior
     if posterior is not None and not posterior.sufficient:
         _watermark(figure, posterior.message)
@@ -86,13 +86,13 @@ def _panel(width: float, count: int) -> float:
     return (width - MARGIN) / count
 
 
-def _table(figure: Figure, names: Sequence[ParameterResult], spread: Sequence, top: float) -> None:
+def _table(figure: Figure, names: Sequence[ParameterResult], bounds: Sequence, top: float) -> None:
     """Values and intervals, where a corner plot has nothing."""
     line = 1.15 * SMALL / 72 / figure.get_figheight()
-    intervals = [f"[{low:.3g}, {high:.3g}]" for _, low, high, _ in spread]
-    room = max(0.7, LETTER * max(map(len, intervals)))
+    texts = [f"[{low:.3g}, {high:.3g}]" for _, low, high, _ in bounds]
+    room = max(0.7, LETTER * max(map(len, texts)))
     edges = [0.985 - x / figure.get_figwidth() for x in (room + 0.5, room + 0.08, 0.0)]
-    for q, interval in zip(names, intervals, strict=True):
+    for q, interval in zip(names, texts, strict=True):
         top -= line
         unit = UNITS.get(q.unit, q.unit)
         cells = (f"{label(q)}{f' ({unit})' if unit else ''}", f"{q.value:.3g}", interval)

@@ -48,8 +48,8 @@ def samples(subject: Subject) -> Figure:
 
 def _colours(wavelengths_um: np.ndarray) -> np.ndarray:
     """From blue to red, in the order of the wavelengths."""
-    spread = Normalize(wavelengths_um.min() - 1e-9, wavelengths_um.max() + 1e-9)
-    return mpl.colormaps["turbo"](0.08 + 0.84 * spread(wavelengths_um))
+    placed = Normalize(wavelengths_um.min() - 1e-9, wavelengths_um.max() + 1e-9)
+    return mpl.colormaps["turbo"](0.08 + 0.84 * placed(wavelengths_um))
 
 
 def _samples(

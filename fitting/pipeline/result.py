@@ -133,14 +133,14 @@ def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, 
         name: of the material, after which the file of the chain is named.
     """
     p, d = sampled.posterior, sampled.posterior.diagnosis
-    spread = np.sqrt(p.weights @ (p.draws - p.weights @ p.draws) ** 2)  # 1 is the prior's
+    deviation = np.sqrt(p.weights @ (p.draws - p.weights @ p.draws) ** 2)  # 1 is the prior's
     posterior = schema.PosteriorResult(
         sufficient=p.sufficient, message=p.message, steps=len(p.chain.states), walkers=p.chain.states.shape[1],
         acceptance=p.chain.acceptance, effective_bins=round(fitted.count, 2), draws=len(p.draws),
         pareto_k=export.finite(p.pareto_k), coordinates=list(fitted.layout.coordinates),
         autocorrelation_steps=_numbers(d.times, 2), r_hat=_numbers(d.r_hat, 4),
         bulk_size=_numbers(d.bulk), tail_size=_numbers(d.tail), effective_size=_numbers(p.effective_size),
-        contraction=_numbers(1 - spread, 3), chain_file=f"{name}.chain.npz",
+        contraction=_numbers(1 - deviation, 3), chain_file=f"{name}.chain.npz",
     )  # fmt: skip
     return {
         "parameters": parameter_results(fitted, sampled), "derived": derived_results(fitted, sampled),

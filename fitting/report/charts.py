@@ -156,8 +156,8 @@ def sorted_errors(rows: Rows, figures: Mapping[str, str]) -> Spec:
     for name, said in figures.items():
         for row in sorted((r for r in rows if r[name] is not None), key=lambda r: r[name]):
             ranks[name, row["model"]] += 1
-            told = {key: row[key] for key in ("material", "model", "page")}
-            long.append({"figure": said, "rank": ranks[name, row["model"]], "value": row[name]} | told)
+            common = {key: row[key] for key in ("material", "model", "page")}
+            long.append({"figure": said, "rank": ranks[name, row["model"]], "value": row[name]} | common)
     return _chart() | {
         "data": _data(long),
         "params": [{"name": "figure", "value": next(iter(figures.values())),

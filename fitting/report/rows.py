@@ -28,8 +28,8 @@ def lobes(subject: Subject) -> tuple[Rows, Rows]:
     parts: Rows = []
     for degrees in INCIDENCES_DEG:
         angles, is_datum = viewers(degrees, np.degrees(subject.grid.theta_h), BETWEEN)
-        told = np.flatnonzero(is_datum | (np.abs(angles) < WIDEST_DEG))
-        plane += _plane(subject, degrees, angles, is_datum, told)
+        shown = np.flatnonzero(is_datum | (np.abs(angles) < WIDEST_DEG))
+        plane += _plane(subject, degrees, angles, is_datum, shown)
         i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
         added = prediction.parts_of(subject.fitted, Geometry.from_vectors(i, o))
         for name, brdf in added.items():
@@ -41,12 +41,12 @@ def lobes(subject: Subject) -> tuple[Rows, Rows]:
                     "part": PARTS.get(name, name),
                     "value": short(float(lobe[k])),
                 }
-                for k in told
+                for k in shown
             ]
     return plane, parts
 
 
-def _plane(subject: Subject, degrees: float, angles: np.ndarray, is_datum: np.ndarray, told: np.ndarray) -> Rows:
+def _plane(subject: Subject, degrees: float, angles: np.ndarray, is_datum: np.ndarray, shown: np.ndarray) -> Rows:
     m, file = subject.model, subject.measurement
     i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
     none = np.full((len(m.channels), len(angles)), np.nan)
@@ -62,7 +62,7 @@ def _plane(subject: Subject, degrees: float, angles: np.ndarray, is_datum: np.nd
         {"i": degrees, "o": short(float(angles[k]), 5), "channel": channel}
         | {name: short(float(values[c, k])) for name, values in columns.items()}
         for c, channel in enumerate(m.channels)
-        for k in told
+        for k in shown
     ]
 
 

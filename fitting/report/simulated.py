@@ -31,9 +31,9 @@ def simulated(result: Result) -> list[str]:
     said = [f"the {m.name} model"] if not isinstance(m, TwoScale) else _two_scale(m)
     exponents = {lobe: x for lobe, x in result.model.acquisition.exponents.items() if x}
     if exponents:
-        told = " and ".join(f"{number(x, 3)} of {lobe} light" for lobe, x in exponents.items())
+        lost = " and ".join(f"{number(x, 3)} of {lobe} light" for lobe, x in exponents.items())
         how = "loss of light at grazing angles, by MERL's apparatus: exponent"
-        said.append(f"{how} {told} ({result.model.acquisition.grazing_loss})")
+        said.append(f"{how} {lost} ({result.model.acquisition.grazing_loss})")
     return said
 
 

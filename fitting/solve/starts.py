@@ -161,23 +161,23 @@ def _classes(layout: Layout, size: int, count: int) -> np.ndarray:
 
 
 def _by_channel(
-    layout: Layout, points: np.ndarray, size: int, told: Collection[str], classes: np.ndarray, problem: Problem
+    layout: Layout, points: np.ndarray, size: int, known: Collection[str], classes: np.ndarray, problem: Problem
 ) -> Found:
     """Every candidate with points of the parameters per channel, of which each channel takes the best.
 
     No channel's cost knows of another's parameters. Every candidate has points of its own, within its classes; those
-    of the first have what was ``told`` by the data.
+    of the first have what the data say of those named in ``known``.
     """
     own, channels = layout.parameters[size:], len(layout.bands)
     each = OWN if own else 1
     numbers = np.array([layout.model.basins.get(q.name, 1) for q in own])
-    spread = _sobol(len(own), len(points) * each, skipped=1).reshape(len(points), each, len(own))
-    spread = SCATTER * ndtri(np.clip((classes[:, None] + spread) / numbers, RIM, 1 - RIM))
+    around = _sobol(len(own), len(points) * each, skipped=1).reshape(len(points), each, len(own))
+    around = SCATTER * ndtri(np.clip((classes[:, None] + around) / numbers, RIM, 1 - RIM))
     for k, q in enumerate(own):
-        if q.name in told:
-            spread[0, :, k] = points[0, layout.slices[q.name].start + layout.bands.middle]
+        if q.name in known:
+            around[0, :, k] = points[0, layout.slices[q.name].start + layout.bands.middle]
     every = np.concatenate(
-        [np.repeat(points[:, :size], each, 0), np.repeat(spread.reshape(-1, len(own)), channels, 1)], 1
+        [np.repeat(points[:, :size], each, 0), np.repeat(around.reshape(-1, len(own)), channels, 1)], 1
     )
     values = layout.values_of_many(every)
     for q in own:  # alike in all channels, whatever the prior of their differences

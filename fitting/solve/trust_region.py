@@ -26,10 +26,10 @@ LONGER, SHORTER, MUCH_SHORTER = 2.0, 0.5, 0.25  # times the step; the last where
 NEWTON_STEPS = 30  # for the damping that makes a step as long as the radius: monotone, quadratic at the end
 
 
-class _Directions(eqx.Module):
+class _Decomposition(eqx.Module):
     """Singular value decomposition of the Jacobian, and the residuals along its left vectors."""
 
-    stretch: Array
+    singular_values: Array
     right: Array
     along: Array
 
@@ -40,19 +40,19 @@ class BoundedStep(optx.AbstractDescent):
     Accuracy: length 1e-6 of the radius, gradient 1e-5, for condition numbers of J up to 1e9.
     """
 
-    def init(self, y: Array, f_info_struct: Linear) -> _Directions:
+    def init(self, y: Array, f_info_struct: Linear) -> _Decomposition:
         """Nothing yet."""
         size = y.shape[0]
-        return _Directions(jnp.ones(size, y.dtype), jnp.zeros((size, size), y.dtype), jnp.zeros(size, y.dtype))
+        return _Decomposition(jnp.ones(size, y.dtype), jnp.zeros((size, size), y.dtype), jnp.zeros(size, y.dtype))
 
-    def query(self, y: Array, f_info: Linear, state: _Directions) -> _Directions:
+    def query(self, y: Array, f_info: Linear, state: _Decomposition) -> _Decomposition:
         """Look at the linear model of an accepted point."""
-        left, stretch, right = jnp.linalg.svd(f_info.jac.as_matrix(), full_matrices=False)
-        return _Directions(stretch, right, left.T @ f_info.residual)
+        left, singular_values, right = jnp.linalg.svd(f_info.jac.as_matrix(), full_matrices=False)
+        return _Decomposition(singular_values, right, left.T @ f_info.residual)
 
-    def step(self, step_size: Array, state: _Directions) -> tuple[Array, optx.RESULTS]:
+    def step(self, step_size: Array, state: _Decomposition) -> tuple[Array, optx.RESULTS]:
         """The step of that radius."""
-        squares, gradient = state.stretch**2, state.stretch * state.along
+        squares, gradient = state.singular_values**2, state.singular_values * state.along
 
         def lengthened(mu: Array) -> tuple[Array, Array]:
             """Coordinates of the step along the right vectors, and how its squared length falls with mu, halved."""
