@@ -40,7 +40,7 @@ def fit(
         replaced: dims, origin, model, preset, index, body, weights, posterior or seed, as the options of
             `merlfit fit`; they replace those of ``settings``. The posterior is sampled where one of them asks for it,
             or by :meth:`Fit.sample`.
-        report: told in a few words what is being done, ``print`` for instance.
+        report: called with a few words on what is being done, ``print`` for instance.
 
     Raises:
         merlfit.MerlError: the file cannot be used.

@@ -92,7 +92,7 @@ class Fit:
 
         Args:
             max_steps: of the chain, at the most.
-            report: told in a few words what is being done.
+            report: called with a few words on what is being done.
 
         Raises:
             merlfit.MerlError: the fitted file is missing, or is another one now.

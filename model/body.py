@@ -49,7 +49,7 @@ def lambert(albedo: Real) -> Real:
     return albedo / jnp.pi
 
 
-def lambert_under(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
+def lambert_of(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
     """:func:`lambert` with the arguments that other bodies have."""
     return lambert(albedo)
 

@@ -209,7 +209,8 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: 
         theta_h: half angle (rad).
         B: 2 (b/lambda) cos_d, > 0, dimensionless; broadcasts with ``theta_h``.
         c: falloff of the K-correlation spectrum, > 1. beta, p: the EPD. Scalars.
-        order: radial nodes of each of the two sets (static); the azimuth takes a third as many, at least 6.
+        order: radial nodes of each of the two sets (static); the azimuth takes a third as many, at least 6, and
+            more beyond order 154, as many at 256.
 
     Gradient: the quadrature of the integrand's derivative at the same nodes: as accurate as the value and nearly free,
     but not to the last digit the derivative of the rounded quadrature. That in theta_h, where both flanks of a narrow

@@ -7,7 +7,7 @@ incidence the diffraction lobe takes more light than the specular term gives up.
    E(theta_d), E being the directional albedo at |F| = 1 of the facet's own diffraction lobe (`lobe_albedo`), a table
    over theta_d.
 2. **On the surface.** Eq. 33 drops the facets' foreshortening, Q/2 of a metal is not bounded at grazing angles, and
-   masking may be switched off. Let E(theta) be the surface's directional albedo (`two_scale.surface_albedo`): the
+   masking may be switched off. Let E(theta) be the surface's directional albedo (`terms.surface_albedo`): the
    lobes are divided by max(1, E(theta_i)) max(1, E(theta_o)), which is 1 where nothing is in excess.
 3. **Under it.** A body gets and gives back what the surface lets through: T(theta) = 1 - min(1, E(theta)) takes the
    place of the smooth interface's transmittance, T(i) T(o) over its mean, as in Kelemen & Szirmay-Kalos 2001.

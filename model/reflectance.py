@@ -95,7 +95,7 @@ class Separated(NamedTuple):
         reflectance: of a facet, from cos_d (D,) and the constants (K, 1): (K, D).
         alike: whether all channels take the same ones.
         body: from the cosines, a constant and an albedo that broadcast against them; or None.
-        under: name of the constant that the body depends on, if it depends on one.
+        body_constant: name of the constant that the body depends on, if it depends on one.
         albedo: name of the body's albedo.
     """
 
@@ -105,7 +105,7 @@ class Separated(NamedTuple):
     reflectance: Callable[..., Array]
     alike: bool
     body: Callable[[Array, Array, Array, Array], Array] | None = None
-    under: str | None = None
+    body_constant: str | None = None
     albedo: str = "albedo"
 
 
@@ -376,7 +376,7 @@ def prepared(
 
 
 def assembled(values: Values, s: Setting) -> Array:
-    """The same of values from :func:`shaped`."""
+    """:func:`evaluate` of values from :func:`shaped`: the BRDF (1/sr)."""
     return s.model.assemble(factor_values(values, s), s).brdf(s)
 
 

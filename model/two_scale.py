@@ -53,10 +53,10 @@ from .reflectance import (
 from .terms import WHICH
 
 TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # where fits start
-UNDER = {
-    "none": None, "lambert": bodies.lambert_under, "plastic": bodies.plastic, "subsurface": bodies.subsurface,
+BODY_BRDF = {
+    "none": None, "lambert": bodies.lambert_of, "plastic": bodies.plastic, "subsurface": bodies.subsurface,
 }  # fmt: skip
-MIRROR = (("n", 0.0), ("k", 1.0))  # reflects everything
+PERFECT = (("n", 0.0), ("k", 1.0))  # index of facets that reflect everything
 
 
 @dataclass(frozen=True)
@@ -217,8 +217,8 @@ class TwoScale(Effects, Reflectance):
         of_metal, of_dielectric = (fresnel, fresnel_of_dielectric) if exact else (schlick, schlick_of_dielectric)
         lobes = replace(self, body="none", index="complex", colour="fresnel", split="printed")
         return Separated(
-            lobes, MIRROR, DIELECTRICS if real else METALS, of_dielectric if real else of_metal,
-            real, UNDER[self.body], "eta" if self.body in ("plastic", "subsurface") else None,
+            lobes, PERFECT, DIELECTRICS if real else METALS, of_dielectric if real else of_metal,
+            real, BODY_BRDF[self.body], "eta" if self.body in ("plastic", "subsurface") else None,
         )  # fmt: skip
 
     @property
@@ -302,7 +302,7 @@ def two_scale(
         shape ``(C, *broadcast shape of geometry)``; 0 where light or viewer are below the surface.
 
     Raises:
-        KeyError: a parameter of the model is missing from ``params``, or one there is of no effects.
+        KeyError: a parameter of the model is missing from ``params``, or one there belongs to no set of effects.
 
     Reciprocal in light and viewer for every choice of effects. Differentiable in every parameter, with finite gradients
     at the horizon, at theta_h = 0 and for i = o; the conserving split has kinks where an excess begins. Accuracy: that

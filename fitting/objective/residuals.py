@@ -140,7 +140,7 @@ def _rows(model: Reflectance) -> np.ndarray:
 
 
 def _compact(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
-    """The same by physical values, with one row and column a parameter, whether it is per channel or not."""
+    """Normal equations by physical values: one row and column a parameter, whether it is per channel or not."""
     moving = _rates(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:

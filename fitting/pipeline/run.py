@@ -63,7 +63,7 @@ def fit_file(
     """Fit one file, or what was read of it, and sample its posterior: ``out/NAME.json`` and the chain beside it.
 
     Args:
-        report: told in a few words what is being done.
+        report: called with a few words on what is being done.
         finish: looks at the fit before it is written, and may go on from there (``accuracy.Aim.finish``).
 
     Raises:
@@ -131,7 +131,7 @@ def fit(
         found = fit_coarse(sought, clues_of(samples), problem, roughly, config, first)
         compared, chosen = compare(sought, found, thinned(samples, COARSE))
         z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
-        if last != sought[chosen]:  # tables of energy cost a hundred times as much, and move a fit a little
+        if last != sought[chosen]:  # the conserving split costs a hundred times as much, and moves a fit a little
             z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
     report(f"{config.fit.grid} grid: {models[chosen].variant}")
     tried = descend(layouts[chosen], z, measurement, samples, config, clock)

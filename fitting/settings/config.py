@@ -53,7 +53,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _refuse_idle_keys(self) -> "Config":
-        """What was changed from the preset and would have no effect is a mistake, better told than passed over."""
+        """A setting that was changed from the preset and would have no effect is refused: it is a mistake."""
         effects, lit = self.effects, self.effects.diffraction != "off"
         useful = {
             "order": (effects.diffraction in ("quadrature", "scaled"), "effects.diffraction is quadrature or scaled"),

@@ -189,7 +189,7 @@ class FitSection(Section):
         weights: of the bins: ``compressive`` (HP17 Eq. 57-58), ``log``, ``none``, or ``adaptive``, which tries several
             exponents of the compressive weight and keeps the nearest picture (``weights.RUNGS``).
         theta_max: light or viewer past this angle (rad) are left out, of the objective and of all errors.
-        grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 22nd.
+        grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 21st.
         azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).
         precision: of the model; sums are always taken in float64.
         backend: solver; others than optimistix are for cross-checks.

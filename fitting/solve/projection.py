@@ -28,7 +28,7 @@ from ..objective.transforms import Layout
 ALBEDOS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.35, 0.55, 0.75, 0.92])
 BATCH = 64  # candidates of one call
 T = TypeVar("T")
-Under = tuple[Callable[..., Array], tuple[float, ...]]
+BodyTried = tuple[Callable[..., Array], tuple[float, ...]]
 """A body, and the constants that it is tried with: one, of no meaning, where it does not depend on any."""
 
 
@@ -44,8 +44,8 @@ class Sums(NamedTuple):
     squares: np.ndarray
     products: np.ndarray
     energy: np.ndarray
-    crossed: dict[Under, np.ndarray]
-    alone: dict[Under, np.ndarray]
+    crossed: dict[BodyTried, np.ndarray]
+    alone: dict[BodyTried, np.ndarray]
 
 
 def project(
@@ -69,8 +69,8 @@ def project(
     count = len(next(iter(shared.values())))
     padded = {name: np.pad(x, (0, -count % BATCH), "edge") for name, x in shared.items()}
     batches = [{name: x[k : k + BATCH] for name, x in padded.items()} for k in range(0, count, BATCH)]
-    under = tuple(dict.fromkeys(of for of in map(_under_of, parted) if of is not None))
-    bodies = [_bodies(under, part) for part in problem.parts]
+    tried = tuple(dict.fromkeys(of for of in map(_body_of, parted) if of is not None))
+    bodies = [_bodies(tried, part) for part in problem.parts]
     energy = sum(np.asarray(jnp.sum(part.target**2, (0, 2, 3, 4))) for part in problem.parts)
     alone = _added([sums for _, sums in bodies])
 
@@ -81,8 +81,8 @@ def project(
             squares,
             products,
             np.asarray(energy),
-            dict(zip(under, crossed, strict=True)),
-            dict(zip(under, alone, strict=True)),
+            dict(zip(tried, crossed, strict=True)),
+            dict(zip(tried, alone, strict=True)),
         )
         return [_project(each, problem, sums) for each in parted]
 
@@ -98,10 +98,10 @@ def _separated(model: Reflectance) -> Separated:
     return found
 
 
-def _under_of(parted: Separated) -> Under | None:
+def _body_of(parted: Separated) -> BodyTried | None:
     if parted.body is None:
         return None
-    return parted.body, tuple(parted.constants[parted.under].tolist()) if parted.under else (1.0,)
+    return parted.body, tuple(parted.constants[parted.body_constant].tolist()) if parted.body_constant else (1.0,)
 
 
 def _added(parts: Sequence[T]) -> T:
@@ -118,8 +118,8 @@ def _project(parted: Separated, problem: Problem, sums: Sums) -> tuple[np.ndarra
     lobes = energy[:, None] - 2 * products @ reflectance.T + squares @ (reflectance**2).T  # (N, C, tried)
     rest = float(np.sum(np.asarray(problem.rest)))
     costs = lobes[..., None]  # (N, C, tried, albedo)
-    if (under := _under_of(parted)) is not None:
-        crossed, alone = sums.crossed[under], sums.alone[under][None]
+    if (body := _body_of(parted)) is not None:
+        crossed, alone = sums.crossed[body], sums.alone[body][None]
         if len(reflectance) != crossed.shape[2]:  # a body that does not know of the constants
             crossed, alone = (np.repeat(x, len(reflectance), 2) for x in (crossed, alone))
         costs = costs + 2 * np.einsum("ed,ncead->ncea", reflectance, crossed, optimize=True) + alone
@@ -128,7 +128,7 @@ def _project(parted: Separated, problem: Problem, sums: Sums) -> tuple[np.ndarra
     best = together if parted.alike else np.argmin(each, -1)
     chosen = np.take_along_axis(costs, best[..., None, None], 2)[:, :, 0]  # (N, C, albedo)
     found = {name: x[best] for name, x in parted.constants.items()}
-    if under is not None:
+    if body is not None:
         found[parted.albedo] = ALBEDOS[np.argmin(chosen, -1)]
     return chosen.min(-1).sum(-1) + rest, found
 
@@ -149,7 +149,7 @@ def _reflectances(
 
 
 @partial(jax.jit, static_argnums=0)
-def _bodies(under: tuple[Under, ...], part: Part) -> tuple[list[Array], list[Array]]:
+def _bodies(tried: tuple[BodyTried, ...], part: Part) -> tuple[list[Array], list[Array]]:
     """RB of bodies, (N, C, h, D, K, constants, albedos) by blocks, and |RB|^2 - 2 q.RB, (C, constants, albedos)."""
 
     def block(b: Part) -> tuple[list[Array], list[Array]]:
@@ -157,7 +157,7 @@ def _bodies(under: tuple[Under, ...], part: Part) -> tuple[list[Array], list[Arr
         above = (g.cos_i > 0) & (g.cos_o > 0)
         cos_i, cos_o = (jnp.where(above, cos, 1.0) for cos in (g.cos_i, g.cos_o))
         weighed, alone = [], []
-        for formula, constants in under:
+        for formula, constants in tried:
 
             def of(constant: Array, albedo: Array, formula: Callable[..., Array] = formula) -> Array:
                 brdf = jnp.where(above, formula(cos_i, cos_o, constant, albedo), 0.0)
@@ -178,7 +178,7 @@ def _sums(
     fixed: tuple[tuple[str, float], ...],
     shared: Mapping[str, Array],
     part: Part,
-    under: list[Array],
+    bodies: list[Array],
 ) -> tuple[Array, Array, list[Array]]:
     """|RT|^2, q.RT and RT.RB of one part, for all candidates."""
     perfect = {name: jnp.full(1, x) for name, x in fixed}
@@ -192,6 +192,6 @@ def _sums(
             crossed = [jnp.einsum("chdk,chdkea->cead", lobes, x) for x in below]
             return jnp.sum(lobes**2, (1, 3)), jnp.sum(lobes * b.target, (1, 3)), crossed
 
-        return jax.tree.map(lambda x: jnp.sum(x, 0), jax.lax.map(block, (part, under)))
+        return jax.tree.map(lambda x: jnp.sum(x, 0), jax.lax.map(block, (part, bodies)))
 
     return jax.lax.map(of_one, shared)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..body import lambert_under
+from ..body import lambert_of
 from ..parameters import Parameter
 from ..priors import LogNormal
 from ..reflectance import Reflectance, Separated
@@ -27,7 +27,7 @@ def weighted(model: Reflectance, weight: str, least: float, most: float) -> Sepa
     """
     fixed = ((weight, 1.0), (DIFFUSE.name, 0.0))
     tried = {weight: np.geomspace(least, most, 28)}
-    return Separated(model, fixed, tried, _alone, False, lambert_under, albedo=DIFFUSE.name)
+    return Separated(model, fixed, tried, _alone, False, lambert_of, albedo=DIFFUSE.name)
 
 
 def _alone(cos_d: Array, **weight: Array) -> Array:

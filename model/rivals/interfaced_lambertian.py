@@ -167,7 +167,7 @@ class InterfacedLambertian(Reflectance):
     @property
     def separated(self) -> Separated:
         """The surface exactly, the body as that of a smooth plastic."""
-        return self.surface.separated._replace(body=plastic, under="eta")
+        return self.surface.separated._replace(body=plastic, body_constant="eta")
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """Those of the surface."""

@@ -8,7 +8,7 @@ from typing import Literal
 from jax import Array
 
 from .. import parameters as declared
-from ..body import lambert, lambert_under
+from ..body import lambert, lambert_of
 from ..fresnel import fresnel, schlick_of_F0
 from ..interfaces import DIELECTRICS, FACETS, METALS, fresnel_of_dielectric
 from ..masking import smith_numeric
@@ -95,7 +95,7 @@ class Microfacets(Reflectance):
         """Exactly: lobes are those of facets with F0 = 1."""
         constants, formula = TRIED[self.fresnel]
         lobes, fixed = replace(self, fresnel="schlick"), (("F0", 1.0), ("albedo", 0.0))
-        return Separated(lobes, fixed, constants, formula, self.fresnel == "dielectric", lambert_under)
+        return Separated(lobes, fixed, constants, formula, self.fresnel == "dielectric", lambert_of)
 
     @abstractmethod
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
