@@ -10,7 +10,7 @@ from ..merl_io.binary import MerlError
 from ..merl_io.inputs import Input
 from ..model.registry import made, models
 from .files import refuse_same_names
-from .output.comparison import by_label, judged_result, metrics_table, table_of, verdict, write_metrics, write_tables
+from .output.comparison import assessed_result, by_label, metrics_table, table_of, verdict, write_metrics, write_tables
 from .output.keeping import Taken, claimed, place_of
 from .pipeline.comparison import FIT, compare_file
 from .pipeline.run import fit_file
@@ -134,7 +134,7 @@ def metrics_of(results: list[Path], against: Path, out: Path | None) -> None:
     """Print the errors of results against a file; with a folder, write them and the curves over theta_i."""
     use_persistent_cache()
     try:
-        found = [judged_result(path, read_result(path), against) for path in results]
+        found = [assessed_result(path, read_result(path), against) for path in results]
     except (MerlError, ResultError, ValueError) as error:
         raise fail(str(error)) from None
     console.print(metrics_table(found, against))

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.assess.published import judged, sources_of
+from merlfit.fitting.assess.published import assess_published, sources_of
 from merlfit.fitting.assess.selection import bic
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output.comparison import write_tables
@@ -74,7 +74,7 @@ def measure(material, weights, names):
     if with_sets:
         done["published"] = {
             source: {**{k: getattr(found, k) for k in FIGURES}, "cost": cost}
-            for source in sources_of(material) for found, cost in [judged(source, measurement, samples)]
+            for source in sources_of(material) for found, cost in [assess_published(source, measurement, samples)]
         }  # fmt: skip
     keep(target, rows)
 

@@ -1,4 +1,4 @@
-"""Published parameter sets, judged by the same figures as fits."""
+"""Published parameter sets, assessed by the same figures as fits."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,17 +20,17 @@ def sources_of(material: str) -> list[str]:
     return [source for source in published.SOURCES if material in published.materials(source)]
 
 
-def judged(
+def assess_published(
     source: str, measurement: Measurement, samples: Samples, theta_max: float = THETA_MAX
 ) -> tuple[metrics.Errors, float]:
     """Errors and cost of a material's published parameters, Ngan's on the scale of MERL's files."""
     model, values = published.SOURCES[source].model, published.published(measurement.name, source, rescaled=True)
     predicted = predict_samples(model, {name: jnp.asarray(x) for name, x in values.items()}, samples)
-    found, costs = judge(predicted, measurement, samples, theta_max)
+    found, costs = assess_prediction(predicted, measurement, samples, theta_max)
     return found, float(costs.sum())
 
 
-def judge(
+def assess_prediction(
     predicted: np.ndarray, measurement: Input, samples: Samples | ScatteredSamples, theta_max: float = THETA_MAX
 ) -> tuple[metrics.Errors, np.ndarray]:
     """Errors of a prediction on folded bins, (C, H, D, P), or on scattered samples, (C, S).

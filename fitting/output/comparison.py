@@ -342,7 +342,7 @@ def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
     return figure
 
 
-class Judged(NamedTuple):
+class Assessed(NamedTuple):
     """Errors of one result against a file.
 
     Attributes:
@@ -355,7 +355,7 @@ class Judged(NamedTuple):
     rmse: np.ndarray
 
 
-def judged_result(path: Path, result: Result, against: Path, theta_max: float = THETA_MAX) -> Judged:
+def assessed_result(path: Path, result: Result, against: Path, theta_max: float = THETA_MAX) -> Assessed:
     """A result's prediction, as the apparatus would have measured it, beside a file.
 
     Raises:
@@ -365,17 +365,17 @@ def judged_result(path: Path, result: Result, against: Path, theta_max: float = 
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
     measurement = inputs.read(against, dims=result.source.dims)
     if not isinstance(measurement, Measurement):
-        return _judged_scattered(path, result, model, measurement, theta_max)
+        return _assessed_scattered(path, result, model, measurement, theta_max)
     values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
     grid, valid = merl_grid(measurement.dims), measurement.valid
     found = errors(measurement.values, values, valid, grid, theta_max)
     curve = by_incidence(measurement.values, values, valid, grid, theta_max)
-    return Judged(path, replace(row_of(result), errors=found), *curve)
+    return Assessed(path, replace(row_of(result), errors=found), *curve)
 
 
-def _judged_scattered(
+def _assessed_scattered(
     path: Path, result: Result, model: Model, measurement: ScatteredMeasurement, theta_max: float
-) -> Judged:
+) -> Assessed:
     """On the samples themselves; there are too few of an incidence for a curve."""
     if len(model.channels) != len(measurement.bands):
         raise ResultError(
@@ -385,10 +385,10 @@ def _judged_scattered(
     assert isinstance(samples, ScatteredSamples)
     values = {name: jnp.asarray(x) for name, x in result.values().items()}
     found = scattered.errors(samples, predict_samples(model.measured, values, samples))
-    return Judged(path, replace(row_of(result), errors=found), np.zeros(0), np.zeros(0))
+    return Assessed(path, replace(row_of(result), errors=found), np.zeros(0), np.zeros(0))
 
 
-def metrics_table(found: Sequence[Judged], against: Path) -> Table:
+def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
     """What `merlfit metrics` prints."""
     where = "its samples" if is_scattered(against) else angles()
     table = Table(
@@ -403,7 +403,7 @@ def metrics_table(found: Sequence[Judged], against: Path) -> Table:
     return table
 
 
-def write_metrics(found: Sequence[Judged], folder: Path) -> list[Path]:
+def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
     """``metrics.csv``, ``by_incidence.csv`` and ``by_incidence.png``."""
     lines = [{"result": str(f.path), "model": f.row.model, "variant": f.row.variant,
               **{name: getattr(f.row.errors, name) for name in FIGURES}} for f in found]  # fmt: skip

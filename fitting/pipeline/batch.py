@@ -55,7 +55,7 @@ def prepare(samples: Samples, config: Config) -> Prepared:
 def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> list[Solution]:
     """All materials with the same effects: a race on the coarse grid, then the last grid.
 
-    As `run.fit` does it one by one, without its choice of a body and its judgement on all bins.
+    As `run.fit` does it one by one, without its choice of a body and its assessment on all bins.
     """
     cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
     count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)

@@ -16,7 +16,7 @@ from ...model import published
 from ...model.registry import made
 from ...model.two_scale import TwoScale
 from ..assess import metrics
-from ..assess.published import judged, sources_of
+from ..assess.published import assess_published, sources_of
 from ..assess.selection import bic
 from ..objective.weights import weighted_samples
 from ..results.export import finite, valid_result
@@ -120,7 +120,7 @@ def compare_file(
         assert not isinstance(measurement, ScatteredMeasurement)
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
         for source in sources:
-            errors, cost = judged(source, measurement, samples, config.fit.theta_max)
+            errors, cost = assess_published(source, measurement, samples, config.fit.theta_max)
             rows.append(published_row(measurement.name, source, measurement.genuine is not None, errors, cost))
     return with_bic(rows, results), results
 

@@ -17,9 +17,9 @@ from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.reflectance import Clues
 from ..assess import metrics
-from ..assess import scattered as judged
+from ..assess import scattered as scattered_metrics
 from ..assess.outcome import Fitted
-from ..assess.published import judge
+from ..assess.published import assess_prediction
 from ..assess.selection import choose, nearest, score
 from ..objective.problem import Problem, make_problem
 from ..objective.residuals import Objective
@@ -215,7 +215,7 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
     predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
     objectives = [float(np.nan_to_num(s.objective, nan=np.inf)) for s in found]
     count = count_of(samples, predicted[int(np.argmin(objectives))])
-    cube_root = judged.cube_root_error if isinstance(samples, ScatteredSamples) else metrics.cube_root_error
+    cube_root = scattered_metrics.cube_root_error if isinstance(samples, ScatteredSamples) else metrics.cube_root_error
     roots = [cube_root(samples, p) for p in predicted]  # pyright: ignore[reportArgumentType] - each of its own kind
     scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
     candidates = [
@@ -233,7 +233,7 @@ def assess(
 ) -> Fitted:
     """A solution with its cost on all bins, its errors and the effective count of its residuals."""
     predicted = predict_samples(layout, solution.z, samples)
-    errors, costs = judge(predicted, measurement, samples, theta_max)
+    errors, costs = assess_prediction(predicted, measurement, samples, theta_max)
     normal = solution.normal.copy()
     normal[:, -1, -1] = costs
     exact = replace(solution, cost=float(costs.sum()), normal=normal)
@@ -338,5 +338,5 @@ def predict_samples(layout: Layout, z: np.ndarray, samples: AnySamples) -> np.nd
 def count_of(samples: AnySamples, predicted: np.ndarray) -> float:
     """Effective sample count of the residuals."""
     if isinstance(samples, ScatteredSamples):
-        return judged.effective_count(samples, predicted)
+        return scattered_metrics.effective_count(samples, predicted)
     return metrics.effective_count(np.sqrt(samples.weight) * (samples.value - predicted), samples.weight > 0)

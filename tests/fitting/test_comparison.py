@@ -9,7 +9,7 @@ import pytest
 from made_results import made
 from merlfit.fitting import cli, comparisons
 from merlfit.fitting.assess.metrics import Errors, by_incidence, errors
-from merlfit.fitting.assess.published import judged
+from merlfit.fitting.assess.published import assess_published
 from merlfit.fitting.assess.selection import ALIKE, SEEN, bic, least
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output import comparison
@@ -42,10 +42,10 @@ def file(tmp_path_factory):
 def test_published_parameters_of_the_material_itself_have_no_error(file):
     measurement = read(file)
     samples = weighted_samples(measurement)
-    own, cost = judged("smooth", measurement, samples)
+    own, cost = assess_published("smooth", measurement, samples)
     assert own.rmse < 1e-12
     assert cost < 1e-20
-    other, _ = judged("sgd", measurement, samples)
+    other, _ = assess_published("sgd", measurement, samples)
     assert other.rmse > 1e-3
 
 
