@@ -38,10 +38,10 @@ class OrenNayar(Reflectance):
         surface: ``none``; or ``torrance-sparrow``, k_s exp(-theta_h^2 / (2 sigma^2)) G / (cos_i cos_o) with V-grooves
             of the same roughness, which Section 4 adds with a weight for each channel.
 
-    Reciprocal, the numerical form to its accuracy. The functional form is within 2.5 % of the integral in the median
-    over directions up to 75 degrees, within 5 to 11 % for 95 % of them, and at most 28 % off, for roughnesses from 0.2
-    to 0.8 and albedos from 0.1 to 0.9; the qualitative model 2 to 10 %, 6 to 70 %, and 240 %
-    (``tests/rivals/test_oren_nayar.py``).
+    Reciprocal, the numerical form to its accuracy. The functional form is within 3 % of the integral in the median
+    over directions up to 75 degrees, within 2 to 14 % for 95 % of them, and at most 29 % off, for roughnesses from 0.2
+    to 0.8 and albedos from 0.1 to 0.9; the qualitative model 1 to 11 %, 8 to 88 %, and 250 %
+    (``tests/rivals/test_oren_nayar.py``). Section 4's weight k_b of the body is 1 here.
     """
 
     name: ClassVar[str] = "oren-nayar"

@@ -11,8 +11,10 @@ from merlfit.model.body import plastic
 from merlfit.model.geometry import Geometry
 from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian
 from merlfit.model.rivals.oren_nayar import OrenNayar
+from oracles import microfacets
 from oracles import rivals as oracle
 from oracles.facets import direction
+from scipy.integrate import quad
 
 ETA, ALBEDO = np.array([1.5, 1.2, 2.0]), np.array([0.9, 0.5, 0.1])
 KINDS = [
@@ -99,6 +101,31 @@ def test_without_a_substrate_it_is_the_surface(normals, masking):
     model, (i, o) = InterfacedLambertian(normals, masking), pairs(40)
     given, g = values(model, 0.3, albedo=np.zeros(3)), Geometry.from_vectors(i, o)
     np.testing.assert_allclose(evaluate(model, given, g), evaluate(model.surface, given, g), rtol=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.3, 1.0])
+def test_gaussian_normals_are_the_printed_ones_and_normalised(sigma):
+    """IL Eq. 13, C by quadrature."""
+    surface = InterfacedLambertian("gaussian", "v-groove").surface
+    shape = lambda t: np.exp(-(t**2) / (2 * sigma**2))  # noqa: E731
+    constant = 1 / quad(lambda t: 2 * np.pi * shape(t) * np.sin(t), 0, np.pi / 2, points=[min(5 * sigma, 1.5)])[0]
+    theta = np.array([1e-3, 0.2, 0.7, 1.3])
+    ours = np.asarray(surface.D(jnp.asarray(theta), {"roughness": jnp.asarray(sigma)}))
+    np.testing.assert_allclose(ours, constant * shape(theta) / np.cos(theta), rtol=1e-8)
+
+
+def test_the_surface_of_gaussian_normals_is_that_of_the_formula():
+    model, (i, o) = InterfacedLambertian("gaussian", "v-groove"), pairs(6)
+    found = evaluate(model, values(model, 0.3, albedo=np.zeros(3)), Geometry.from_vectors(i, o))
+    constant = 1 / quad(lambda t: 2 * np.pi * np.exp(-(t**2) / 0.18) * np.sin(t), 0, np.pi / 2)[0]
+    for k, (a, b) in enumerate(zip(i, o, strict=True)):
+        h = (a + b) / np.linalg.norm(a + b)
+        D = constant * np.exp(-(np.arccos(h[2]) ** 2) / 0.18) / h[2]
+        grooves = microfacets.v_groove(a, b, h)
+        expected = [microfacets.reflectance(a, b, n, 0.0) * D * grooves / (4 * a[2] * b[2]) for n in ETA]
+        np.testing.assert_allclose(found[:, k], expected, rtol=1e-8)
+        printed = [x * a[2] * b[2] / ((a @ h) * (b @ h)) for x in expected]
+        assert not np.allclose(found[:, k], printed, rtol=1e-3), "IL Eq. 3 as printed"
 
 
 def test_without_an_interface_it_is_oren_and_nayars_integral():

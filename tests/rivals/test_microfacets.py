@@ -9,6 +9,7 @@ from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking import beckmann as beckmann_masking
 from merlfit.model.ndf import sgd
+from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.rivals.beckmann import Beckmann
 from merlfit.model.rivals.epd import EPD
 from merlfit.model.rivals.ggx import GGX
@@ -16,7 +17,10 @@ from merlfit.model.rivals.gtr import GTR
 from merlfit.model.rivals.sgd_microfacet import SGDMicrofacet
 from merlfit.model.two_scale import TwoScale
 from oracles import microfacets as oracle
+from oracles.diffraction import renormalisation, s_hs
 from oracles.facets import direction
+from oracles.fresnel import q_from_cosines
+from oracles.two_scale import mirror_cosine
 
 COLOURS = {"F0": np.array([0.9, 0.3, 0.04]), "albedo": np.array([0.02, 0.1, 0.3])}
 CASES = {  # widths, the oracle's D, a typical slope, accuracy of our masking
@@ -131,6 +135,24 @@ def test_the_two_scale_model_without_height_is_epd(body):
     values = {"beta": 0.2, "p": 0.7, **constants, "albedo": 0 * albedo if body == "none" else albedo}
     expected = evaluate(EPD(fresnel="conductor" if body == "none" else "dielectric"), values, random_pairs())
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-15)  # of a height of 1e-9 um a little is left
+
+
+def test_the_two_scale_model_with_flat_facets_is_the_diffraction_lobe():
+    """beta to 0, away from the mirror direction: HP17 Eq. 33 with D a Dirac, and no masking."""
+    lobe = {"b": 3.0, "c": 2.0, "sigma_s": 0.05}
+    n, k = np.array([0.2, 1.0, 3.0]), np.array([3.0, 2.0, 4.0])
+    pairs = [(0.3, 0.0, 0.5, 1.0), (0.9, 0.0, 0.2, 3.0), (1.2, 0.0, 1.0, 2.5), (0.0, 0.0, 0.7, 0.0)]
+    i, o = (np.array([direction(*pair[at : at + 2]) for pair in pairs]) for at in (0, 2))
+    found = evaluate(TwoScale("none"), {"beta": 1e-3, "p": 1.0, "n": n, "k": k, **lobe}, Geometry.from_vectors(i, o))
+    for channel, wavelength in enumerate(WAVELENGTHS_UM):
+        for at, (a, b) in enumerate(zip(i, o, strict=True)):
+            cos_h, cos_d = (a + b)[2] / np.linalg.norm(a + b), np.linalg.norm(a + b) / 2
+            f = 2 / wavelength * math.sqrt(1 - cos_h**2) * cos_d
+            kept = renormalisation(math.sqrt(1 - cos_d**2), lobe["b"] / wavelength, lobe["c"])
+            A = math.exp(-((4 * math.pi * cos_d * lobe["sigma_s"] / wavelength) ** 2) * kept)
+            S = s_hs(f, wavelength, lobe["b"], lobe["c"], kept) * cos_h**2
+            Q = q_from_cosines(a[2], b[2], mirror_cosine(a, b, np.array([0, 0, 1])), n[channel], k[channel])
+            assert found[channel, at] == pytest.approx(Q / 2 * (1 - A) * S, rel=1e-4)
 
 
 @pytest.mark.parametrize(("alpha", "p"), [(1e-4, 0.3), (1e-3, 2.5), (0.05, 0.8), (0.5, 0.0), (2.0, 5.0)])
