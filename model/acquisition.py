@@ -83,18 +83,6 @@ def ring_weights(apparatus: Apparatus, angles: tuple[float, ...]) -> np.ndarray:
     return np.stack(weights) * (sin[:, 0] * RINGS_RAD * LOG_STEP)
 
 
-def mirror_loss(theta: tuple[float, ...], beta: Scalar, p: Scalar, apparatus: Apparatus) -> Real:
-    """Height of the mirror peak in the picture of the sphere, over its height at normal incidence; D alone.
-
-    Args:
-        theta: angles of incidence (rad), static, shape (N,). beta, p: the EPD.
-
-    Accuracy: 1e-4 of a simulation in the image plane, 2e-3 with distances of 8 radii or more or a lamp of 0.01 rad
-    (``tests/model/test_acquisition.py``). Gradient in beta and p finite everywhere.
-    """
-    return loss_of_lobe(theta, epd_of_rings(beta, p), apparatus)
-
-
 def epd_of_rings(beta: Scalar, p: Scalar) -> Real:
     """D over its peak at RINGS_RAD."""
     # exp(-e^8) is 0, and its derivative too, where the power itself would overflow
@@ -107,6 +95,9 @@ def loss_of_lobe(theta: tuple[float, ...], lobe: Real, apparatus: Apparatus) -> 
 
     Args:
         theta: angles of incidence (rad), static. lobe: a function of theta_h at RINGS_RAD, of any unit.
+
+    Accuracy, of the lobe D: 1e-4 of a simulation in the image plane, 2e-3 with distances of 8 radii or more or a lamp
+    of 0.01 rad (``tests/model/test_acquisition.py``). Gradient in beta and p finite everywhere.
     """
     signal = jnp.asarray(ring_weights(apparatus, (0.0, *theta))) @ lobe
     return signal[1:] / signal[0]

@@ -63,7 +63,7 @@ class Parameter:
             return np.asarray((value - lower) / (upper - lower))
         return np.asarray(np.log(value / lower) / np.log(upper / lower))
 
-    def stretch(self, value: ArrayLike) -> np.ndarray:
+    def slope(self, value: ArrayLike) -> np.ndarray:
         """d position/d value."""
         value, lower, upper = (np.asarray(x) - self.offset for x in (value, self.lower, self.upper))
         return np.asarray(1 / (upper - lower) if self.scale == "linear" else 1 / (value * np.log(upper / lower)))

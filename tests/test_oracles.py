@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import bodies, convolution, diffraction, facets, fresnel, ndf, shadowing, two_scale
+from oracles import bodies, convolution, diffraction, facets, fresnel, masking, ndf, two_scale
 from scipy.integrate import dblquad, quad
 
 few = settings(derandomize=True, max_examples=25, deadline=None, database=None)
@@ -102,32 +102,32 @@ def test_the_two_writings_of_the_epd_agree(theta, beta, p):
     assert ndf.epd(theta, beta, p) == pytest.approx(slopes, rel=1e-12)
 
 
-# --- Shadowing
+# --- Masking
 
 LAMBDA_TABLE = [(0.1, 0.5), (0.3, 1.0), (0.5, 2.0), (1.0, 0.12), (1.0, 5.0), (10.0, 0.3), (1e3, 2.0), (1e5, 0.12)]
 
 
 def check_lambda(function):
     for tau, p in LAMBDA_TABLE:
-        assert function(tau, p) == pytest.approx(shadowing.smith_lambda_single(tau, p), rel=1e-11)
+        assert function(tau, p) == pytest.approx(masking.smith_lambda_single(tau, p), rel=1e-11)
     for tau in (0.1, 0.3, 1.0, 10.0, 1e4):
-        assert function(tau, 1.0) == pytest.approx(shadowing.beckmann_lambda(tau), rel=1e-12)
+        assert function(tau, 1.0) == pytest.approx(masking.beckmann_lambda(tau), rel=1e-12)
 
 
 def test_lambda_by_two_integrals_one_integral_and_in_closed_form():
-    check_lambda(shadowing.smith_lambda)
+    check_lambda(masking.smith_lambda)
 
 
 def test_lambda_check_rejects_the_printed_half_line():
     def half(r, p, step):
-        return shadowing.slope_marginal(r, p, step) / 2
+        return masking.slope_marginal(r, p, step) / 2
 
-    rejects(check_lambda, lambda tau, p: shadowing.smith_lambda(tau, p, half))
+    rejects(check_lambda, lambda tau, p: masking.smith_lambda(tau, p, half))
 
 
 @pytest.mark.parametrize(("tau", "p"), LAMBDA_TABLE)
 def test_lambda_has_converged_in_its_step(tau, p):
-    assert shadowing.smith_lambda(tau, p, refine=2) == pytest.approx(shadowing.smith_lambda(tau, p), rel=1e-11)
+    assert masking.smith_lambda(tau, p, refine=2) == pytest.approx(masking.smith_lambda(tau, p), rel=1e-11)
 
 
 def test_slope_marginal_against_adaptive_quadrature():
@@ -137,7 +137,7 @@ def test_slope_marginal_against_adaptive_quadrature():
             lambda q, r=r, p=p: math.exp(-((r * r + q * q) ** p)), 1, np.inf, epsabs=0, epsrel=1e-11, limit=400
         )
         expected = p / (math.pi * math.gamma(1 / p)) * (bulk + 2 * tail)
-        assert shadowing.slope_marginal([r], p)[0] == pytest.approx(expected, rel=1e-10)
+        assert masking.slope_marginal([r], p)[0] == pytest.approx(expected, rel=1e-10)
 
 
 # --- Diffraction lobe

@@ -76,7 +76,7 @@ class Fitted:
         """
         entries = self.layout.entries
         place = [float(q.position(x)) for q, x in zip(entries, self.values, strict=True)]
-        error = [q.stretch(x) * e for q, x, e in zip(entries, self.values, self.standard_errors, strict=True)]
+        error = [q.slope(x) * e for q, x, e in zip(entries, self.values, self.standard_errors, strict=True)]
         near = [
             q.quantity != ODDS and min(x, 1 - x) < EDGE and min(x, 1 - x) <= RESOLVED * e
             for q, x, e in zip(entries, place, error, strict=True)

@@ -84,12 +84,12 @@ class Objective:
         once, gives the whole Jacobian. One program does for all variants (`Reflectance.general`).
         """
         values, slopes = self.layout.values_and_slopes(z)
-        return self._spread_out(_normal_equations, values, slopes)
+        return self._spread_out(compact_normal_equations, values, slopes)
 
     def normal_equations_of_many(self, points: ArrayLike) -> np.ndarray:
         """The same at many points (M, P) in one call, shape (M, C, P+1, P+1): for few bins, where calls cost most."""
         values, slopes = self.layout.values_and_slopes_of_many(points)
-        return self._spread_out(_normal_equations_of_many, values, slopes)
+        return self._spread_out(compact_normal_equations_of_many, values, slopes)
 
     def _spread_out(self, compute: Callable[..., Array], values: Mapping[str, Array], slopes: Array) -> np.ndarray:
         model = self.layout.model
@@ -159,8 +159,8 @@ def _compact_of_many(model: Reflectance, values: Mapping[str, Array], part: Part
 
 # XLA's older CPU emitters compile these in half the time and run them as fast (CONTRIBUTING.md, compile times).
 OLDER_EMITTERS = {"xla_cpu_use_fusion_emitters": False}
-_normal_equations = jax.jit(_compact, static_argnums=0, compiler_options=OLDER_EMITTERS)
-_normal_equations_of_many = jax.jit(_compact_of_many, static_argnums=0, compiler_options=OLDER_EMITTERS)
+compact_normal_equations = jax.jit(_compact, static_argnums=0, compiler_options=OLDER_EMITTERS)
+compact_normal_equations_of_many = jax.jit(_compact_of_many, static_argnums=0, compiler_options=OLDER_EMITTERS)
 
 
 def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers) -> Any:  # noqa: ANN401 - as they come

@@ -21,7 +21,7 @@ from jax import Array
 from ...merl_io.samples import Samples, thin
 from ...model.reflectance import Clues
 from ..objective.problem import Part, Problem, make_problem
-from ..objective.residuals import _normal_equations, spread_out
+from ..objective.residuals import compact_normal_equations, spread_out
 from ..objective.transforms import Layout
 from ..settings.config import Config
 from ..solve.levenberg_marquardt import Solution, solve_many
@@ -103,7 +103,7 @@ def _stack(problems: Sequence[Problem]) -> Problem:
 def _equations(layout: Layout, z: Array, stacked: Problem) -> Array:
     """Normal equations of all materials, (M, C, P+1, P+1)."""
     by_material: Any = Part(directions=None, root=0, target=0)  # type: ignore
-    mapped = jax.vmap(partial(_normal_equations, layout.model), in_axes=(0, by_material))
+    mapped = jax.vmap(partial(compact_normal_equations, layout.model), in_axes=(0, by_material))
     values, slopes = jax.vmap(layout.values_and_slopes)(z)
     compact = reduce(add, side_by_side(lambda part: mapped(values, part), stacked.parts))
     return jax.vmap(partial(spread_out, layout))(slopes, compact, stacked.rest)

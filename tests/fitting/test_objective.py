@@ -11,7 +11,7 @@ from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.outcome import Fitted
 from merlfit.fitting.objective import problem as problems
 from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective, _normal_equations, spread_out
+from merlfit.fitting.objective.residuals import Objective, compact_normal_equations, spread_out
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline import run
@@ -71,7 +71,7 @@ def test_the_program_of_all_kinds_has_the_normal_equations_of_each(coarse, kind)
     layout = run.cheaper(layout_of(Measured(TwoScale(kind[1], index=kind[0]))), 8)
     z = jnp.asarray(np.random.default_rng(3).normal(size=layout.size))
     values, slopes = layout.values_and_slopes(z)
-    alone = sum(np.asarray(_normal_equations(layout.model, values, part)) for part in problem.parts)
+    alone = sum(np.asarray(compact_normal_equations(layout.model, values, part)) for part in problem.parts)
     expected = spread_out(layout, np.asarray(slopes), alone, np.asarray(problem.rest))
     assert difference(Objective(layout, problem).normal_equations(z), expected) < 1e-12
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.objective.problem import Part, directions
-from merlfit.fitting.objective.residuals import _normal_equations
+from merlfit.fitting.objective.residuals import compact_normal_equations
 from merlfit.model.materialised import materialised, true_of
 from merlfit.model.two_scale import TwoScale
 
@@ -19,7 +19,7 @@ def normal(target):
     shape = (where.log_base.shape[0], 3, *where.log_base.shape[1:])
     part = Part(where, jnp.ones((*shape, 1)), jnp.full(shape, target))
     values = {q.name: jnp.full((3, 1, 1, 1) if q.per_channel else (), q.default) for q in EFFECTS.parameters}
-    return np.asarray(_normal_equations(EFFECTS, values, part))
+    return np.asarray(compact_normal_equations(EFFECTS, values, part))
 
 
 def test_data_that_are_no_numbers_do_not_become_zeros():

@@ -7,8 +7,9 @@ import pytest
 from merlfit.model.acquisition import (
     FIT_ANGLES_RAD,
     derived_exponent,
+    epd_of_rings,
     grazing_log_base,
-    mirror_loss,
+    loss_of_lobe,
 )
 from merlfit.model.apparatus import APPARATUS, Apparatus
 from merlfit.model.geometry import Geometry
@@ -29,7 +30,7 @@ def exponent(beta, p, apparatus=APPARATUS):
 
 
 def losses(beta, p, apparatus, angles=STEEP_RAD):
-    return np.asarray(mirror_loss(angles, jnp.asarray(beta), jnp.asarray(p), apparatus))
+    return np.asarray(loss_of_lobe(angles, epd_of_rings(jnp.asarray(beta), jnp.asarray(p)), apparatus))
 
 
 def gaussian_loss(theta, beta, along, across):

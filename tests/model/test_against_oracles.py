@@ -13,8 +13,8 @@ from oracles import bodies as o_bodies
 from oracles import convolution as o_convolution
 from oracles import diffraction as o_diffraction
 from oracles import fresnel as o_fresnel
+from oracles import masking as o_masking
 from oracles import ndf as o_ndf
-from oracles import shadowing as o_shadowing
 
 SEED = 20261121
 
@@ -86,12 +86,12 @@ def test_smith_lambda_to_1e_8_and_beckmann():
     rng = np.random.default_rng(SEED)
     p = np.concatenate([np.exp(rng.uniform(np.log(0.12), np.log(5), 25)), np.ones(5)])
     tau = np.concatenate([np.exp(rng.uniform(np.log(0.3), np.log(300), 25)), [0.3, 1.0, 3.0, 10.0, 1e3]])
-    expected = np.array([float(o_shadowing.smith_lambda(t, q)) for t, q in zip(tau, p, strict=True)])
+    expected = np.array([float(o_masking.smith_lambda(t, q)) for t, q in zip(tau, p, strict=True)])
     large = expected > 1e-12
     found = np.asarray(jax.vmap(smith.smith_lambda)(jnp.asarray(tau), jnp.asarray(p)))
     assert worst(found[large], expected[large]) < 1e-8
     assert worst(found[large] / 2, expected[large]) > 0.4  # the printed limits of Eq. 36 give half
-    beckmann = [o_shadowing.beckmann_lambda(t) for t in tau[25:]]
+    beckmann = [o_masking.beckmann_lambda(t) for t in tau[25:]]
     assert worst(found[25:], beckmann) < 1e-8
 
 
@@ -101,7 +101,7 @@ def test_smith_lambda_to_1e_8_and_beckmann():
 def test_smith_lambda_and_masking_at_all_slopes(p, of_lambda, of_masking):
     """What the docstrings say of the largest exponents, where the rule is least accurate, and of others."""
     tau = np.exp(np.linspace(np.log(max(0.05, 27 ** (-1 / (2 * p)))), np.log(3e3), 400))
-    expected = np.array([o_shadowing.smith_lambda(t, p) for t in tau])
+    expected = np.array([o_masking.smith_lambda(t, p) for t in tau])
     found = np.asarray(jax.vmap(smith.smith_lambda, (0, None))(*j(tau, p)))
     masking = np.asarray(smith.masking_direct(*j(np.cos(np.arctan(tau)), 1.0, p)))
     assert worst(found[expected > 1e-12], expected[expected > 1e-12]) < of_lambda

@@ -17,8 +17,8 @@ from .convolution import convolve
 from .diffraction import renormalisation, s_hs
 from .facets import facet_integral, geometry
 from .fresnel import fresnel, q_from_cosines
+from .masking import g1, smith_lambda
 from .ndf import epd
-from .shadowing import g1, smith_lambda
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 
@@ -74,7 +74,7 @@ def masking(g, material, choices=Choices()):
     return math.prod(g1(tau, material.p) for tau in taus)
 
 
-def mirror_colour(g, material, choices):
+def specular_colour(g, material, choices):
     """F at theta_d, HP17 Eq. 3-4 or Schlick's polynomial."""
     if choices.fresnel == "exact":
         return fresnel(g.cos_d, material.n, material.k)
@@ -94,19 +94,19 @@ def reflection_lobe(i, o, material, choices=Choices()):
     """rho_CT, HP17 Eq. 26."""
     g = geometry(i, o)
     d = epd(g.theta_h, material.beta, material.p)
-    return mirror_colour(g, material, choices) * d * masking(g, material, choices) / (4 * g.cos_i * g.cos_o)
+    return specular_colour(g, material, choices) * d * masking(g, material, choices) / (4 * g.cos_i * g.cos_o)
 
 
 def diffraction_lobe(i, o, wavelength, material, q_factor=0.5, choices=Choices()):
     """rho_CTD by the convolution of HP17 Eq. 33; the 1/lambda that Eq. 29 omits is restored."""
     g = geometry(i, o)
-    hue = q_factor * q_from_cosines(g.cos_i, g.cos_o, mirror_cosine(i, o, NORMAL), material.n, material.k)
+    colour = q_factor * q_from_cosines(g.cos_i, g.cos_o, mirror_cosine(i, o, NORMAL), material.n, material.k)
     if choices.colour == "fresnel":
-        hue = mirror_colour(g, material, choices)
+        colour = specular_colour(g, material, choices)
     peak = s_hs(0.0, wavelength, material.b, material.c, relative_variance(g.cos_d, wavelength, material, choices))
     shape = convolve(g.theta_h, 2 * material.b * g.cos_d / wavelength, material.c, material.beta, material.p)
     share = 1 - specular_share(g.cos_d, wavelength, material, choices)
-    return float(hue * masking(g, material, choices) * share * peak * shape)
+    return float(colour * masking(g, material, choices) * share * peak * shape)
 
 
 def grazing_loss(i, o, k):
