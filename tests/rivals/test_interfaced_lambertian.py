@@ -9,7 +9,8 @@ from jaxtyping import TypeCheckError
 from merlfit.model import sampled_facets
 from merlfit.model.body import plastic
 from merlfit.model.geometry import Geometry
-from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian
+from merlfit.model.interfaces import fresnel_of_dielectric
+from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian, through
 from merlfit.model.rivals.oren_nayar import OrenNayar
 from oracles import microfacets
 from oracles import rivals as oracle
@@ -149,6 +150,37 @@ def test_gradients_are_finite_along_the_normal_and_at_grazing_angles(normals, ma
     slopes = jax.jit(jax.jacfwd(lambda v: evaluate(model, v, g)))(jax.tree.map(jnp.asarray, values(model, 0.3)))
     for slope in jax.tree.leaves(slopes):
         assert np.all(np.isfinite(slope))
+
+
+def test_transmittance_is_one_less_fresnels_reflectance():
+    """Values and derivatives, up to the horizon and an index of 1."""
+    cos, n = (jnp.asarray(x) for x in np.meshgrid(np.linspace(0, 1, 41), [1.0, 1 + 1e-6, 1.2, 1.5, 4.0]))
+    expected = lambda cos, n: cos * (1 - fresnel_of_dielectric(cos, n))  # noqa: E731
+    np.testing.assert_allclose(through(cos, n), expected(cos, n), atol=1e-12)
+    inside = (cos > 0) | (n > 1 + 1e-9)  # at the corner there is no derivative by n
+    for along in ((jnp.ones_like(cos), 0 * n), (0 * cos, jnp.ones_like(n))):
+        found, slope = (jax.jvp(f, (cos, n), along)[1] for f in (through, expected))
+        assert np.isfinite(found).all()
+        np.testing.assert_allclose(found[inside], slope[inside], rtol=1e-9, atol=1e-11)
+
+
+@every
+def test_derivatives_by_directions_are_those_of_the_sum(normals, masking):
+    """A fit moves parameters only; the rule for derivatives knows of directions too."""
+    model, (i, o) = InterfacedLambertian(normals, masking), pairs(20)
+    given, step = values(model, 0.3), 1e-6
+    of = lambda turn: evaluate(  # noqa: E731
+        model, given, Geometry.from_vectors(i, jnp.asarray(o) @ turned(turn))
+    )
+    slope = jax.jvp(of, (jnp.zeros(()),), (jnp.ones(()),))[1]
+    difference = (of(jnp.asarray(step)) - of(jnp.asarray(-step))) / (2 * step)
+    np.testing.assert_allclose(slope, difference, rtol=1e-5, atol=1e-6)
+
+
+def turned(angle):
+    """About an axis across the normal."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([jnp.stack([c, 0 * c, s]), jnp.asarray([0.0, 1.0, 0.0]), jnp.stack([-s, 0 * c, c])])
 
 
 def test_what_has_no_meaning_is_refused():
