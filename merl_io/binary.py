@@ -125,6 +125,11 @@ class Measurement:
         """Of the planes of ``values``."""
         return MERL
 
+    @property
+    def left_out(self) -> int:
+        """How many wavelengths of the file are not read."""
+        return 0
+
     @cached_property
     def outliers(self) -> int:
         """Valid bins that are brighter than `OUTLIER` times both the median of their row of phi_d and that of all."""

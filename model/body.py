@@ -16,8 +16,8 @@ def external_diffuse_reflectance(n: Real) -> Real:
     """r_e: Fresnel reflectance of diffuse light from outside, Int F 2 cos sin dtheta (IL Eq. 10), for n >= 1.
 
     The closed form of IL is 0/0 at n = 1, and any fixed nodes in the angle miss the slope 1/3 there, which comes from
-    angles within sqrt(n^2 - 1) of grazing. In r = (c - cos)/(c + cos), c^2 = n^2 - 1 + cos^2, the amplitude of the
-    senkrecht state, with m = n^2 - 1, everything is rational:
+    angles within sqrt(n^2 - 1) of grazing. In r = (c - cos)/(c + cos), c^2 = n^2 - 1 + cos^2, the amplitude of
+    s-polarised light, with m = n^2 - 1, everything is rational:
 
         r_e = m/8 Int_((n-1)/(n+1))^1 [1 + ((m + 2 - m/r)/(m + 2 - m r))^2] (1 - r^2) dr.
     """

@@ -14,7 +14,7 @@ from .numerics import Real, safe_divide, safe_sqrt
 class Transmitted(NamedTuple):
     """Functions of one direction that F and Q are made of (HP17 Eq. 4 and 10); ``c = sqrt(eta^2 - sin^2 theta)``."""
 
-    senkrecht: Real  # 1 / |cos + c|^2
+    perpendicular: Real  # 1 / |cos + c|^2
     parallel: Real  # 1 / |eta^2 cos + c|^2
     c_real: Real
     c_imag: Real
@@ -44,9 +44,9 @@ def transmitted(cos_theta: Real, n: Real, k: Real) -> Transmitted:
     """The one-direction factors of F and Q for an index ``n + i k``; arrays broadcast."""
     c_real, c_imag = refracted_cosine(cos_theta, n, k)
     eta2_real, eta2_imag = (n - k) * (n + k), 2 * n * k
-    senkrecht = safe_divide(1.0, (cos_theta + c_real) ** 2 + c_imag**2)
+    perpendicular = safe_divide(1.0, (cos_theta + c_real) ** 2 + c_imag**2)
     parallel = safe_divide(1.0, (eta2_real * cos_theta + c_real) ** 2 + (eta2_imag * cos_theta + c_imag) ** 2)
-    return Transmitted(senkrecht, parallel, c_real, c_imag)
+    return Transmitted(perpendicular, parallel, c_real, c_imag)
 
 
 def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
@@ -66,7 +66,7 @@ def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
     contrast_real, contrast_imag = _contrast(n, k)
     cos2 = cos_theta**2
     tilted = (contrast_real * cos2 + 2 * cos2 - 1) ** 2 + (contrast_imag * cos2) ** 2  # |eta^2 cos^2 - sin^2|^2
-    return (contrast_real**2 + contrast_imag**2) * (t.senkrecht**2 + tilted * t.parallel**2) / 2
+    return (contrast_real**2 + contrast_imag**2) * (t.perpendicular**2 + tilted * t.parallel**2) / 2
 
 
 def schlick(cos_theta: Real, n: Real, k: Real) -> Real:
@@ -101,8 +101,8 @@ def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k
     product_real = i.c_real * o.c_real - i.c_imag * o.c_imag
     product_imag = i.c_real * o.c_imag + i.c_imag * o.c_real
     interference = product_real * eta2_real + product_imag * eta2_imag
-    same = cos2_phi * (i.senkrecht * o.senkrecht + b_i * b_o)
-    crossed = (1 - cos2_phi) * (i.senkrecht * b_o + b_i * o.senkrecht)
+    same = cos2_phi * (i.perpendicular * o.perpendicular + b_i * b_o)
+    crossed = (1 - cos2_phi) * (i.perpendicular * b_o + b_i * o.perpendicular)
     # cos(phi) sin_i sin_o is minus the projected dot product: phi is counted from the mirror direction
     plane = i.parallel * o.parallel * ((eta2_real**2 + eta2_imag**2) * sin2_sin2 + 2 * projected_dot * interference)
     contrast_real, contrast_imag = _contrast(n, k)

@@ -96,7 +96,8 @@ ALBEDO = Parameter("albedo", r"\rho_d", "albedo of the body", "1", 0.3, 0.0, 1.0
                    source="HP17 Eq. 43, 44", quantity="odds")  # fmt: skip
 GRAZING = Parameter("grazing_exponent", "k_g", "exponent of the acquisition's loss of specular light at grazing angles",
                     "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
-GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "k_d", "the same of diffracted light", "1", 0.3, 0.0, 1.0,
-                               "linear", source="HP17 Eq. 60")  # fmt: skip
+GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "k_d",
+                               "exponent of the acquisition's loss of diffracted light at grazing angles",
+                               "1", 0.3, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
 LOSSES = {"specular": GRAZING, "diffracted": GRAZING_DIFFRACTED}
 """The apparatus's exponent of each sharp lobe that a model may have."""

@@ -412,7 +412,7 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
 class _Recorder(Mapping[str, Array]):
     """Values, and which of them were looked up.
 
-    To whoever goes over all of it, as type checkers do, it is empty: nothing would be left out of what they read.
+    It is empty to iterate over: type checkers go over all values, and every factor would seem to read all of them.
     """
 
     def __init__(self, values: Values) -> None:

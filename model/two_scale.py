@@ -228,8 +228,9 @@ class TwoScale(Effects, Reflectance):
 
     @property
     def chart(self) -> "TwoScale":  # noqa: D102
-        body, diffraction = "none" if self.body == "none" else "lambert", "off" if self.diffraction == "off" else None
-        return TwoScale(body, diffraction or "quadrature", renormalised=self.renormalised, index=self.index)
+        body = "none" if self.body == "none" else "lambert"
+        diffraction = "off" if self.diffraction == "off" else "quadrature"
+        return TwoScale(body, diffraction, renormalised=self.renormalised, index=self.index)
 
     @property
     def general(self) -> "TwoScale":

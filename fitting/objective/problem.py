@@ -150,7 +150,7 @@ class Arrangement:
 
 
 def _stepped(count: int) -> int:
-    """No less, in eight steps an octave."""
+    """The next larger of the sizes that there are, eight an octave."""
     step = max(1, 1 << max(0, count.bit_length() - 4))
     return -(-count // step) * step
 

@@ -133,7 +133,7 @@ def weigh(root: Array, nodes: Array) -> Array:
 
 @cache
 def _rows(model: Reflectance) -> np.ndarray:
-    """Of the general program's rows those of the parameters of this one, and that of the residual."""
+    """Which rows of the general model's normal equations are those of this one: its parameters, and the residual."""
     rows = [q.name for q in model.general.parameters]
     own = [model.in_general(q.name) for q in model.parameters]
     return np.array([*map(rows.index, own), len(rows)])
@@ -164,7 +164,7 @@ compact_normal_equations_of_many = jax.jit(_compact_of_many, static_argnums=0, c
 
 
 def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers) -> Any:  # noqa: ANN401 - as they come
-    """Rows and columns of every parameter where its channel's are, by free coordinates: arrays of NumPy or JAX.
+    """Normal equations by free coordinates, from those with a row a parameter: arrays of NumPy or JAX.
 
     Args:
         slopes: of physical values by free coordinates, (..., P, P). compact: a row and column a parameter,
@@ -177,7 +177,7 @@ def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers)
 
 @cache
 def _places(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Column of each channel's parameters among all and that of the residual, (C, G+1, P+1), one or zero; the last."""
+    """Which entry each channel's parameters and residual are, (C, G+1, P+1) of 0 and 1; the residual's, (P+1,)."""
     channels = len(layout.channels)
     where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in layout.slices.values()]
     last = np.eye(layout.size + 1)[-1]

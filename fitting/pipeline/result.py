@@ -9,7 +9,7 @@ import numpy as np
 from ...merl_io.bands import ColourSpace
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Samples
-from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
+from ...merl_io.scattered import ScatteredSamples
 from ...model.measured import Measured
 from ..assess.identifiability import identifiability
 from ..assess.outcome import Fitted, cautions, said
@@ -70,8 +70,8 @@ def make_result(
 
 
 def unread(measurement: Input) -> list[str]:
-    """A line that tells of wavelengths of the file which were not fitted, if there are any."""
-    if not isinstance(measurement, ScatteredMeasurement) or not measurement.left_out:
+    """A line that says how many of the file's wavelengths were fitted, if not all."""
+    if not measurement.left_out:
         return []
     count = len(measurement.bands)
     return [

@@ -112,8 +112,9 @@ def _of_alike(
     """The same of models with the same lobes.
 
     Candidates are a Sobol sequence over the prior of the shared parameters, shifted (modulo 1) so that its first point
-    is the first one of all: another first point moves all. Of as many of them as there are readings of the clues, one
-    each is near every other reading. Of every kind the best is taken, then the second best, and so on.
+    is the first reading of the clues: another first reading moves all of them. Readings take turns: every candidate
+    whose turn is not the first reading's lies near its reading. Of every kind the best is taken, then the second best,
+    and so on.
     """
     lead = layouts[0]
     shared = [q.name for q in lead.parameters if not q.per_channel]  # they come first

@@ -46,7 +46,7 @@ class BoundedStep(optx.AbstractDescent):
         return _Decomposition(jnp.ones(size, y.dtype), jnp.zeros((size, size), y.dtype), jnp.zeros(size, y.dtype))
 
     def query(self, y: Array, f_info: Linear, state: _Decomposition) -> _Decomposition:
-        """Look at the linear model of an accepted point."""
+        """Decompose the Jacobian at an accepted point."""
         left, singular_values, right = jnp.linalg.svd(f_info.jac.as_matrix(), full_matrices=False)
         return _Decomposition(singular_values, right, left.T @ f_info.residual)
 

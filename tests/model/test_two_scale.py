@@ -165,14 +165,14 @@ def test_against_the_oracle(index, body):
         albedo, eta = OPTICS["albedo"][channel], OPTICS["eta"][channel]
         for a, b, value in zip(i, o, found[channel], strict=True):
             ti, to = np.arccos(a[2]), np.arccos(b[2])
-            under = {
+            below = {
                 "none": lambda: 0.0,
                 "lambert": lambda: albedo / np.pi,
                 "plastic": lambda: o_bodies.plastic(ti, to, eta, albedo),
                 "subsurface": lambda: o_bodies.subsurface(ti, to, eta, albedo),
             }[body]()
-            assert value == pytest.approx(o_two_scale.brdf(a, b, wavelength, m, float(under)), rel=3e-4)
-            printed_q = o_two_scale.brdf(a, b, wavelength, m, float(under), q_factor=1.0)
+            assert value == pytest.approx(o_two_scale.brdf(a, b, wavelength, m, float(below)), rel=3e-4)
+            printed_q = o_two_scale.brdf(a, b, wavelength, m, float(below), q_factor=1.0)
             assert value != pytest.approx(printed_q, rel=1e-3)
 
 
@@ -192,14 +192,14 @@ def test_the_loss_is_that_of_each_lobe_and_not_of_the_body(index, body, acquisit
 
     def oracle(a, b, specular, diffracted, whole=0.0):
         ti, to = np.arccos(a[2]), np.arccos(b[2])
-        under = {
+        below = {
             "none": lambda: 0.0,
             "lambert": lambda: albedo / np.pi,
             "plastic": lambda: o_bodies.plastic(ti, to, eta, albedo),
             "subsurface": lambda: o_bodies.subsurface(ti, to, eta, albedo),
         }[body]()
         losses = o_two_scale.Losses(specular, diffracted)
-        brdf = o_two_scale.brdf(a, b, WAVELENGTHS_UM[1], m, float(under), losses=losses)
+        brdf = o_two_scale.brdf(a, b, WAVELENGTHS_UM[1], m, float(below), losses=losses)
         return o_two_scale.grazing_loss(a, b, whole) * brdf
 
     def expected(*exponents):
