@@ -92,7 +92,7 @@ def without(model: Reflectance, effects: Sequence[Effect]) -> Reflectance:
     if not kept:
         found = replace(found, diffraction="off", masking="none", fresnel="schlick", split=_split(found))
     elif found.colour != "fresnel":
-        found = replace(found, fresnel="schlick")  # of the mirror term alone
+        found = replace(found, fresnel="schlick")  # of the specular term alone
     return Part(found, kept)
 
 
