@@ -119,7 +119,7 @@ class Paths(NamedTuple):
 
 
 def paths(
-    key: Array, i: ArrayLike, roughness: float, index: float, albedo: float, count: int,
+    key: Array, i: ArrayLike, roughness: tuple[float, float], index: float, albedo: float, count: int,
     normals: NormalsName = "beckmann", most: int = 40,
 ) -> Paths:  # fmt: skip
     """Light from direction i through symmetric V-cavities of interfaced Lambertian facets, all bounces (IL Eq. 22).
@@ -130,11 +130,14 @@ def paths(
     Profiles have their bottom at 0 and facets of length 1; the facet a path is on is the one whose normal points to +x.
 
     Args:
-        i: unit vector (3,) above the surface. roughness, index, albedo: as in :func:`body`, isotropic. count: of
+        i: unit vector (3,) above the surface. roughness: along x and y. index, albedo: as in :func:`body`. count: of
             paths. most: bounces after which a path is given up.
+
+    Raises:
+        ValueError: Gaussian normals of two different roughnesses.
     """
     keys = jax.random.split(key, 3)
-    m = draw_normals(keys[0], count, (roughness, roughness), normals)
+    m = draw_normals(keys[0], count, roughness, normals)
     sine, cosine = jnp.maximum(safe_sqrt(1 - m[:, 2] ** 2), LEAST_COSINE), m[:, 2]
     x, y = m[:, 0] / sine, m[:, 1] / sine  # the profile's axis
     i = jnp.asarray(i, float)

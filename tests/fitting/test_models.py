@@ -19,7 +19,11 @@ from merlfit.model.measured import Measured
 from merlfit.model.parameters import Parameter
 from merlfit.model.reflectance import evaluate, reads
 from merlfit.model.registry import models
+from merlfit.model.rivals.cook_torrance import CookTorrance
 from merlfit.model.rivals.ggx import GGX
+from merlfit.model.rivals.gtr import GTR
+from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian
+from merlfit.model.rivals.oren_nayar import OrenNayar
 from oracles.facets import direction
 from plain_jacobian import difference, plain
 
@@ -28,6 +32,10 @@ MODELS = [kind() for kind in models().values()]
 BLURRED = ("two-scale", "ggx", "hp15")  # by the apparatus: two lobes, one, and two of few parameters
 MEASURED = [Measured(model, how) for model in MODELS for how in ("free", "derived") if model.name in BLURRED]
 RIVALS = [m for m in MODELS if m.name != "two-scale"]
+UNUSUAL = [
+    GGX("conductor"), GGX("dielectric", "v-groove"), GTR(gamma="1"), GTR("conductor", "v-groove"), CookTorrance("ngan"),
+    OrenNayar(surface="none"), InterfacedLambertian("ggx", "v-groove"), InterfacedLambertian("gaussian", "v-groove"),
+]  # fmt: skip
 F0, ALBEDO, A = (np.array(x) for x in ([0.9, 0.6, 0.3], [0.02, 0.1, 0.3], [30.0, 10.0, 2.0]))
 TRUTH = {
     "ggx": {"alpha": 0.15, "F0": F0, "albedo": ALBEDO},
@@ -121,7 +129,7 @@ def at_edges(model):
     return jax.jit(lambda values: (brdf(values), jax.jacrev(brdf)(values)))
 
 
-@pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)
+@pytest.mark.parametrize("model", [*RIVALS, *UNUSUAL], ids=lambda m: m.variant)
 @pytest.mark.parametrize("end", [0.0, 0.5, 1.0])
 def test_values_and_slopes_are_finite_at_every_edge(model, end):
     values = {q.name: jnp.asarray(q.between(jnp.full(3 if q.per_channel else (), end))) for q in model.parameters}

@@ -197,6 +197,9 @@ def test_what_has_no_meaning_is_refused():
 
 # --- By Monte Carlo
 
+BOTH = (0.5, 0.5)  # roughness along x and y
+BARELY = 1 + 1e-7  # an index that reflects nothing
+
 
 @pytest.mark.parametrize("normals", ["beckmann", "ggx"])
 @pytest.mark.parametrize("roughness", [(0.3, 0.3), (0.15, 0.5)], ids=str)
@@ -214,19 +217,19 @@ def test_drawn_facets_have_the_integral(normals, roughness):
 def test_cavities_that_absorb_nothing_give_all_light_back(normals, index):
     for theta in (0.1, 1.2):
         light = jnp.asarray(direction(theta, 0.7))
-        found = sampled_facets.paths(jax.random.key(1), light, 0.5, index, 1.0, 40_000, normals)
+        found = sampled_facets.paths(jax.random.key(1), light, BOTH, index, 1.0, 40_000, normals)
         whole = found.share.sum() + found.caught
         assert whole == pytest.approx(len(found.share), rel=1e-12 if index == 1.0 else 8e-3)
         assert found.caught < 3e-3 * whole
         assert np.all(found.direction[found.share > 0][:, 2] > 0)
-        dark = sampled_facets.paths(jax.random.key(1), light, 0.5, index, 0.0, 40_000, normals)
+        dark = sampled_facets.paths(jax.random.key(1), light, BOTH, index, 0.0, 40_000, normals)
         assert dark.share.sum() < 0.5 * len(dark.share), "an absorbing substrate"
 
 
 def test_paths_in_cavities_are_oren_and_nayars_integral():
     """Lambertian facets: one bounce is their direct light, two their interreflection."""
     light, albedo, half_angle = direction(0.6, 0.0), 0.9, 0.15
-    found = sampled_facets.paths(jax.random.key(2), light, 0.5, 1.0, albedo, 400_000, "gaussian", 8)
+    found = sampled_facets.paths(jax.random.key(2), light, BOTH, 1.0, albedo, 400_000, "gaussian", 8)
     for theta, phi in ((0.2, 0.0), (0.7, 0.1), (0.7, np.pi), (0.9, 2.0)):
         towards = direction(theta, phi)
         for most in (1, 2):
@@ -240,7 +243,7 @@ def test_paths_in_cavities_are_oren_and_nayars_integral():
 def test_one_bounce_in_cavities_is_the_integral(albedo):
     """With an interface: where it mirrors, and where transmittance lets light out."""
     light, half_angle, model = direction(0.7, 0.0), 0.15, InterfacedLambertian("beckmann", "v-groove", "reference")
-    found = sampled_facets.paths(jax.random.key(3), light, 0.4, 1.5, albedo, 400_000, most=3)
+    found = sampled_facets.paths(jax.random.key(3), light, (0.4, 0.4), 1.5, albedo, 400_000, most=3)
     rng = np.random.default_rng(0)
     cos, turn = 1 - (1 - np.cos(half_angle)) * rng.uniform(size=60), rng.uniform(0, 2 * np.pi, 60)
     for theta, phi in ((0.7, np.pi), (0.4, 2.6), (0.9, 0.3)):
@@ -253,3 +256,18 @@ def test_one_bounce_in_cavities_is_the_integral(albedo):
         given = values(model, 0.4, eta=np.full(3, 1.5), albedo=np.full(3, albedo))
         expected = np.mean(evaluate(model, given, Geometry.from_vectors(np.tile(light, (60, 1)), cone))[0])
         assert abs(seen.mean - expected) < 4 * seen.error + 0.03 * expected
+
+
+def test_one_bounce_in_anisotropic_cavities_is_the_integral():
+    """Facets without an interface, four times as rough along y; turned by a right angle they look different."""
+    light, half_angle, roughness = direction(1.0, 0.1), 0.12, (0.15, 0.6)
+    found = sampled_facets.paths(jax.random.key(4), light, roughness, BARELY, 0.8, 400_000, most=3)
+    for theta, phi in ((1.0, 0.1), (0.9, 3.3), (1.1, 3.1)):
+        towards = direction(theta, phi)
+        seen = sampled_facets.on_sensor(found, towards, half_angle, (1, 1))
+        expected, turned_round = (
+            oracle.interfaced_lambertian(light, towards, r, BARELY, 0.8, "beckmann", grooves=True)
+            for r in (roughness, roughness[::-1])
+        )
+        assert abs(seen.mean - expected) < 4 * seen.error + 0.01 * expected
+        assert abs(seen.mean - turned_round) > 4 * seen.error + 0.01 * expected, "the axes matter"
