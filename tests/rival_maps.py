@@ -1,8 +1,8 @@
 """Where a rival's RMSE is lower than the two-scale model's, and why: `python -m tests.rival_maps`.
 
 Maps of fit over file of both, and how their mean squared errors add up over theta_h, for one material of each kind of
-defeat in results/merl100/rivals_compressive.md. Parameters are those of `tests.merl100` and `tests.merl100_rivals`.
-Picture: results/merl100/rival_maps.png.
+defeat in results/merl100/rivals_compressive.md and rivals_none.md. Parameters are those of `tests.merl100` and
+`tests.merl100_rivals`. Pictures: results/merl100/rival_maps.png and rival_maps_none.png.
 """
 
 import json
@@ -26,18 +26,24 @@ from .merl100 import FITS, FOLDER
 from .merl100_rivals import PARTS
 
 SHOWN = {
-    "cherry-235": "sgd", "white-fabric": "sgd", "chrome": "sgd",
-    "specular-green-phenolic": "epd", "white-acrylic": "epd", "silver-metallic-paint": "smooth",
+    "compressive": {
+        "cherry-235": "sgd", "white-fabric": "sgd", "chrome": "sgd",
+        "specular-green-phenolic": "epd", "white-acrylic": "epd", "silver-metallic-paint": "smooth",
+    },
+    "none": {
+        "gray-plastic": "sgd", "specular-white-phenolic": "sgd", "white-marble": "sgd", "silicon-nitrade": "smooth",
+    },
 }  # fmt: skip
+PICTURES = {"compressive": "rival_maps.png", "none": "rival_maps_none.png"}
 FACTOR = 4.0  # of fit and file, at the ends of the scale
 TICKS = (0, 1, 5, 15, 30, 60, 90)  # theta_h (deg)
 
 
-def predictions(material, rival, samples):
+def predictions(material, rival, samples, weights):
     """Of the two-scale model and of a rival, (C, H, D, P/2)."""
-    (row,) = [row["compressive"] for row in json.loads(FITS.read_text()) if row["material"] == material]
-    config = load(posterior=False)
-    other = json.loads((PARTS / f"{material}.json").read_text())["compressive"][rival]
+    (row,) = [row[weights] for row in json.loads(FITS.read_text()) if row["material"] == material]
+    config = load(posterior=False, weights=weights)
+    other = json.loads((PARTS / f"{material}.json").read_text())[weights][rival]
     own = config_of(config, rival)
     (model,) = candidates(own)
     pairs = (
@@ -55,7 +61,7 @@ def values_of(layout, flat):
     }
 
 
-def measure(material, rival, folder):
+def measure(material, rival, folder, weights):
     """Of both models: log2 of fit over file (H, D), squared error summed over the rows up to each theta_h (H)."""
     measurement, grid = read(file(folder, material)), merl_grid()
     samples = weighted_samples(measurement, load().rungs[0], THETA_MAX)
@@ -66,7 +72,7 @@ def measure(material, rival, folder):
     weight = sum(measure_ * c**2 / np.maximum(np.sqrt(1 - c**2), SIN_FLOOR) for c in (grid.cos_i[..., :half], turned))
     weight = np.where(used, weight, 0.0)
     found = []
-    for fit in predictions(material, rival, samples):
+    for fit in predictions(material, rival, samples, weights):
         sound = used & np.all((samples.value > 0) & (fit > 0), 0)
         ratio = np.log2(np.where(sound, fit, 1) / np.where(sound, samples.value, 1)).mean(0).sum(-1)
         count = sound.sum(-1)
@@ -107,11 +113,14 @@ def picture(shown):
 
 
 def main():
-    """Draw it."""
+    """Draw them."""
     with TemporaryDirectory() as made:
         folder = os.environ.get("MERL_RECONSTRUCTIONS", made)
-        shown = {pair: measure(*pair, folder) for pair in SHOWN.items()}
-    save(picture(shown), FOLDER / "rival_maps.png", dpi=150)
+        for weights, pairs in SHOWN.items():
+            shown = {pair: measure(*pair, folder, weights) for pair in pairs.items()}
+            save(picture(shown), FOLDER / PICTURES[weights], dpi=150)
+            for (material, rival), ((_, own), (_, others)) in shown.items():
+                print(f"{weights} {material} {rival}: {np.sqrt(own[-1]):.3g} {np.sqrt(others[-1]):.3g}")
 
 
 if __name__ == "__main__":
