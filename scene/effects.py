@@ -58,7 +58,7 @@ TWO_SCALE = (
     Effect("masking", "none", (("masking", "none"),)),
     Effect("renormalisation", "none", (("renormalised", False),)),
     Effect("blur of diffraction", "plain lobe", (("diffraction", "lobe"),)),
-    Effect("mirror reflection", "none", lobe="specular"),
+    Effect("specular reflection", "none", lobe="specular"),
     Effect("colour of diffraction", "that of reflection", (("colour", "fresnel"),)),
     Effect("body", "none", (("body", "none"),)),
     Effect("exact Fresnel", "Schlick's", (("fresnel", "schlick"),)),

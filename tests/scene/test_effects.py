@@ -50,7 +50,7 @@ def test_what_does_not_show_is_dropped_and_what_shows_is_kept():
     assert found.off_by <= 1.0
     assert found.chosen == without(finest(TwoScale("lambert")), [r.effect for r in found.rows if not r.kept])
     hazy = planned(scene(), Given("a", TwoScale(), HAZY, RGB))
-    assert {row.effect.name for row in hazy.rows if row.kept} >= {"diffraction", "mirror reflection"}
+    assert {row.effect.name for row in hazy.rows if row.kept} >= {"diffraction", "specular reflection"}
 
 
 def test_a_smaller_tolerance_keeps_more():
@@ -75,11 +75,11 @@ def test_each_effect_is_another_program_or_is_not_listed():
     assert "diffraction" not in [effect.name for effect in effects_of(TwoScale(diffraction="off"))]
     assert without(model, []) == model
     assert without(model, [EVERY["diffraction"], EVERY["blur of diffraction"]]).diffraction == "off"
-    nothing_sharp = without(TwoScale("lambert"), [EVERY["diffraction"], EVERY["mirror reflection"]])
+    nothing_sharp = without(TwoScale("lambert"), [EVERY["diffraction"], EVERY["specular reflection"]])
     assert isinstance(nothing_sharp, Part)
     assert nothing_sharp.lobes == ()
     # masking has nothing left to act on
-    more = without(TwoScale("lambert"), [EVERY["diffraction"], EVERY["mirror reflection"], EVERY["masking"]])
+    more = without(TwoScale("lambert"), [EVERY["diffraction"], EVERY["specular reflection"], EVERY["masking"]])
     assert more == nothing_sharp
 
 
