@@ -14,16 +14,18 @@ NAMED = 0.3  # of a unit vector: smaller components of a direction are not named
 STRONG = 0.9  # correlations beyond this are put into words
 
 
-def identifiability(layout: Layout, normal: np.ndarray, count: float, covariance: np.ndarray) -> schema.Identifiability:
+def identifiability(
+    layout: Layout, normal: np.ndarray, cost: float, count: float, covariance: np.ndarray
+) -> schema.Identifiability:
     """Correlations, contraction of the prior, and directions that the data do not determine.
 
     Args:
-        normal, count: as for `laplace`. covariance: of the physical values (P, P).
+        normal, cost, count: as for `laplace`. covariance: of the physical values (P, P).
     """
-    precision = likelihood_precision(normal, count)
+    precision = likelihood_precision(normal, cost, count)
     values, vectors = np.linalg.eigh((precision + precision.T) / 2)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    names, left = layout.coordinates, np.sqrt(np.diag(laplace_covariance(normal, count)))
+    names, left = layout.coordinates, np.sqrt(np.diag(laplace_covariance(normal, cost, count)))
     return schema.Identifiability(
         names=list(layout.names),
         covariance=covariance.tolist(),

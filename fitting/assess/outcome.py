@@ -34,14 +34,16 @@ class Fitted:
     """A fit on all bins.
 
     Attributes:
-        layout: what was fitted, and in which coordinates. solution: where it ended.
-        count: effective sample count of the residuals. errors: metrics.
+        layout: what was fitted, and in which coordinates.
+        solution: where it ended, with the cost of all bins and the normal equations of the last grid.
+        costs: of all bins, by channel (C,). count: effective sample count of the residuals. errors: metrics.
         candidates: models and their variants that were compared on the coarse grid.
         bend: of the weights that it was made with.
     """
 
     layout: Layout
     solution: Solution
+    costs: np.ndarray
     count: float
     errors: metrics.Errors
     candidates: list[schema.Candidate]
@@ -61,7 +63,7 @@ class Fitted:
     def covariance(self) -> np.ndarray:
         """Of the physical values, by the Laplace approximation, (P, P)."""
         slopes = np.asarray(self.layout.slopes(jnp.asarray(self.solution.z)))
-        return slopes @ laplace_covariance(self.solution.normal, self.count) @ slopes.T
+        return slopes @ laplace_covariance(self.solution.normal, self.solution.cost, self.count) @ slopes.T
 
     @cached_property
     def standard_errors(self) -> np.ndarray:

@@ -56,13 +56,13 @@ def make_result(
     s, unit = fitted.solution, energy(samples)
     fit_part = schema.Fit(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
-        cost=s.cost, cost_per_channel=s.normal[:, -1, -1].tolist(), folding_scatter=samples.scatter / unit,
+        cost=s.cost, cost_per_channel=fitted.costs.tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
         weights=fitted.bend, cautions=cautions(fitted, config) + unread(measurement),
         effective_bins=round(fitted.count, 2),
     )  # fmt: skip
     errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
-    found = identifiability(fitted.layout, s.normal, fitted.count, fitted.covariance)
+    found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)
     return schema.Result(
         model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
         fit=fit_part, metrics=errors, identifiability=found, posterior=None, **common,

@@ -234,10 +234,8 @@ def assess(
     """A solution with its cost on all bins, its errors and the effective count of its residuals."""
     predicted = predict_samples(layout, solution.z, samples)
     errors, costs = assess_prediction(predicted, measurement, samples, theta_max)
-    normal = solution.normal.copy()
-    normal[:, -1, -1] = costs
-    exact = replace(solution, cost=float(costs.sum()), normal=normal)
-    return Fitted(layout, exact, count_of(samples, predicted), errors, [])
+    whole = replace(solution, cost=float(costs.sum()))
+    return Fitted(layout, whole, costs, count_of(samples, predicted), errors, [])
 
 
 def fit_coarse(

@@ -90,7 +90,7 @@ def draw(
             chain = replace(chain, lessons=0)  # one that was long enough once is not given up
         emulator = Emulator.of(few, layout, chain.taught)
     else:
-        covariance = laplace_covariance(solution.normal, fitted.count)
+        covariance = laplace_covariance(solution.normal, solution.cost, fitted.count)
         chain, emulator = begin(few, layout, solution.z, covariance, seed, say)
 
     def keep(chain: Chain) -> None:

@@ -35,7 +35,7 @@ def corrected(chain, few, whole):
 
 def a_fit():
     solution = Solution(np.zeros(SIZE), 0.1, np.stack([np.eye(SIZE + 1)] * 3), 1, 0.0, True)
-    return Fitted(LAYOUT, solution, 20.0, Errors(*(0.0,) * 6), [])
+    return Fitted(LAYOUT, solution, np.full(3, 0.1 / 3), 20.0, Errors(*(0.0,) * 6), [])
 
 
 def quantiles_of(posterior):

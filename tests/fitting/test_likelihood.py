@@ -41,7 +41,7 @@ def fitted():
 
 def near(best, count, size):
     """Draws from the Laplace approximation."""
-    covariance = laplace_covariance(best.normal, count)
+    covariance = laplace_covariance(best.normal, best.cost, count)
     return np.random.default_rng(7).multivariate_normal(best.z, covariance, size=size, method="eigh")
 
 
@@ -86,7 +86,7 @@ def test_its_slope_at_the_fit_is_that_of_all_bins(fitted):
     jacobian = (few.weighed(best.z + steps) - few.weighed(best.z - steps)).T / (2 * STEP)
     slope = 2 * few.scale * jacobian.T @ (few.target - few.weighed(best.z[None])[0])
     expected = FLATTER * COUNT / best.cost * best.normal.sum(0)[:-1, -1]
-    covariance = laplace_covariance(best.normal, COUNT)
+    covariance = laplace_covariance(best.normal, best.cost, COUNT)
     assert np.all(np.abs(covariance @ (slope - expected)) < 0.05 * np.sqrt(np.diag(covariance)))
 
 

@@ -8,6 +8,7 @@ from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.outcome import POOR, Fitted, cautions
 from merlfit.fitting.assess.selection import ALIKE, MARGIN
 from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.pipeline import run
 from merlfit.fitting.results.schema import Candidate
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, Status
@@ -27,7 +28,8 @@ def fitted(values=VALUES, cost=0.01, candidates=(), errors=GOOD, converged=True)
     """A fit of parameters that the data determine a little better than the prior does."""
     z = LAYOUT.free(values)
     normal = np.tile(np.diag([*np.full(len(z), 0.1 * cost), cost / 3]), (3, 1, 1))
-    return Fitted(LAYOUT, Solution(z, cost, normal, 9, 1e-4, converged), 100.0, errors, list(candidates))
+    solution = Solution(z, cost, normal, 9, 1e-4, converged)
+    return Fitted(LAYOUT, solution, np.full(3, cost / 3), 100.0, errors, list(candidates))
 
 
 def said(one, **given):
@@ -58,6 +60,17 @@ def test_what_is_doubtful_is_said(one, words):
     assert len(cautions(one, load())) == 1
 
 
+def test_the_costs_of_all_bins_leave_the_matrix_of_the_last_grid_alone(monkeypatch):
+    solution, costs = fitted().solution, np.array([0.1, 0.2, 0.4])
+    monkeypatch.setattr(run, "predict_samples", lambda *_: None)
+    monkeypatch.setattr(run, "assess_prediction", lambda *_: (GOOD, costs))
+    monkeypatch.setattr(run, "count_of", lambda *_: 100.0)
+    found = run.assess(LAYOUT, solution, None, None)
+    assert found.costs is costs
+    assert found.solution.cost == pytest.approx(0.7)
+    assert found.solution.normal is solution.normal
+
+
 def test_a_lost_highlight_is_no_reason_to_advise_what_was_done():
     assert "no exponent" in said(fitted(errors=replace(GOOD, highlight=3.0)), weights="adaptive")
 
@@ -67,7 +80,7 @@ def test_what_is_well_determined_beside_a_bound_is_not_at_it():
     sharp = replace(
         one.solution, normal=one.solution.normal * np.where(np.arange(one.layout.size + 1) < one.layout.size, 1e7, 1.0)
     )
-    assert set(Fitted(LAYOUT, sharp, 100.0, GOOD, []).at_bound) == {"no"}
+    assert set(replace(one, solution=sharp).at_bound) == {"no"}
 
 
 def test_an_albedo_is_at_no_bound():

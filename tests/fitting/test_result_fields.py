@@ -39,10 +39,10 @@ LAYOUT = layout_of(Measured(TwoScale("lambert")))
 def found():
     """Of random normal equations."""
     root = np.random.default_rng(0).normal(size=(3, LAYOUT.size + 1, 4 * LAYOUT.size))
-    normal, z = root @ root.transpose(0, 2, 1), jnp.linspace(-1, 1, LAYOUT.size)
+    normal, z, cost = root @ root.transpose(0, 2, 1), jnp.linspace(-1, 1, LAYOUT.size), 5.0
     slopes = np.asarray(LAYOUT.slopes(z))
-    covariance = slopes @ laplace_covariance(normal, 10.0) @ slopes.T
-    return covariance, identifiability(LAYOUT, normal, 10.0, covariance)
+    covariance = slopes @ laplace_covariance(normal, cost, 10.0) @ slopes.T
+    return covariance, identifiability(LAYOUT, normal, cost, 10.0, covariance)
 
 
 def test_the_covariance_is_in_physical_units_and_agrees_with_the_correlations(found):
