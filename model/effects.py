@@ -4,7 +4,7 @@
 """
 
 from dataclasses import dataclass, fields
-from typing import Literal, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 TWO_SCALE = "two-scale"  # the model's name
 LEAST_ORDER = 6  # of a quadrature
@@ -18,6 +18,7 @@ Colour = Literal["rayleigh_rice", "fresnel"]
 Index = Literal["usual", "complex", "real"]
 Body = Literal["none", "lambert", "plastic", "subsurface", "any"]
 Kind = tuple[Index, Body]
+Same = TypeVar("Same", bound="Effects")
 KINDS: tuple[Kind, ...] = (
     ("complex", "none"), ("real", "lambert"), ("real", "plastic"), ("real", "subsurface"), ("complex", "lambert"),
 )  # fmt: skip
@@ -28,7 +29,8 @@ KINDS: tuple[Kind, ...] = (
 class Effects:
     """The effects that a two-scale material has; what is not chosen is absent from the compiled program.
 
-    Options of what is not chosen take their defaults, so that equal programs are equal values and compile once.
+    An option that nothing chosen uses is refused unless it is the default, so that equal programs are equal values and
+    compile once; :meth:`changed` heeds that.
 
     Attributes:
         body: what lies under the interface, with an albedo per channel, or ``none``.
@@ -66,7 +68,7 @@ class Effects:
     index: Index = "usual"
 
     def __post_init__(self) -> None:
-        """Refuse names that are not effects, and numbers out of range; forget options that nothing asks for."""
+        """Refuse names that are not effects, numbers out of range, and options that nothing uses."""
         for field in fields(self):
             value, choices = getattr(self, field.name), get_args(field.type)
             if get_origin(field.type) is Literal and value not in choices:
@@ -77,18 +79,30 @@ class Effects:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
         if not 1 <= self.zonal_order <= 1000:
             raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
-        used = {
-            "order": self.diffraction in ("quadrature", "scaled"),
-            "zonal_order": self.diffraction == "zonal",
-            "renormalised": self.diffraction != "off",
-            "colour": self.diffraction != "off",
-        }
-        for name in (name for name, asked in used.items() if not asked):
-            object.__setattr__(self, name, getattr(type(self), name))
+        for name, where in idle(self.diffraction).items():
+            if getattr(self, name) != getattr(type(self), name):
+                raise ValueError(f"{name} has an effect only where {where}: leave it out")
         if self.index == "usual":
             object.__setattr__(self, "index", "complex" if self.body == "none" else "real")
         if self.index == "complex" and self.body in ("plastic", "subsurface"):
             raise ValueError(f"body {self.body!r} lies under a clear interface: its index is real, not complex")
+
+    def changed(self: Same, **settings: Any) -> Same:  # noqa: ANN401 - of its fields
+        """The same with other settings; options that nothing uses any more take their defaults."""
+        wanted = {field.name: getattr(self, field.name) for field in fields(self)} | settings
+        unused = idle(wanted["diffraction"])
+        return type(self)(**{name: value for name, value in wanted.items() if name not in unused})
+
+
+def idle(diffraction: Diffraction) -> dict[str, str]:
+    """Options that a tier of diffraction does not use, and where they have an effect, in words."""
+    used = {
+        "order": (diffraction in ("quadrature", "scaled"), "diffraction is quadrature or scaled"),
+        "zonal_order": (diffraction == "zonal", "diffraction is zonal"),
+        "renormalised": (diffraction != "off", "diffraction is not off"),
+        "colour": (diffraction != "off", "diffraction is not off"),
+    }
+    return {name: where for name, (heeded, where) in used.items() if not heeded}
 
 
 PRESETS: dict[str, Effects] = {

@@ -38,7 +38,7 @@ class Measured(Reflectance):
     apparatus: Apparatus = APPARATUS
 
     def __post_init__(self) -> None:
-        """Refuse what is no loss; forget an apparatus that nothing asks for."""
+        """Refuse what is no loss, a loss of what has no lobes, and an apparatus that nothing uses."""
         if isinstance(self.material, Measured):
             raise ValueError(f"{self.material} is measured already")
         if unknown := [lobe for lobe in self.material.lobes if lobe not in LOSSES]:
@@ -46,10 +46,12 @@ class Measured(Reflectance):
         number = type(self.grazing_loss) in (int, float)
         if not (0 <= float(self.grazing_loss) <= 1 if number else self.grazing_loss in get_args(GrazingLoss)):
             raise ValueError(f"grazing_loss {self.grazing_loss!r} is neither off, free, derived nor a number in [0, 1]")
+        if self.apparatus != APPARATUS and self.grazing_loss != "derived":
+            raise ValueError("apparatus has an effect only where grazing_loss is derived: leave it out")
+        if not self.material.lobes and self.grazing_loss not in ("free", "off", 0):
+            raise ValueError(f"grazing_loss has an effect only on sharp lobes, of which {self.material} has none")
         if not self.material.lobes or self.grazing_loss == 0:
             object.__setattr__(self, "grazing_loss", "off")
-        if self.grazing_loss != "derived":
-            object.__setattr__(self, "apparatus", APPARATUS)
 
     @property
     def loses(self) -> bool:
@@ -184,4 +186,6 @@ def material_of(model: Reflectance) -> Reflectance:
 
 def with_material(model: Reflectance, material: Reflectance) -> Reflectance:
     """Another material, seen by the same apparatus."""
-    return replace(model, material=material) if isinstance(model, Measured) else material
+    if not isinstance(model, Measured):
+        return material
+    return replace(model, material=material) if material.lobes else Measured(material)

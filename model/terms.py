@@ -3,7 +3,6 @@
 :class:`merlfit.model.two_scale.TwoScale` says which of them a material has, and puts them together.
 """
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
@@ -205,7 +204,7 @@ def blurred_over_rings(v: Values, model: "TwoScale", wavelength_um: Array) -> Ar
     """(S * D) over the rings that a footprint sees, at normal incidence and one wavelength."""
     rings = jnp.asarray(RINGS_RAD)[:, None]
     ones = jnp.ones((1, 1))
-    inner = replace(model, diffraction="quadrature", order=RING_ORDER)
+    inner = model.changed(diffraction="quadrature", order=RING_ORDER)
     s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), inner, wavelength_um)
     return blurred_lobe(v, s)[0, :, 0]
 

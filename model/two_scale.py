@@ -176,11 +176,11 @@ class TwoScale(Effects, Reflectance):
         return self.split == "conserving" and not by_itself
 
     def coarse(self, order: int) -> "TwoScale":  # noqa: D102
-        return replace(self, order=min(order, self.order))
+        return self.changed(order=min(order, self.order))
 
     def stand_in(self, order: int) -> "TwoScale":  # noqa: D102
         if self.diffraction in ("scaled", "zonal", "exact"):
-            return replace(self, diffraction="quadrature", order=order)
+            return self.changed(diffraction="quadrature", order=order)
         return self.coarse(order)
 
     @property
@@ -215,7 +215,7 @@ class TwoScale(Effects, Reflectance):
         """Nearly: with F instead of Q for the colour of diffracted light."""
         exact, real = self.fresnel == "exact", self.index == "real"
         of_metal, of_dielectric = (fresnel, fresnel_of_dielectric) if exact else (schlick, schlick_of_dielectric)
-        lobes = replace(self, body="none", index="complex", colour="fresnel", split="printed")
+        lobes = self.changed(body="none", index="complex", colour="fresnel", split="printed")
         return Separated(
             lobes, PERFECT, DIELECTRICS if real else METALS, of_dielectric if real else of_metal,
             real, BODY_BRDF[self.body], "eta" if self.body in ("plastic", "subsurface") else None,

@@ -85,12 +85,12 @@ def without(model: Reflectance, effects: Sequence[Effect]) -> Reflectance:
     if model.diffraction != "quadrature" and changes.get("diffraction") == "lobe":
         del changes["diffraction"]  # another tier is what the material was fitted with
     index = {"index": model.index}  # that of "usual" depends on the body
-    found = replace(model, **index, **changes)  # pyright: ignore[reportArgumentType] - settings by name
+    found = model.changed(**index, **changes)
     kept = tuple(lobe for lobe in found.lobes if lobe not in gone)
     if kept == found.lobes:
         return found
     if not kept:
-        found = replace(found, diffraction="off", masking="none", fresnel="schlick", split=_split(found))
+        found = found.changed(diffraction="off", masking="none", fresnel="schlick", split=_split(found))
     elif found.colour != "fresnel":
         found = replace(found, fresnel="schlick")  # of the specular term alone
     return Part(found, kept)

@@ -99,7 +99,7 @@ def measure():
     rows = {}
     for reference, tier in REFERENCES.items():
         colour = "fresnel" if "F for" in reference else "rayleigh_rice"
-        target = TwoScale(diffraction=tier, colour=colour, order=96)
+        target = TwoScale().changed(diffraction=tier, colour=colour, order=96)
         whole, lobe = (np.asarray(x) for x in evaluate(target, values, wavelength, geometry))
         seen = lobe > NOTHING
         bright = (lobe > BRIGHT * np.max(lobe, 1, keepdims=True))[seen]

@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypedDict, Unpack
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from ...model.effects import PRESETS, TWO_SCALE
+from ...model.effects import PRESETS, TWO_SCALE, idle
 from ..objective.weights import RUNGS, Bend
 from .sections import (
     AcquisitionSection,
@@ -54,23 +54,17 @@ class Config(Section):
     @model_validator(mode="after")
     def _refuse_idle_keys(self) -> "Config":
         """A setting that was changed from the preset and would have no effect is refused: it is a mistake."""
-        effects, lit = self.effects, self.effects.diffraction != "off"
-        useful = {
-            "order": (effects.diffraction in ("quadrature", "scaled"), "effects.diffraction is quadrature or scaled"),
-            "zonal_order": (effects.diffraction == "zonal", "effects.diffraction is zonal"),
-            "renormalised": (lit, "effects.diffraction is not off"),
-            "colour": (lit, "effects.diffraction is not off"),
-        }
-        for key, (used, when) in useful.items():
-            if not used and getattr(effects, key) != getattr(PRESETS[effects.preset], key):
-                raise ValueError(f"effects.{key} has an effect only where {when}: leave it out")
+        effects = self.effects
+        for key, where in idle(effects.diffraction).items():
+            if getattr(effects, key) != getattr(PRESETS[effects.preset], key):
+                raise ValueError(f"effects.{key} has an effect only where effects.{where}: leave it out")
         if effects.index == "complex" and effects.body in ("plastic", "subsurface"):
             raise ValueError(f"effects.body {effects.body!r} has a real index: leave effects.index out")
         if self.apparatus != ApparatusSection() and self.acquisition.grazing_loss != "derived":
             raise ValueError("[apparatus] has an effect only where acquisition.grazing_loss is derived: leave it out")
-        if TWO_SCALE not in self.model.names and (idle := _changed(effects)):
+        if TWO_SCALE not in self.model.names and (changes := _changed(effects)):
             raise ValueError(
-                f"effects.{idle[0]} is a setting of the two-scale model, which is not among the models to fit "
+                f"effects.{changes[0]} is a setting of the two-scale model, which is not among the models to fit "
                 f"({', '.join(self.model.names)}): leave it out, or add the two-scale model to them"
             )
         for model in self.model.rivals:

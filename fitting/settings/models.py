@@ -35,11 +35,13 @@ def _numbers(material: Reflectance) -> int:
 def two_scale(config: Config, kind: Kind) -> Measured:
     """The two-scale model to fit with one interface and body."""
     chosen = config.effects.model_copy(update=dict(zip(("index", "body"), kind, strict=True)))
-    return measured(config, TwoScale(**chosen.model_dump(exclude={"preset"})))
+    return measured(config, TwoScale().changed(**chosen.model_dump(exclude={"preset"})))
 
 
 def measured(config: Config, material: Reflectance) -> Measured:
     """A material as the apparatus sees it."""
+    if not material.lobes:
+        return Measured(material)
     loss = config.acquisition.grazing_loss
     return Measured(material, "free" if loss == "auto" else loss, Apparatus(**config.apparatus.model_dump()))
 

@@ -217,6 +217,17 @@ def test_presets_that_only_switch_things_off_are_not_refused():
     assert parse({"effects": {"preset": "preview", "diffraction": "off"}}, "here").effects.colour == "fresnel"
 
 
+def test_what_a_model_cannot_use_is_left_out_of_it():
+    """A preset's colour without diffraction; the loss of a model without lobes beside one with lobes."""
+    dark = parse({"effects": {"preset": "preview", "diffraction": "off"}}, "here")
+    assert two_scale(dark, ("complex", "none")) == Measured(TwoScale(diffraction="off", fresnel="schlick"))
+    acquisition = {"acquisition": {"grazing_loss": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
+    both = parse({"model": {"name": ["ggx", "oren-nayar-qualitative"]}, **acquisition}, "here")
+    assert {model.material.name: model.grazing_loss for model in candidates(both)} == {
+        "ggx": "derived", "oren-nayar-qualitative": "off",
+    }  # fmt: skip
+
+
 def test_the_reference_is_refused_in_fits():
     with pytest.raises(ConfigError, match="fit with quadrature"):
         parse({"effects": {"diffraction": "exact"}}, "here")

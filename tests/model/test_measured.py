@@ -60,6 +60,16 @@ def test_what_has_no_sharp_lobe_loses_nothing():
     assert seen.parameters == OrenNayarQualitative().parameters
 
 
+@pytest.mark.parametrize(("given", "words"), [
+    ((TwoScale(), "free", Apparatus(100.0)), "apparatus has an effect only where grazing_loss is derived"),
+    ((OrenNayarQualitative(), 0.4), "only on sharp lobes"),
+    ((OrenNayarQualitative(), "derived"), "only on sharp lobes"),
+])  # fmt: skip
+def test_what_would_have_no_effect_is_refused(given, words):
+    with pytest.raises(ValueError, match=words):
+        Measured(*given)
+
+
 def test_exponents_stand_between_shared_parameters_and_those_of_channels():
     names = [q.name for q in Measured(TwoScale("lambert")).parameters]
     assert names[4:] == ["sigma_s", "grazing_exponent", "grazing_exponent_diffracted", "eta", "albedo"]
@@ -78,6 +88,7 @@ def test_a_material_is_found_and_replaced():
     assert material_of(seen) == material_of(TwoScale()) == TwoScale()
     assert with_material(seen, GGX()) == Measured(GGX(), "derived", Apparatus(100.0))
     assert with_material(TwoScale(), GGX()) == GGX()
+    assert with_material(seen, OrenNayarQualitative()) == Measured(OrenNayarQualitative())
     assert str(seen) == str(TwoScale()) == "two-scale (complex none)"
 
 

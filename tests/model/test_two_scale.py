@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax.flatten_util import ravel_pytree
 from jaxtyping import TypeCheckError
-from merlfit.model.apparatus import Apparatus
 from merlfit.model.effects import KINDS
 from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
@@ -398,14 +397,26 @@ def test_effects_refuse_unknown_names():
             TwoScale(**wrong)
 
 
-def test_options_of_what_is_not_chosen_make_no_other_program():
-    for idle in ({"order": 16}, {"zonal_order": 7}):
-        assert TwoScale(diffraction="lobe", **idle) == TwoScale(diffraction="lobe")
-    assert TwoScale(diffraction="off", colour="fresnel", renormalised=False) == TwoScale(diffraction="off")
-    assert TwoScale(order=16) != TwoScale()
+IDLE = [
+    ("lobe", {"order": 16}), ("quadrature", {"zonal_order": 7}), ("off", {"colour": "fresnel"}),
+    ("off", {"renormalised": False}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("diffraction", "option"), IDLE)
+def test_options_that_nothing_uses_are_refused(diffraction, option):
+    with pytest.raises(ValueError, match=f"{next(iter(option))} has an effect only where diffraction is "):
+        TwoScale(diffraction=diffraction, **option)
+
+
+def test_a_change_leaves_no_option_that_nothing_uses():
+    """So equal programs are equal values, and compile once."""
+    fine = TwoScale("lambert", order=64, colour="fresnel", renormalised=False)
+    assert fine.changed(diffraction="lobe") == TwoScale("lambert", "lobe", colour="fresnel", renormalised=False)
+    assert fine.changed(diffraction="off", colour="fresnel") == TwoScale("lambert", "off")
+    assert fine.changed(order=16) == replace(fine, order=16)
+    assert fine.changed() == fine
     assert TwoScale(diffraction="scaled", order=16) != TwoScale(diffraction="scaled")
-    assert Measured(TwoScale(), "derived", Apparatus(100.0)).apparatus == Apparatus(100.0)
-    assert Measured(TwoScale(), "free", Apparatus(100.0)) == Measured(TwoScale())
 
 
 @given(
