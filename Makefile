@@ -36,7 +36,7 @@ quick: lint types
 	$(BIN)/python -m pytest -q -n 2 -m "not slow" tests/test_architecture.py tests/test_readme.py tests/merl_io \
 		$(addprefix tests/fitting/test_,selection.py weights.py picture.py metrics.py tables.py threads.py outcome.py frontier.py \
 		residuals.py result_fields.py damaged_results.py) \
-		$(addprefix tests/model/test_,chebyshev.py parameter_names.py whole_numbers.py)
+		$(addprefix tests/model/test_,chebyshev.py geometry.py reflectance.py)
 
 # What takes minutes a test; to be run by hand before a release.
 test-slow: install

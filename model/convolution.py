@@ -36,7 +36,7 @@ def interpolation_nodes(order: int) -> int:
     """Chebyshev nodes in log(1 + B^2) over the range of a grid, as many as the quadrature's own error calls for.
 
     Over all bounds of the fit and the whole of MERL's range of cos_d and wavelength, table and quadrature together err
-    by what the quadrature errs by alone (`convolve`; ``tests/model/test_against_oracles.py``).
+    by what the quadrature errs by alone (`convolve`; ``tests/model/test_convolution.py``).
     """
     return max(8, min(20, order * 5 // 8))
 
@@ -218,7 +218,7 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: 
 
     Accuracy, relative, over beta in [1e-3, 1], p in [0.2, 5], c in [1.01, 6], B in [0.01, 900], all theta_h: order 16
     median 1.5e-4, worst of 28 000 draws 4e-2, worst found at the bounds 5.3e-2; 24: 4e-5, 9e-3, 1.5e-2; 32: 9e-6,
-    2.5e-3, 5.2e-3; 48: 9e-7, 6e-4, 1e-3 (``tests/model/test_against_oracles.py``). The worst are at p = 0.2, beta = 1,
+    2.5e-3, 5.2e-3; 48: 9e-7, 6e-4, 1e-3 (``tests/model/test_convolution.py``). The worst are at p = 0.2, beta = 1,
     B = 900, c = 1.01 or 6, and are those of values above 1e-6 of that at theta_h = 0: at beta = 1e-3, p = 0.2, c = 6,
     B = 900, theta_h = 87 degrees, where the value is 1e-19, order 32 loses all of it. Over beta in [1e-4, 2], p in
     [0.12, 5], c in [1.001, 8], B in [1e-3, 2e4]: 32: 1e-5, 99 % below 3e-3; 256: 1e-13, worst 1e-6
@@ -298,7 +298,7 @@ def from_surface(table: Real, theta_h: Real, B: Real, sharpest: Scalar) -> Real:
 
     Accuracy against :func:`convolve` of the same order (HP17 Eq. 33), 60 random lobes of beta in [3e-3, 0.6], p in
     [0.25, 4], c in [1.05, 5], b in [0.1, 30] um: median 1e-7 of the lobe, 99 % within 6e-4 where it is above 1e-6 of
-    its peak, all within 2e-4 of the peak (``tests/model/test_prepared.py`` holds six to about these numbers).
+    its peak, all within 2e-4 of the peak (``tests/model/test_convolution.py`` holds six to about these numbers).
     """
     root = jnp.sqrt(1 + sharpest**2)
     across = jnp.arcsinh(root * theta_h) * ((HALVES - 1) / jnp.arcsinh(root * jnp.pi / 2))

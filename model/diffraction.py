@@ -6,7 +6,7 @@ import numpy as np
 from .numerics import Real, safe_sqrt, total
 from .quadrature import gauss_legendre
 
-RENORMALISATION_ORDER = 48  # 1e-9 for b/lambda in [1e-3, 1e4] (tests/model/test_against_oracles.py)
+RENORMALISATION_ORDER = 48  # 1e-9 for b/lambda in [1e-3, 1e4] (tests/model/test_diffraction.py)
 
 
 def lobe_amplitude(b_over_lambda: Real, c: Real) -> Real:

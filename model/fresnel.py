@@ -60,7 +60,7 @@ def fresnel(cos_theta: Real, n: Real, k: Real) -> Real:
         n: real part of the index of refraction, relative to the outside.
         k: imaginary part; 0 for a dielectric.
 
-    Accuracy: 1e-12 against 30 digits (``tests/model/test_against_oracles.py``).
+    Accuracy: 1e-12 against 30 digits (``tests/model/test_fresnel.py``).
     """
     t = transmitted(cos_theta, n, k)
     contrast_real, contrast_imag = _contrast(n, k)

@@ -9,11 +9,6 @@ SEED = 20261121
 ANGLES = jnp.asarray(((np.arange(90) + 0.5) / 90) ** 2 * np.pi / 2)  # MERL's half angles
 
 
-def j(*numbers):
-    """JAX arrays of numbers."""
-    return [jnp.asarray(x, dtype=float) for x in numbers]
-
-
 def draw(count, low, high, seed=SEED):
     """Random (B, c, beta, p), one column each, log-uniform, c in c - 1."""
     low, high = np.array(low) - [0, 1, 0, 0], np.array(high) - [0, 1, 0, 0]

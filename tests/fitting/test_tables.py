@@ -8,7 +8,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from lobes import INSIDE, j
+from arrays import j
+from lobes import INSIDE
 from merlfit.fitting.support import tables
 from merlfit.model import scaled
 

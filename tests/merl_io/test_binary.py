@@ -1,6 +1,7 @@
 """MERL files: what is stored where, what is masked, and what is refused in which words."""
 
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from merlfit.merl_io import binary, check, grid, source
-from merlfit.merl_io.binary import DIMS, MerlError, dims_of, file_bytes, read, write
+from merlfit.merl_io.binary import DIMS, HEADER, MerlError, dims_of, file_bytes, read, write
 from merlfit.merl_io.samples import fold, runs_for, thin
 
 
@@ -295,3 +296,41 @@ def test_thinning_keeps_middle_rows_which_stand_for_their_runs():
         thin(folded, (7, 5, 10))
     with pytest.raises(ValueError, match="must fill"):
         thin(folded, ((30, 30, 31), 5, 10))
+
+
+@pytest.fixture
+def ones(tmp_path):
+    """A file to spoil."""
+    target = tmp_path / "ones.binary"
+    write(target, np.ones((3, *DIMS)))
+    return target
+
+
+def test_signalling_nans_are_counted_without_a_warning(ones):
+    stored = np.memmap(ones, "<u8", "r+", HEADER.size, (3, *DIMS))
+    stored[1, 2, 3, 4] = 0x7FF0000000000001
+    stored.flush()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read(ones).nan == 1
+
+
+def test_a_file_without_a_valid_bin_says_which_channels_are_bad(ones):
+    stored = np.memmap(ones, "<f8", "r+", HEADER.size, (3, *DIMS))
+    stored[0] = -1
+    stored[2, :9] = np.nan
+    stored.flush()
+    with pytest.raises(MerlError, match=r"no valid bin.*\(red 100%, green 0%, blue 10% of the bins\)"):
+        read(ones)
+
+
+def test_what_cannot_be_written_is_named(tmp_path):
+    target = tmp_path / "missing" / "x.binary"
+    with pytest.raises(MerlError, match=r"x\.binary: cannot be written"):
+        write(target, np.ones((3, *DIMS)))
+
+
+def test_a_name_as_long_as_a_name_may_be_can_be_written(tmp_path):
+    target = Path(tmp_path / ("x" * 248 + ".binary"))
+    write(target, np.ones((3, *DIMS)))
+    assert read(target).valid.all()

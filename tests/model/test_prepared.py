@@ -1,11 +1,9 @@
 """What scattered directions share: tables give what each direction would compute for itself."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from compiled import evaluate
-from merlfit.model import convolution
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.part import Part
@@ -53,24 +51,6 @@ def test_tables_in_single_precision():
     narrow = Geometry.from_vectors(*directions().astype(jnp.float32))
     own = np.asarray(evaluate(model, values_of(model), g))
     np.testing.assert_allclose(np.asarray(evaluate(model, single, narrow)), own, rtol=2e-3)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_surface_is_the_convolution(seed):
-    """Medians 1e-7, 99 % within 1e-3 of the lobe, all within 1e-3 of its peak."""
-    rng = np.random.default_rng(seed)
-    low, high = np.log([3e-3, 0.25, 0.05, 0.1]), np.log([0.6, 4.0, 4.0, 30.0])
-    beta, p, c, b = (jnp.asarray(x) for x in np.exp(rng.uniform(low, high)))
-    c, sharpest = 1 + c, 2 * b / 0.444
-    theta = jnp.asarray(np.minimum(1.57, np.exp(rng.uniform(np.log(1e-4), np.log(1.57), 500))))
-    B = sharpest * jnp.asarray(rng.random(500))
-    table = jax.jit(convolution.surface, static_argnums=4)(sharpest, c, beta, p, 24)
-    found = np.asarray(convolution.from_surface(table, theta, B, sharpest))
-    expected, peak = (np.asarray(convolution.convolve(x, B, c, beta, p, 24)) for x in (theta, 0 * theta))
-    off = np.abs(found - expected)
-    assert np.all(off < 1e-3 * peak)
-    assert np.median(off / expected) < 1e-5
-    assert np.quantile((off / expected)[expected > 1e-6 * peak], 0.98) < 2e-3
 
 
 def test_parts_add_up():

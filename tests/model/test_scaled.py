@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lobes import ANGLES, HIGH, INSIDE, LOW, OUTSIDE, SEED, j, lobes_in_range, truth
+from arrays import j
+from lobes import ANGLES, HIGH, INSIDE, LOW, OUTSIDE, SEED, lobes_in_range, truth
 from merlfit.model import chebyshev, convolution, scaled
 from oracles import convolution as o_convolution
 from scipy.special import gammaincinv

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lobes import ANGLES, INSIDE, SEED, j, lobes_in_range
+from arrays import j
+from lobes import ANGLES, INSIDE, SEED, lobes_in_range
 from merlfit.model import scaled, zonal
 
 TIERS = [zonal.convolve, scaled.convolve]

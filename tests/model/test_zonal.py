@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lobes import ANGLES, draw, j, truth
+from arrays import j
+from lobes import ANGLES, draw, truth
 from merlfit.model import zonal
 from oracles import convolution as o_convolution
 from oracles import zonal as o_zonal

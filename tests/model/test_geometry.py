@@ -1,9 +1,8 @@
-"""Angles, cosines and slopes given as integers are computed with as floating-point numbers."""
+"""Directions: angles and cosines given as integers are computed with as floating-point numbers."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking import smith
 from merlfit.model.numerics import floats
@@ -49,15 +48,6 @@ def test_whole_angles_give_the_same_brdf_of_a_rival():
     found, expected = (evaluate(CookTorrance(), values, by_hand(kind)) for kind in (jnp.int32, jnp.float64))
     assert found.dtype == jnp.float64
     np.testing.assert_array_equal(found, expected)
-
-
-@pytest.mark.parametrize("tau", [1, np.int32(1), np.array([1, 1])])
-def test_whole_slopes_give_the_same_masking(tau):
-    expected = smith.smith_lambda(jnp.asarray(1.0), jnp.asarray(1.0))
-    for p in (1, 1.0):
-        found = smith.smith_lambda(tau, p)
-        assert found.dtype == jnp.float64
-        np.testing.assert_allclose(found, expected, rtol=1e-15)
 
 
 def test_precision_is_kept():

@@ -1,0 +1,137 @@
+"""The convolution (S * D) against slow oracles, with wrong formulas that are rejected."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arrays import j
+from merlfit.model import convolution
+from merlfit.model.two_scale import TwoScale
+from oracles import convolution as o_convolution
+
+SEED = 20261121
+
+
+def convolution_cases(count, seed=SEED):
+    """Parameters over all of the fit's bounds, half of the half angles near the lobe of normals."""
+    rng = np.random.default_rng(seed)
+    cases = []
+    for k in range(count):
+        beta, p = 10 ** rng.uniform(-3, 0), np.exp(rng.uniform(np.log(0.2), np.log(5)))
+        c, B = 1 + np.exp(rng.uniform(np.log(0.01), np.log(5))), 10 ** rng.uniform(-2, np.log10(900))
+        theta_h = rng.uniform(0, 1.57) if k % 2 else min(1.57, np.arctan(beta * rng.uniform(0, 4)))
+        cases.append((theta_h, B, c, beta, p))
+    return np.array(cases)
+
+
+@pytest.fixture(scope="module")
+def convolutions():
+    """Random cases and what the oracle says of them."""
+    cases = convolution_cases(300)
+    return cases, np.array([o_convolution.convolve(*case) for case in cases])
+
+
+@pytest.mark.parametrize(
+    ("order", "median", "largest"), [(16, 3e-4, 5e-2), (32, 5e-5, 3e-3), (48, 1e-5, 1e-3), (96, 2e-6, 2e-4)]
+)
+def test_convolution_in_all_bounds(order, median, largest, convolutions):
+    cases, expected = convolutions
+    found = jax.jit(jax.vmap(lambda x: convolution.convolve(x[0], x[1], x[2], x[3], x[4], order)))(cases)
+    error = np.abs(np.asarray(found) / expected - 1)
+    assert np.median(error) < median
+    assert error.max() < largest, cases[error.argmax()]
+
+
+@pytest.mark.parametrize(("order", "case", "least", "most"), [
+    (16, (0.784837, 900.0, 6.0, 1.0, 0.203389), 5.1e-2, 5.3e-2),
+    (24, (1.54550, 864.357, 1.01, 0.970024, 0.2), 1.3e-2, 1.5e-2),
+    (32, (1.54610, 900.0, 1.01096, 1.0, 0.2), 4.9e-3, 5.2e-3),
+    (48, (1.56326, 387.595, 1.01002, 0.923081, 0.2), 8e-4, 1e-3),
+    (32, (1.51324, 900.0, 6.0, 1e-3, 0.201344), 0.9, 1.0),
+])  # fmt: skip
+def test_convolution_where_it_is_worst(order, case, least, most):
+    """What a search found at the bounds of the fit; the last is a value of 1e-19 (`convolution.convolve`)."""
+    error = abs(float(convolution.convolve(*j(*case), order)) / o_convolution.convolve(*case) - 1)
+    assert least < error < most
+
+
+def test_convolution_check_rejects_the_dirac_limit(convolutions):
+    cases, expected = convolutions
+    lobe = np.asarray(jax.vmap(convolution.lobe)(*j(cases[:, 0], cases[:, 1], cases[:, 2])))
+    assert np.median(np.abs(lobe / expected - 1)) > 1e-2
+
+
+def test_convolution_tends_to_the_lobe_for_narrow_normals():
+    theta_h = jnp.linspace(0.0, 1.4, 15)
+    wide = convolution.convolve(theta_h, *j(3.0, 2.0, 1e-4, 1.0), 48)
+    # D integrates to one with the cosine, and cos = 1 on a narrow lobe
+    np.testing.assert_allclose(wide, convolution.lobe(theta_h, *j(3.0, 2.0)), rtol=1e-3)
+
+
+def test_convolution_gradients_against_differences():
+    cases = convolution_cases(40)[:, :]
+
+    def value(x):
+        return jnp.log(convolution.convolve(x[0], jnp.exp(x[1]), 1 + jnp.exp(x[2]), jnp.exp(x[3]), jnp.exp(x[4]), 64))
+
+    x = np.column_stack([cases[:, 0], np.log(cases[:, 1]), np.log(cases[:, 2] - 1), np.log(cases[:, 3:])])
+    slope = np.asarray(jax.jit(jax.vmap(jax.jacfwd(value)))(x))
+    reverse = np.asarray(jax.jit(jax.vmap(jax.jacrev(value)))(x))
+    np.testing.assert_allclose(reverse, slope, rtol=1e-9, atol=1e-12)
+    batch = jax.jit(jax.vmap(value))
+    for k in range(1, 5):
+        h = 1e-3 * np.eye(5)[k]
+        difference = (np.asarray(batch(x + h)) - np.asarray(batch(x - h))) / 2e-3
+        scale = 1 + np.abs(difference)
+        assert np.max(np.abs(slope[:, k] - difference) / scale) < 2e-2
+        assert np.median(np.abs(slope[:, k] - difference) / scale) < 1e-4
+
+
+def test_default_order_to_3e_3_on_thousands_of_sets():
+    """Against order 96, which the test above holds to 2e-4 of the oracle."""
+    cases = convolution_cases(3000, SEED + 1)
+
+    def at(order):
+        value = jax.jit(lambda x: jax.lax.map(lambda y: convolution.convolve(*y, order), x, batch_size=500))
+        return np.asarray(value(tuple(jnp.asarray(cases.T))))
+
+    reference = at(96)
+    error = np.abs(at(TwoScale().order) / reference - 1)
+    assert error.max() < 3e-3, cases[error.argmax()]
+    assert np.abs(at(16) / reference - 1).max() > 2e-2  # the comparison sees a quadrature that is too coarse
+
+
+@pytest.mark.parametrize(("order", "median", "largest"), [(16, 3e-4, 4e-2), (24, 5e-5, 6e-3), (32, 1.5e-5, 3e-3)])
+def test_grid_table_is_as_good_as_its_quadrature(order, median, largest):
+    """What fits use: table and quadrature together, over all bounds, against order 96 point by point."""
+    theta_h = jnp.asarray(((np.arange(4, 90, 15) + 0.5) / 90) ** 2 * np.pi / 2)
+    cos_d = np.cos((np.arange(0, 90, 3) + 0.5) / 90 * np.pi / 2)
+    u = jnp.asarray((cos_d[:, None] / np.array([0.645, 0.526, 0.444])).ravel())[None]
+    rng = np.random.default_rng(SEED)
+    low, high = np.log([0.05, 0.01, 1e-3, 0.2]), np.log([200, 5, 1, 5])
+    b, c, beta, p = np.exp(rng.uniform(low, high, (60, 4))).T
+    hard = np.array([[166.9, 1.017, 0.573, 4.77], [49.9, 1.015, 0.344, 4.823], [63.6, 2.315, 0.01, 4.778]])
+    sets = np.concatenate([np.stack([b, 1 + c, beta, p], 1), hard])
+    points = jax.jit(lambda x: convolution.convolve(theta_h[:, None], 2 * x[0] * u, *x[1:], 96))
+    table = jax.jit(lambda x: convolution.convolve_many(theta_h[:, None], u, *x, order))
+    error = np.array([np.abs(np.asarray(table(jnp.asarray(x)) / points(jnp.asarray(x))) - 1) for x in sets])
+    assert np.median(error) < median
+    assert error.max() < largest, sets[error.max((1, 2)).argmax()]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_surface_is_the_convolution(seed):
+    """Medians 1e-7, 99 % within 1e-3 of the lobe, all within 1e-3 of its peak."""
+    rng = np.random.default_rng(seed)
+    low, high = np.log([3e-3, 0.25, 0.05, 0.1]), np.log([0.6, 4.0, 4.0, 30.0])
+    beta, p, c, b = (jnp.asarray(x) for x in np.exp(rng.uniform(low, high)))
+    c, sharpest = 1 + c, 2 * b / 0.444
+    theta = jnp.asarray(np.minimum(1.57, np.exp(rng.uniform(np.log(1e-4), np.log(1.57), 500))))
+    B = sharpest * jnp.asarray(rng.random(500))
+    table = jax.jit(convolution.surface, static_argnums=4)(sharpest, c, beta, p, 24)
+    found = np.asarray(convolution.from_surface(table, theta, B, sharpest))
+    expected, peak = (np.asarray(convolution.convolve(x, B, c, beta, p, 24)) for x in (theta, 0 * theta))
+    off = np.abs(found - expected)
+    assert np.all(off < 1e-3 * peak)
+    assert np.median(off / expected) < 1e-5
+    assert np.quantile((off / expected)[expected > 1e-6 * peak], 0.98) < 2e-3

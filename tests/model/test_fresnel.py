@@ -1,0 +1,51 @@
+"""Fresnel's equations and diffracted light's colour against slow oracles, with wrong formulas that are rejected."""
+
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from arrays import j, worst
+from merlfit.model import fresnel
+from oracles import fresnel as o_fresnel
+
+SEED = 20261121
+
+
+def optical_cases(count=60):
+    rng = np.random.default_rng(SEED)
+    n = np.exp(rng.uniform(np.log(0.05), np.log(6), count))
+    k = np.where(np.arange(count) % 3 == 0, 0.0, np.exp(rng.uniform(np.log(1e-3), np.log(12), count)))
+    return rng.uniform(0, np.pi / 2, count), rng.uniform(0, np.pi / 2, count), rng.uniform(0, np.pi, count), n, k
+
+
+def test_fresnel_to_1e_8():
+    theta, _, _, n, k = optical_cases()
+    expected = [o_fresnel.fresnel(np.cos(t), *nk) for t, *nk in zip(theta, n, k, strict=True)]
+    assert worst(fresnel.fresnel(*j(np.cos(theta), n, k)), expected) < 1e-8
+    swapped = [o_fresnel.fresnel(np.cos(t), b, a) for t, a, b in zip(theta, n, k, strict=True) if b > 0]
+    assert worst(fresnel.fresnel(*j(np.cos(theta), n, k))[k > 0], swapped) > 1e-2
+
+
+def test_diffraction_colour_to_1e_8_and_is_half_of_q():
+    i, o, phi, n, k = optical_cases()
+    dot = -np.sin(i) * np.sin(o) * np.cos(phi)  # phi is counted from the mirror direction
+    found = fresnel.diffraction_colour(jnp.cos(i), jnp.cos(o), jnp.asarray(dot), jnp.asarray(n), jnp.asarray(k))
+    q = np.array([float(o_fresnel.rayleigh_rice_q(*case)) for case in zip(i, o, phi, n, k, strict=True)])
+    assert worst(found, q / 2) < 1e-8
+    assert worst(found, q) > 0.4  # the printed Q, twice as much
+
+
+def test_diffraction_colour_is_fresnel_in_the_mirror_direction():
+    theta, _, _, n, k = optical_cases()
+    cos = jnp.cos(theta)
+    colour = fresnel.diffraction_colour(cos, cos, -(1 - cos**2), jnp.asarray(n), jnp.asarray(k))
+    np.testing.assert_allclose(colour, fresnel.fresnel(cos, *j(n, k)), rtol=1e-9)
+
+
+def test_high_precision_fresnel_at_the_edges():
+    mp.mp.dps = 30
+    for cos in (0.0, 1e-9, 1.0):
+        for n, k in ((1.0, 0.0), (0.1, 20.0), (1.5, 0.0)):
+            found = float(fresnel.fresnel(jnp.asarray(cos), jnp.asarray(n), jnp.asarray(k)))
+            if not (cos == 0.0 and n == 1.0):
+                assert found == pytest.approx(float(o_fresnel.fresnel(cos, n, k)), abs=1e-9)
