@@ -16,8 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...merl_io.atomic import WriteError
 from ..results.export import versions
-from ..results.part import Text
 from ..results.run import this_run
+from ..results.strict import Text
 from ..settings.config import Config
 from .unit import Ended, Kind, Unit
 

@@ -13,12 +13,12 @@ from ...model.apparatus import APPARATUS, Apparatus, GrazingLoss
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance, Values
 from ...model.registry import made
-from .part import FileName, Many, Part, Text, same_length
+from .strict import FileName, Many, Strict, Text, same_length
 
 PLAUSIBLE_UM = 0.1, 10.0  # wavelengths: a decade around what is visible
 
 
-class Source(Part):
+class Source(Strict):
     """Where the data came from."""
 
     format: Literal["MERL", "table", "RGL"]
@@ -50,7 +50,7 @@ class Source(Part):
         return inputs.read(file, self.sha1, self.dims)
 
 
-class Acquisition(Part):
+class Acquisition(Strict):
     """What the apparatus does to the material."""
 
     grazing_loss: Annotated[float, Field(ge=0, le=1)] | GrazingLoss
@@ -63,7 +63,7 @@ class Acquisition(Part):
     of diffracted light in results of schema 1.2 and older, which had one exponent for all light."""
 
 
-class Model(Part):
+class Model(Strict):
     """What was fitted: a material, and what the apparatus made of it."""
 
     name: str

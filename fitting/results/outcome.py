@@ -3,10 +3,10 @@
 from typing import Literal
 
 from ..settings.choice import Choice
-from .part import Many, Part
+from .strict import Many, Strict
 
 
-class Candidate(Part):
+class Candidate(Strict):
     """One model, or variant of a model, that was compared on the coarse grid."""
 
     model: str
@@ -28,7 +28,7 @@ class Candidate(Part):
     """False of a kind that was too far behind to be followed to the end, or was still creeping on the coarse grid."""
 
 
-class Fit(Part):
+class Fit(Strict):
     """How the fit ended."""
 
     status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "UNEXPLAINED", "NON_FINITE", "NO_DATA"]
@@ -59,7 +59,7 @@ class Fit(Part):
     """What a user of the parameters should know, in words."""
 
 
-class Metrics(Part):
+class Metrics(Strict):
     """Errors over all valid bins with light and viewer at theta < ``fit.theta_max``, of a prediction with the loss."""
 
     rmse: float | None
@@ -76,7 +76,7 @@ class Metrics(Part):
     """Mean CIELAB distance of rendered spheres."""
 
 
-class Tried(Part):
+class Tried(Strict):
     """Settings that a fit was taken to, and what was estimated there."""
 
     settings: Choice
@@ -87,7 +87,7 @@ class Tried(Part):
     """As in `accuracy.floor`."""
 
 
-class Accuracy(Part):
+class Accuracy(Strict):
     """What ``--accuracy`` or ``--time`` asked for, what was chosen, and what came of it.
 
     Errors are distances from the prediction of the reference fit, over all bins, relative to the measurement, with the

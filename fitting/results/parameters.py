@@ -4,12 +4,12 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 
-from .part import Many, Part, same_length
+from .strict import Many, Strict, same_length
 
 ROUNDING = 1e-9  # relative: by so much a value may lie beyond a bound
 
 
-class Quantiles(Part):
+class Quantiles(Strict):
     """Posterior quantiles."""
 
     q05: float
@@ -20,7 +20,7 @@ class Quantiles(Part):
     """95 % of the posterior lie below it."""
 
 
-class ParameterResult(Part):
+class ParameterResult(Strict):
     """One fitted number."""
 
     name: str
@@ -60,7 +60,7 @@ class ParameterResult(Part):
         return self
 
 
-class DerivedResult(Part):
+class DerivedResult(Strict):
     """One derived quantity, of the material without the apparatus."""
 
     name: str
@@ -79,7 +79,7 @@ class DerivedResult(Part):
     """Of the posterior; null without a posterior that is good enough."""
 
 
-class Direction(Part):
+class Direction(Strict):
     """A direction in free coordinates that the data do not determine."""
 
     curvature: float
@@ -88,7 +88,7 @@ class Direction(Part):
     """Larger components of the unit vector, by coordinate."""
 
 
-class Prior(Part):
+class Prior(Strict):
     """Prior of one parameter, for programs: cut at the bounds of the parameter."""
 
     parameter: str
@@ -111,7 +111,7 @@ class Prior(Part):
     """Upper bound of the parameter."""
 
 
-class Identifiability(Part):
+class Identifiability(Strict):
     """What the data determine, by the Gaussian approximation at the fit (Laplace)."""
 
     names: Many[str]

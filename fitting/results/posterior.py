@@ -4,10 +4,10 @@ from typing import Self
 
 from pydantic import model_validator
 
-from .part import FileName, Many, Part, same_length
+from .strict import FileName, Many, Strict, same_length
 
 
-class PosteriorResult(Part):
+class PosteriorResult(Strict):
     """How the sampling went (docs/statistics.md)."""
 
     sufficient: bool

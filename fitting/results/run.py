@@ -5,10 +5,10 @@ import sys
 from datetime import UTC, datetime
 from pathlib import PurePath
 
-from .part import Many, Part, Text, readable
+from .strict import Many, Strict, Text, readable
 
 
-class Run(Part):
+class Run(Strict):
     """When and how a result was computed."""
 
     finished: str

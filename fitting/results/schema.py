@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 from .material import Acquisition, Model, Source
 from .outcome import Accuracy, Candidate, Fit, Metrics, Tried
 from .parameters import ROUNDING, DerivedResult, Direction, Identifiability, ParameterResult, Prior, Quantiles
-from .part import Many, Part
 from .posterior import PosteriorResult
 from .run import Run, this_run
+from .strict import Many, Strict
 
 __all__ = [
     "OLDER", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction", "Fit",
@@ -23,7 +23,7 @@ OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1")  # versions that are r
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
 
 
-class Result(Part):
+class Result(Strict):
     """What merlfit found out about one material."""
 
     schema_version: Literal["2.2"] = SCHEMA_VERSION

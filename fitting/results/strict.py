@@ -19,8 +19,8 @@ Item = TypeVar("Item")
 Many = Annotated[list[Item], _First()]
 
 
-class Part(BaseModel):
-    """A part refuses what it does not know, and numbers that are none."""
+class Strict(BaseModel):
+    """A part of a result: it refuses what it does not know, and numbers that are none."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
