@@ -152,7 +152,7 @@ def verdict(rows: Sequence[Row]) -> str:
     if chosen is not nearest:
         alike = chosen.errors.picture <= nearest.errors.picture + SEEN
         why = f": less than {SEEN:g} nearer, which is just noticeable" if alike else ", but it loses the highlight"
-        said += f" The nearest picture is that of {_named(nearest)}, {number(nearest.errors.picture, 2)} with "
+        said += f" The nearest picture is that of {_named(nearest)}, off by {number(nearest.errors.picture, 2)} with "
         said += f"{nearest.numbers} numbers{why}."
     if chosen is not lowest:
         less = chosen.bic - lowest.bic
