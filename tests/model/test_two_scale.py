@@ -248,7 +248,7 @@ def test_lists_and_grids_are_the_same_function(effects, table):
 
 @pytest.mark.parametrize("tier", ["quadrature", "zonal", "scaled"])
 def test_single_precision_on_a_grid_to_the_horizon(tier, table):
-    effects = TwoScale(diffraction=tier, order=16)
+    effects = TwoScale(diffraction=tier, **({} if tier == "zonal" else {"order": 16}))
     half, double = (
         Geometry.from_half_difference(*(jnp.asarray(x, kind) for x in AXES)) for kind in (jnp.float32, jnp.float64)
     )
