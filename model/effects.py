@@ -88,7 +88,10 @@ class Effects:
             raise ValueError(f"body {self.body!r} lies under a clear interface: its index is real, not complex")
 
     def changed(self: Same, **settings: Any) -> Same:  # noqa: ANN401 - of its fields
-        """The same with other settings; options that nothing uses any more take their defaults."""
+        """The same with other settings; options that nothing uses any more take their defaults, given here or not.
+
+        ``index`` stays what it is: with another body, ``index="usual"`` gives that body's own.
+        """
         wanted = {field.name: getattr(self, field.name) for field in fields(self)} | settings
         unused = idle(wanted["diffraction"])
         return type(self)(**{name: value for name, value in wanted.items() if name not in unused})

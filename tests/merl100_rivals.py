@@ -35,7 +35,7 @@ PARTS = FOLDER / "rivals"  # a JSON a material
 FIGURES = ("rmse", "smape", "cube_root", "log", "highlight", "picture")
 
 
-def told(fitted, seconds):
+def kept(fitted, seconds):
     """What is kept of one fit."""
     return {
         "variant": fitted.material.variant, "status": fitted.status.name, "weights": fitted.bend,
@@ -48,7 +48,7 @@ def told(fitted, seconds):
 def fitted_of(measurement, samples, name, weights):
     """One model fitted as `merlfit compare` does it."""
     start, config = time.perf_counter(), config_of(load(posterior=False, weights=weights), name)
-    return told(fit(measurement, samples, config), time.perf_counter() - start)
+    return kept(fit(measurement, samples, config), time.perf_counter() - start)
 
 
 def measure(material, weights, names):

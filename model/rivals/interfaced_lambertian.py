@@ -265,11 +265,11 @@ def _through(cos: Array, n: Array) -> tuple[Array, Array, Array]:
     """Value, and derivatives by cosine and index; c is held above 1e-6, which an index of 1 has at the horizon."""
     squared, n2 = cos * cos, n * n
     c = jnp.sqrt(jnp.maximum((n - 1) * (n + 1) + squared, 1e-12))
-    inverse, senkrecht, parallel = 1 / c, 1 / (cos + c), 1 / (n2 * cos + c)
-    A, B = senkrecht * senkrecht, n2 * parallel * parallel
+    inverse, perpendicular, parallel = 1 / c, 1 / (cos + c), 1 / (n2 * cos + c)
+    A, B = perpendicular * perpendicular, n2 * parallel * parallel
     both = A + B
     by_cos = 4 * cos * c * both + 2 * squared * (cos * inverse * both - 2 * A - 2 * B * (n2 * c + cos) * parallel)
-    of_c, of_A = n * inverse * both, A * n * inverse * senkrecht
+    of_c, of_A = n * inverse * both, A * n * inverse * perpendicular
     by_n = 2 * squared * (of_c + 2 * c * (B / n - of_A - B * n * (2 * cos + inverse) * parallel))
     return 2 * squared * c * both, by_cos, by_n
 
