@@ -7,6 +7,7 @@ a tenth of the time or less.
 
 import math
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,7 @@ FEW = 4096  # directions and wavelengths up to which the series is summed: a tab
 STEP = 0.05  # between nodes, of both coordinates of the table
 LEAST_LOG_G, LARGEST_LOG_G = math.log(1e-8), math.log(4e5)
 LARGEST_DECAY = 60.0  # e / (1 + g) at the table's end: there the series is below exp(-30) of its largest value
-BEND = 0.05  # of e / (1 + g), below which the coordinate is linear in it, above which in its logarithm also
+BEND, INCLINE = 0.05, 0.3  # of the table's second coordinate, INCLINE decay + log(1 + decay / BEND)
 Sums = tuple[Array, Array, Array]
 Pair = tuple[Array, Array]
 
@@ -82,6 +83,9 @@ def _sums(g: Array, e: Array) -> Sums:
         return with_term(sums, m, (m + 0.5) * log_m - m + HALF_LOG_2_PI + series, log_m)
 
     zero = jnp.zeros_like(g * e)
+    # the most that one of them takes
+    count = jnp.ceil(jnp.max((largest + ABOVE * width - first) / step)).astype(int) + 1
+    zero = jnp.zeros_like(g * e)
     count = (
         jnp.ceil(jnp.max((largest + ABOVE * width - first) / step)).astype(int) + 1
     )  # the most that one of them takes
@@ -98,38 +102,37 @@ def series(g: Array, e: Array) -> Array:
     Args:
         g, e: what Eq. 78 calls g and what its exponent holds, ``pi^2 v_xy^2 tau^2 / lambda^2``; shapes that broadcast.
 
+    Computed in float64, whatever the precision of g and e.
+
     Accuracy: that of :func:`full`; looked up, 1e-7 of the value for g in [1e-8, 4e5] and e <= 60 (1 + g), and 2e-5 of
     it for the derivatives by log g and log e (``tests/rivals/test_rivals.py``). Beyond, the series is below exp(-30)
     of its largest value, or g so small that the lobe is black: there it only stays finite and falls.
     """
-    g, e = jnp.broadcast_arrays(g, e)
-    return full(g, e) if g.size <= FEW else looked_up(g, e)
+    precision = jnp.result_type(g, e)
+    g, e = (x.astype(jnp.float64) for x in jnp.broadcast_arrays(g, e))
+    return (full if g.size <= FEW else looked_up)(g, e).astype(precision)
 
 
-def _coordinate(decay: Array) -> Array:
-    """The table's second coordinate, of ``e / (1 + g)``: in it the logarithm of the series bends evenly."""
-    return 0.3 * decay + jnp.log1p(decay / BEND)
-
-
-def _slope(decay: Array) -> Array:
-    """Its derivative."""
-    return 0.3 + 1 / (BEND + decay)
+def _coordinate(decay: Any, numpy: Any) -> tuple[Any, Any]:  # noqa: ANN401 - of NumPy, or of JAX
+    """The table's second coordinate, a function of ``e / (1 + g)``, and its derivative."""
+    return INCLINE * decay + numpy.log1p(decay / BEND), INCLINE + 1 / (BEND + decay)
 
 
 @cache
 def table() -> np.ndarray:
     """Logarithm of the series, its derivatives by both coordinates and the mixed one, in steps; (log g, decay, 4)."""
     log_g = np.arange(LEAST_LOG_G, LARGEST_LOG_G + STEP, STEP)
-    ends = float(0.3 * LARGEST_DECAY + np.log1p(LARGEST_DECAY / BEND))
-    wanted = np.arange(0.0, ends + STEP, STEP)
+    end, _ = _coordinate(LARGEST_DECAY, np)
+    wanted = np.arange(0.0, end + STEP, STEP)
     decay = np.zeros_like(wanted)
     for _ in range(60):  # Newton's iteration from the left of a concave function
-        decay += (wanted - (0.3 * decay + np.log1p(decay / BEND))) / (0.3 + 1 / (BEND + decay))
+        there, slope = _coordinate(decay, np)
+        decay += (wanted - there) / slope
     g = np.exp(log_g)[:, None]
     with jax.ensure_compile_time_eval():
         value, by_g, by_e = (np.asarray(x) for x in jax.jit(_sums)(*jnp.broadcast_arrays(g, decay * (1 + g))))
     by_log_g = STEP * g * (by_g + decay * by_e) / value
-    by_coordinate = STEP * (1 + g) / (0.3 + 1 / (BEND + decay)) * by_e / value
+    by_coordinate = STEP * (1 + g) / _coordinate(decay, np)[1] * by_e / value
     mixed = np.gradient(by_log_g, axis=1)
     return np.stack([np.log(value), by_log_g, by_coordinate, mixed], -1)
 
@@ -155,11 +158,12 @@ def _hermite(t: Array) -> tuple[Pair, Pair, Pair, Pair]:
 
 def _looked_up(g: Array, e: Array) -> Sums:
     """The interpolant and its derivatives by g and e."""
-    nodes = jnp.asarray(table(), g.dtype)
-    log_g = jnp.log(jnp.clip(g, math.exp(LEAST_LOG_G), math.exp(LARGEST_LOG_G)))
+    nodes = jnp.asarray(table())
+    held = jnp.clip(g, math.exp(LEAST_LOG_G), math.exp(LARGEST_LOG_G))
     decay = e / (1 + g)
+    coordinate, slope = _coordinate(decay, jnp)
     rows, columns = nodes.shape[0] - 1, nodes.shape[1] - 1
-    row, column = (log_g - LEAST_LOG_G) / STEP, _coordinate(decay) / STEP
+    row, column = (jnp.log(held) - LEAST_LOG_G) / STEP, coordinate / STEP
     i = jnp.clip(jnp.floor(row).astype(jnp.int32), 0, rows - 1)
     j = jnp.clip(jnp.floor(column).astype(jnp.int32), 0, columns - 1)
     s, inside = row - i, jnp.clip(column - j, 0.0, 1.0)
@@ -177,5 +181,5 @@ def _looked_up(g: Array, e: Array) -> Sums:
                 across[2][b] * f_row + across[3][b] * f_both
             )
     result = jnp.exp(value + by_column * beyond)
-    by_decay = result * by_column * _slope(decay) / STEP
-    return result, result * by_row / (STEP * jnp.maximum(g, TINY)) - by_decay * decay / (1 + g), by_decay / (1 + g)
+    by_decay = result * by_column * slope / STEP
+    return result, result * by_row / (STEP * held) - by_decay * decay / (1 + g), by_decay / (1 + g)

@@ -157,6 +157,10 @@ def test_transmittance_is_one_less_fresnels_reflectance():
     cos, n = (jnp.asarray(x) for x in np.meshgrid(np.linspace(0, 1, 41), [1.0, 1 + 1e-6, 1.2, 1.5, 4.0]))
     expected = lambda cos, n: cos * (1 - fresnel_of_dielectric(cos, n))  # noqa: E731
     np.testing.assert_allclose(through(cos, n), expected(cos, n), atol=1e-12)
+    low, one = jnp.geomspace(1e-12, 1e-5, 30), jnp.ones(30)
+    for slope in jax.jvp(through, (low, one), (one, one)):
+        assert np.isfinite(slope).all()
+    np.testing.assert_allclose(through(low, one), expected(low, one), atol=1e-7)
     inside = (cos > 0) | (n > 1 + 1e-9)  # at the corner there is no derivative by n
     for along in ((jnp.ones_like(cos), 0 * n), (0 * cos, jnp.ones_like(n))):
         found, slope = (jax.jvp(f, (cos, n), along)[1] for f in (through, expected))

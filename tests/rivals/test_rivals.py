@@ -151,6 +151,21 @@ def test_he_series_looked_up_stays_finite_beyond_its_table():
     assert (np.diff(np.asarray(value).reshape(len(phases), -1)) <= 0).all()
 
 
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_he_series_looked_up_has_the_slopes_of_a_black_lobe(precision):
+    """The table begins at g = 1e-8; slopes below are those of the sum there."""
+    e = jnp.linspace(0.0, 3.0, 6000, dtype=precision)
+    for g in (0.0, 1e-12, 1e-6):
+        at = jnp.full_like(e, g)
+        (value, by_g), (_, expected) = (
+            jax.jit(partial(jax.jvp, f))((at, e), (jnp.ones_like(e), 0 * e))
+            for f in (he_series.series, lambda g, e: he_series.full(g.astype(float) + 1e-11, e.astype(float)))
+        )
+        assert value.dtype == precision
+        np.testing.assert_allclose(value, np.exp(-np.asarray(e)), rtol=1e-5)
+        np.testing.assert_allclose(by_g, expected, rtol=1e-3, atol=1e-3)
+
+
 def test_he_geometrical_factor_collapses():
     """Eq. 76's polarisation vectors drop out: G = (v.v / v_z)^2."""
     for i, o in np.swapaxes(random_vectors(np.random.default_rng(2), 10), 0, 1):
