@@ -1,7 +1,7 @@
 """Simulation-based calibration: ranks of the truth among draws from the posterior of synthetic materials."""
 
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,23 +23,25 @@ from scipy.stats import chisquare
 
 from .record import Record, Target
 
-MATERIALS, FEW = 200, 20
+MATERIALS, FEW = 200, 50  # with noise of each reach
 KINDS = (("complex", "none"), ("real", "lambert"))  # in turn
-BLUR = (1.0, 4.0, 16.0)  # bins along theta_h, theta_d, phi_d: deviations of the kernel that correlates the noise
+REACHES = {"short": (1.0, 4.0, 16.0), "long": (4.0, 16.0, 64.0)}
+# bins along theta_h, theta_d, phi_d: deviations of the kernel that correlates the noise
 ALIKE = 0.8  # correlation of the channels' noise
 COST = (1e-3, 3e-2)  # of the noise, relative to the energy: log-uniform
 BINS = 10  # of the histogram of ranks
 TOLD = 10  # materials after which the table is written anew
 
 
-def noise(rng, shape):
+def noise(rng, shape, reach):
     """Unit variance, correlated along the angles and over the channels."""
-    fields = np.array([gaussian_filter(rng.standard_normal(shape[1:]), BLUR, mode="wrap") for _ in range(4)])
+    drawn = rng.standard_normal((4, *shape[1:]))
+    fields = np.array([gaussian_filter(each, REACHES[reach], mode=("reflect", "reflect", "wrap")) for each in drawn])
     fields /= fields.std((1, 2, 3), keepdims=True)
     return np.sqrt(ALIKE) * fields[3] + np.sqrt(1 - ALIKE) * fields[:3]
 
 
-def synthetic(seed):
+def synthetic(seed, reach):
     """Layout, truth in free coordinates and noisy samples of one material drawn from the prior."""
     rng, kind = np.random.default_rng([20261122, seed]), KINDS[seed % len(KINDS)]
     config = load(index=kind[0], body=kind[1])
@@ -55,72 +57,87 @@ def synthetic(seed):
     share = np.exp(rng.uniform(*np.log(COST)))
     root = np.sqrt(np.where(samples.weight > 0, samples.weight, np.inf))
     scale = np.sqrt(share * energy / np.sum(samples.weight > 0))
-    return config, layout, truth, measurement, replace(samples, value=clean + scale * noise(rng, clean.shape) / root)
+    noisy = clean + scale * noise(rng, clean.shape, reach) / root
+    return config, layout, truth, measurement, replace(samples, value=noisy)
 
 
-def measure(seed):
+def measure(seed, reach):
     """Rank of the truth by coordinate, and how the fit and the chain ended."""
-    config, layout, truth, measurement, samples = synthetic(int(seed))
+    config, layout, truth, measurement, samples = synthetic(seed, reach)
     fitted = fit(measurement, samples, config)
-    told = {"body": layout.material.body}
+    row = {"seed": seed, "correlation": reach, "body": layout.material.body}
+    device = {"device": jax.devices()[0].device_kind}
     if fitted is None or not fitted.status.succeeded:
-        return {**told, "message": "no fit" if fitted is None else fitted.status.name, "ranks": None}
+        return {**row, "N": None, "message": "no fit" if fitted is None else fitted.status.name}, device
     with tempfile.TemporaryDirectory() as folder:
         p = draw(fitted, samples, config.posterior.max_steps, config.seed, Path(folder) / "chain.npz")
-    values, true = (np.asarray(jax.vmap(layout.flat)(jnp.asarray(z))) for z in (p.draws, truth[None]))
-    ranks = p.weights @ (values < true)
-    found = {"count": fitted.count, "message": p.message, "k": p.pareto_k, "steps": p.diagnosis.steps}
-    return {**told, **found, "ranks": dict(zip(layout.names, ranks.tolist(), strict=True)) if p.sufficient else None}
+    details = {**device, "k": p.pareto_k, "steps": p.diagnosis.steps}
+    if p.sufficient:
+        values, true = (np.asarray(jax.vmap(layout.flat)(jnp.asarray(z))) for z in (p.draws, truth[None]))
+        details["ranks"] = dict(zip(layout.names, (p.weights @ (values < true)).tolist(), strict=True))
+    return {**row, "N": fitted.count, "message": p.message}, details
 
 
 def run(folder, out, every):
-    """200 materials, or 20; the table is by parameter."""
+    """200 materials with noise of each reach, or 50; the table is by parameter."""
     record = Record(
         "calibration", "Calibration by simulation",
         "synthetic: drawn from the priors of the fit, noise of the stated kind",
         ["Parameters are drawn from the prior (bodies none and lambert in turn). The noise is Gaussian, its variance "
-         f"in proportion to 1/w, blurred over {BLUR} bins (standard deviations by theta_h, theta_d, phi_d), alike "
-         f"by {ALIKE} in all channels; its cost is log-uniform in {COST} of the energy. Fitted and sampled as "
-         "`merlfit fit` does it. Ranks: of the truth among the weighted draws, how many in each tenth; p: of a "
-         "chi-square test that they are uniform; coverage: of the 90 % intervals."],
-        {"p": Target("smallest p of the rank histograms", 0.01, "", at_least=True),
-         "low": Target("smallest coverage of 90 % intervals", 85, "%", at_least=True),
-         "high": Target("largest coverage of 90 % intervals", 95, "%")},
+         "in proportion to 1/w, alike by "
+         f"{ALIKE} in all channels, and blurred: {' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} "
+         "(standard deviations by theta_h, theta_d, phi_d). Its cost is log-uniform in "
+         f"{COST} of the energy. Fitted and sampled as `merlfit fit` does it. Ranks: of the truth among the weighted "
+         "draws, how many in each tenth; p: of a chi-square test that they are uniform; coverage: of the 90 % "
+         "intervals."],
+        {f"{reach} {key}": Target(f"{what}, {reach} correlation", limit, unit, at_least=least)
+         for reach in REACHES for key, what, limit, unit, least in (
+             ("p", "smallest p of the rank histograms", 0.01, "", True),
+             ("low", "smallest coverage of 90 % intervals", 85, "%", True),
+             ("high", "largest coverage of 90 % intervals", 95, "%", False))},
         folder=out,
     )  # fmt: skip
     kept = Record("calibration_runs", "Runs of the calibration", record.data, [], folder=out)
     kept.resume()
-    seeds = range(len(kept.rows), MATERIALS if every else FEW)
+    record.notes.append("")
+    done = {(row["seed"], row["correlation"]) for row in kept.rows}
+    jobs = [(seed, reach) for seed in range(MATERIALS if every else FEW) for reach in REACHES]
     with ProcessPoolExecutor(CORES, get_context("spawn"), use_persistent_cache) as pool:
-        for seed, found in zip(seeds, pool.map(measure, seeds), strict=True):
-            kept.add({"seed": seed, "body": found["body"], "message": found["message"]}, found)
+        for ended in as_completed([pool.submit(measure, *job) for job in jobs if job not in done]):
+            kept.add(*ended.result())
             if len(kept.rows) % TOLD == 0:
                 tell(record, kept)
+    kept.rows.sort(key=lambda row: (row["seed"], row["correlation"]))
     kept.finish()
     tell(record, kept)
     record.finish()
 
 
 def tell(record, kept):
-    """The table of all materials so far, by parameter."""
-    told = [r["details"] for r in kept.rows]
-    good = [r for r in told if r["ranks"] is not None]
+    """The table of all materials so far, by reach of the noise and parameter."""
     record.rows.clear()
-    if not good:
-        return
-    covered = []
-    for name in dict.fromkeys(name for r in good for name in r["ranks"]):
-        ranks = np.array([r["ranks"][name] for r in good if name in r["ranks"]])
-        seen, inside = np.histogram(ranks, BINS, (0, 1))[0], (ranks > 0.05) & (ranks < 0.95)
-        covered.extend(inside)
-        row = {"parameter": name, "materials": len(ranks), "p": float(chisquare(seen).pvalue)}
-        record.rows.append({**row, "coverage %": 100 * float(inside.mean()), "ranks": " ".join(map(str, seen))})
-    record.notes[1:] = [
-        f"{len(told)} materials so far, {len(told) - len(good)} of which failed the fit or a diagnostic and have no "
-        f"intervals. Of all 90 % intervals together {100 * np.mean(covered):.1f} % hold the truth. Of a parameter with "
-        "n intervals the coverage is known to 30 / sqrt(n) % (standard deviation, of exact intervals)."
-    ]
-    record.set("p", min(record.column("p")))
-    record.set("low", min(record.column("coverage %")))
-    record.set("high", max(record.column("coverage %")))
+    record.notes[1] = f"Computed on: {', '.join(sorted({row['details']['device'] for row in kept.rows}))}."
+    for number, reach in enumerate(REACHES, 2):
+        rows = [row for row in kept.rows if row["correlation"] == reach]
+        found = [row["details"]["ranks"] for row in rows if "ranks" in row["details"]]
+        if not found:
+            continue
+        covered = []
+        for name in dict.fromkeys(name for ranks in found for name in ranks):
+            ranks = np.array([r[name] for r in found if name in r])
+            seen, inside = np.histogram(ranks, BINS, (0, 1))[0], (ranks > 0.05) & (ranks < 0.95)
+            covered.extend(inside)
+            row = {"correlation": reach, "parameter": name, "materials": len(ranks)}
+            row |= {"p": float(chisquare(seen).pvalue), "coverage %": 100 * float(inside.mean())}
+            record.rows.append({**row, "ranks": " ".join(map(str, seen))})
+        many = np.quantile([row["N"] for row in rows if row["N"]], (0.1, 0.5, 0.9))
+        record.notes[number:] = [
+            f"Noise of {reach} correlation: {len(rows)} materials, {len(rows) - len(found)} of which failed the fit or "
+            f"a diagnostic and have no intervals; N is {many[1]:.3g} in the median, {many[0]:.3g} to {many[2]:.3g} in "
+            f"eight of ten. Of all 90 % intervals together {100 * np.mean(covered):.1f} % hold the truth. Of a "
+            "parameter with n intervals the coverage is known to 30 / sqrt(n) % (standard deviation, of exact ones)."
+        ]
+        record.set(f"{reach} p", min(record.column("p", correlation=reach)))
+        record.set(f"{reach} low", min(record.column("coverage %", correlation=reach)))
+        record.set(f"{reach} high", max(record.column("coverage %", correlation=reach)))
     record.write()
