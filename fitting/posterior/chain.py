@@ -6,7 +6,7 @@ it to the likelihood of all bins.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,6 @@ import numpy as np
 from arviz_stats.base.array import array_stats
 from jax import Array
 from numpy.lib.npyio import NpzFile
-from scipy.special import gammaln
 
 from ...merl_io.archive import shape_of
 from ...merl_io.atomic import write_atomically
@@ -37,14 +36,13 @@ FIRST, ROUNDS, ROUND = 120, 5, 25  # steps of tuning, discarded: before the emul
 TOO_LOW, RARE = 1.0, 0.01
 LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
 TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
-SOON = 200  # steps: a chain that needs no more of them is not worth beginning anew
+SOON = 400  # steps: a chain that needs no more of them, or no more than it has made, is not worth beginning anew
 EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not begin anew
 DEPTH = 25.0  # of log posterior below the highest: deeper points teach nothing that matters
 LED = 0.8  # share of moves that are led; the others are differential evolution
 WAYS = 3  # of a led move, one after the other
 WAY = 1.0, 2.5  # how far each goes, in standard deviations of the posterior
 LEAPS, UNEVEN = (0.03, 0.15, 0.4), 0.5  # their length: least, to begin with, most; how much shorter some of them are
-WIDE, FREEDOM = 0.05, 5.0  # share of a t distribution in what leads the walkers, and its degrees of freedom
 RATE = 0.8  # share of ways that are to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
 KEYS = 624  # of a Mersenne twister
 GOLDEN = (np.sqrt(5) - 1) / 2
@@ -67,28 +65,7 @@ class Chances(NamedTuple):
     lengths: Array
 
 
-class Wide(NamedTuple):
-    """A t distribution as wide as the walkers are: middle (P,), inverse of the covariance's root (P, P), log density
-    in the middle.
-    """
-
-    middle: Array
-    inverse: Array
-    level: Array
-
-
 Density = Callable[[Array], Array]
-
-
-def guarded(points: Array, channels: Channels, scale: Array, wide: Wide) -> Array:
-    """Log density that leads the walkers, (N,): the emulated posterior and a little of a t distribution.
-
-    In tails where the emulator knows no point it can be too low by far, and a walker that came there would hardly be
-    let go; a mixture is nowhere lower than the t distribution's part (Hesterberg 1995, defensive mixtures).
-    """
-    away = jnp.sum(((points - wide.middle) @ wide.inverse.T) ** 2, -1)
-    floor = wide.level - (FREEDOM + points.shape[-1]) / 2 * jnp.log1p(away / FREEDOM)
-    return jnp.logaddexp(log_posterior(points, channels, scale), floor)
 
 
 def leapfrog(
@@ -107,13 +84,11 @@ def leapfrog(
 
 
 @jax.jit
-def _lead(
-    points: Array, chances: Chances, root: Array, channels: Channels, scale: Array, wide: Wide
-) -> tuple[Array, Array, Array]:
-    """Where Hamiltonian Monte Carlo on the guarded log posterior leads, how much lower that is there, and the share of
+def _lead(points: Array, chances: Chances, root: Array, channels: Channels, scale: Array) -> tuple[Array, Array, Array]:
+    """Where Hamiltonian Monte Carlo on the emulated log posterior leads, how much lower that is there, and the share of
     ways that were accepted: (W, P), (W,) and ().
     """
-    log_density = partial(guarded, channels=channels, scale=scale, wide=wide)
+    log_density = partial(log_posterior, channels=channels, scale=scale)
 
     def way(at: tuple[Array, Array], chance: Chances) -> tuple[tuple[Array, Array], Array]:
         z, held = at
@@ -131,30 +106,20 @@ def _lead(
 
 @dataclass(frozen=True)
 class Hamiltonian:
-    """Proposals for emcee's MHMove: where Hamiltonian Monte Carlo on the emulated posterior, `guarded`, leads.
+    """Proposals for emcee's MHMove: where Hamiltonian Monte Carlo on the emulated posterior leads.
 
-    A few moves of one kind, which leave that density pi* as it is and are reversible, make one proposal, its
+    A few moves of one kind, which leave the emulated posterior pi* as it is and are reversible, make one proposal, its
     ratio of probabilities there and back being pi*(x)/pi*(y): with it the posterior of the stand-in is left as it is,
     however rough the emulator (surrogate transitions, Liu 2001, section 9.4.3; Hamiltonian moves: Neal 2011).
 
     Attributes:
-        emulator: of the posterior. middle: mean of the walkers, (P,). root: of their covariance, (P, P), which takes
-            the place of a mass.
+        emulator: of the posterior. root: of the walkers' covariance, (P, P), which takes the place of a mass.
         leap: the longest, in standard deviations of the posterior.
     """
 
     emulator: Emulator
-    middle: np.ndarray
     root: np.ndarray
     leap: float
-
-    @cached_property
-    def wide(self) -> Wide:
-        """The t distribution, its mass a share `WIDE` of the emulated posterior's, which is taken for Gaussian."""
-        size = len(self.middle)
-        constant = gammaln((FREEDOM + size) / 2) - gammaln(FREEDOM / 2) + size / 2 * np.log(2 / FREEDOM)
-        level = np.log(WIDE) + self.emulator.highest + constant
-        return Wide(*(jnp.asarray(x) for x in (self.middle, np.linalg.inv(self.root), level)))
 
     def __call__(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         """New points, and the logarithm of the proposals' ratio; (W, P) and (W,)."""
@@ -167,8 +132,7 @@ class Hamiltonian:
         lengths = self.leap * rng.uniform(UNEVEN, 1, size=WAYS)
         leaps = np.ceil(rng.uniform(*WAY, size=WAYS) / lengths).astype(int)
         chances = Chances(*(jnp.asarray(x) for x in (momenta, thresholds, leaps, lengths)))
-        emulator = self.emulator.channels, self.emulator.scale
-        found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), *emulator, self.wide)
+        found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), self.emulator.channels, self.emulator.scale)
         return np.asarray(found[0]), np.asarray(found[1]), float(found[2])
 
     def fitting_leap(self, points: np.ndarray, seed: int) -> float:
@@ -183,7 +147,7 @@ class Chain:
 
     Attributes:
         states: free coordinates, (steps, walkers, P). log_prob: (steps, walkers). accepted: moves, in all.
-        middle, root, leap: of `Hamiltonian`, as tuned. taught: points that the emulator learnt, (N, P).
+        root, leap: of `Hamiltonian`, as tuned. taught: points that the emulator learnt, (N, P).
         random: keys, position, whether there is a cached normal number, and that.
         fit: free coordinates of the fit that it belongs to, (P,).
         lessons: how often the emulator may still learn, and the chain begin anew.
@@ -192,7 +156,6 @@ class Chain:
     states: np.ndarray
     log_prob: np.ndarray
     accepted: float
-    middle: np.ndarray
     root: np.ndarray
     leap: float
     taught: np.ndarray
@@ -210,8 +173,7 @@ class Chain:
         keys, position, cached, normal = self.random
         return {
             "chain_free": self.states, "log_prob": self.log_prob, "accepted": np.array(self.accepted),
-            "middle": self.middle, "root": self.root, "leap": np.array(self.leap),
-            "taught_free": self.taught, "fit_free": self.fit,
+            "root": self.root, "leap": np.array(self.leap), "taught_free": self.taught, "fit_free": self.fit,
             "random_keys": keys, "random_state": np.array([position, cached, normal]),
             "lessons": np.array(self.lessons),
         }  # fmt: skip
@@ -248,7 +210,7 @@ class Diagnosis:
     @property
     def slow(self) -> bool:
         """Whether a chain that begins anew, its emulator better, may well be long enough before this one."""
-        return not self.needed <= self.steps + SOON
+        return not self.needed <= self.steps + max(SOON, self.steps)
 
     def failures(self, names: Sequence[str] = ()) -> list[str]:
         """In what it is not good enough, in sentences; names: of the coordinates."""
@@ -303,7 +265,6 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
             random = (_array(file, "random_keys", KEYS), int(position), int(cached), float(normal))
             chain = Chain(
                 states, _array(file, "log_prob", *states.shape[:2]), float(_array(file, "accepted")),
-                _array(file, "middle", size) if "middle" in file else states.mean((0, 1)),
                 _array(file, "root", size, size), float(_array(file, "leap")), _array(file, "taught_free", None, size),
                 random, theirs, int(_array(file, "lessons")) if "lessons" in file else 0,
             )  # fmt: skip
@@ -407,36 +368,36 @@ def begin(
     emulator = Emulator.of(few, layout, recorder.asked(TAUGHT))
     leap = LEAPS[1]
     for k in range(ROUNDS):
-        lead = Hamiltonian(emulator, *_spread(seen), leap)
+        lead = Hamiltonian(emulator, _root(seen), leap)
         way = _advance(recorder, _moves(lead), way.now, ROUND, progress, FIRST + k * ROUND)
         seen = np.concatenate([seen[len(seen) // 3 :], way.states.reshape(-1, len(fit))])
         leap = lead.fitting_leap(way.now.coords, seed)
         # also where walkers are: one where the emulator is too low would not be let go
         emulator = emulator.with_points(few, np.concatenate([recorder.asked(MORE), way.now.coords]))
     chain = Chain(
-        way.states[-1:], way.log_prob[-1:], 0.0, *_spread(seen), leap, emulator.points, tuple(way.now.random_state[1:]),
+        way.states[-1:], way.log_prob[-1:], 0.0, _root(seen), leap, emulator.points, tuple(way.now.random_state[1:]),
         fit, LESSONS,
     )  # fmt: skip
     return chain, Emulator.of(few, layout, chain.taught)  # to the last bit what `extend` has from a file
 
 
-def _ignored(lead: Hamiltonian, way: _Way) -> tuple[float, np.ndarray]:
-    """By how much what leads the walkers is too low where walkers went, but for the few where it is most so.
+def _ignored(emulator: Emulator, way: _Way) -> tuple[float, np.ndarray]:
+    """By how much the emulated log posterior is too low where walkers went, but for the few where it is most so.
 
     And where that is, `MORE` points.
     """
     states = way.states.reshape(-1, way.states.shape[-1])
-    emulated = guarded(jnp.asarray(states), lead.emulator.channels, jnp.asarray(lead.emulator.scale), lead.wide)
+    emulated = log_posterior(jnp.asarray(states), emulator.channels, emulator.scale)
     excess = way.log_prob.ravel() - np.asarray(emulated)
     worst = states[np.argsort(excess)[::-1]]
     _, first = np.unique(worst, axis=0, return_index=True)  # a walker that stayed counts once
     return float(np.quantile(excess - np.median(excess), 1 - RARE)), worst[np.sort(first)[:MORE]]
 
 
-def _spread(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of states (N, P) and the root of their covariance, lower triangular."""
+def _root(states: np.ndarray) -> np.ndarray:
+    """Of the covariance of states (N, P), lower triangular."""
     covariance = np.cov(states.T)
-    return states.mean(0), np.linalg.cholesky(covariance + 1e-9 * np.diag(np.diag(covariance)))
+    return np.linalg.cholesky(covariance + 1e-9 * np.diag(np.diag(covariance)))
 
 
 def extend(
@@ -457,7 +418,7 @@ def extend(
     while len(chain.states) < max_steps and found.failures():
         done = len(chain.states)
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
-        lead = Hamiltonian(emulator, chain.middle, chain.root, chain.leap)
+        lead = Hamiltonian(emulator, chain.root, chain.leap)
         steps = min(CHECK_EVERY, max_steps - done)
         way = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
         random = tuple(way.now.random_state[1:])
@@ -470,14 +431,14 @@ def extend(
         )
         found = diagnose(chain)
         may = chain.lessons and len(chain.states) <= EARLY * max_steps
-        low, where = _ignored(lead, way) if may and found.slow else (-np.inf, now.coords)
+        low, where = _ignored(emulator, way) if may and found.slow else (-np.inf, now.coords)
         if low > TOO_LOW:
             lessons = chain.lessons - 1
             taught = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER).points
             emulator = Emulator.of(few, layout, taught)
-            middle, root = _spread(way.states.reshape(-1, way.states.shape[-1]))
+            flat = way.states.reshape(-1, way.states.shape[-1])
             chain = replace(
-                chain, states=way.states[-1:], log_prob=way.log_prob[-1:], accepted=0.0, middle=middle, root=root,
+                chain, states=way.states[-1:], log_prob=way.log_prob[-1:], accepted=0.0, root=_root(flat),
                 leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, random=random,
                 lessons=lessons,
             )  # fmt: skip

@@ -126,8 +126,3 @@ class Emulator:
                 "mean": np.pad(basis[:rank] @ mean, (0, wider)), "constant": mean @ mean,
             })  # fmt: skip
         return jax.tree.map(jnp.asarray, found)
-
-    @cached_property
-    def highest(self) -> float:
-        """The emulated log posterior where it is highest among the points."""
-        return float(np.max(log_posterior(jnp.asarray(self.points), self.channels, self.scale)))

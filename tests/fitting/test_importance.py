@@ -21,9 +21,7 @@ NORMAL = np.random.RandomState(0).get_state()[1:]
 def gaussian_chain(deviation=1.0, steps=400):
     """A chain of independent draws from a normal distribution."""
     states = deviation * np.random.default_rng(0).normal(size=(steps, WALKERS, SIZE))
-    return Chain(
-        states, np.zeros(states.shape[:2]), 0.0, np.zeros(SIZE), np.eye(SIZE), 0.15, states[0], NORMAL, np.zeros(SIZE)
-    )
+    return Chain(states, np.zeros(states.shape[:2]), 0.0, np.eye(SIZE), 0.15, states[0], NORMAL, np.zeros(SIZE))
 
 
 def gaussian(z, middle=0.0, deviation=1.0):
