@@ -8,7 +8,7 @@ norms over all bins, relative to the measurement, with the weights of Eq. 56. Th
 diffraction errs by, is evaluated; the second is the length |J dz| of the Gauss-Newton step that the reference has still
 to take from z. A sum of lengths is an upper bound as far as one step goes; of other minima it knows nothing. Those are
 counted by the calibration: where more than one in twenty of its fits ended in another minimum, no estimate is below
-what nineteen in twenty keep to (`frontier.Point.other_minimum`): then a floor is told, and called so.
+what nineteen in twenty keep to (`frontier.Point.other_minimum`): then a floor is stated, and called so.
 Held to its word on synthetic cases by ``tests/fitting/test_accuracy.py``.
 """
 

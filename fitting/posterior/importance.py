@@ -103,7 +103,7 @@ def correct(
         good = k <= LARGEST_K and effective.min() >= LEAST_SIZE
         if good or len(draws) >= MOST_DRAWS or failed:  # a chain that failed is not worth more
             break
-        # of few draws k is uncertain by tenths: it is judged by more of them
+        # of few draws k is uncertain by tenths: more of them decide
         wanted = min(int(len(draws) * np.clip(1.1 * LEAST_SIZE / effective.min(), 1.5, 4.0)) + 1, MOST_DRAWS)
     if not k <= LARGEST_K:
         failed.append(TOO_FAR.format(k=k, most=LARGEST_K))

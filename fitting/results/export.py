@@ -135,10 +135,10 @@ def schema() -> dict[str, Any]:
     kinds = models()
     for kind in kinds.values():
         found["$defs"][kind.__name__] = {**TypeAdapter(kind).json_schema(), "additionalProperties": False}
-    told = _below_fields() | {kind.__name__: _attributes(kind) for kind in (*kinds.values(), Apparatus, Choice)}
+    described = _below_fields() | {kind.__name__: _attributes(kind) for kind in (*kinds.values(), Apparatus, Choice)}
     for kind, part in {**found["$defs"], Result.__name__: found}.items():
         for name, field in part["properties"].items():
-            field["description"] = told[kind][name]
+            field["description"] = described[kind][name]
     found["$defs"][TwoScale.__name__]["properties"]["body"]["enum"].remove(ANY)
     model = found["$defs"][Model.__name__]
     model["properties"]["name"]["enum"] = list(kinds)

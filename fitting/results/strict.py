@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fai
 
 
 class _First(FailFast):
-    """The first wrong item is told: a million of them would take a kilobyte each."""
+    """Only the first wrong item is reported: a million of them would take a kilobyte each."""
 
     def __hash__(self) -> int:
         """Unions need one."""

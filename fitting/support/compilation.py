@@ -15,7 +15,7 @@ import platformdirs
 from . import tables
 from .terminal import note
 
-NEW = "/jax/compilation_cache/cache_misses"  # told by JAX when it has compiled a program that is kept
+NEW = "/jax/compilation_cache/cache_misses"  # JAX's event when it has compiled a program that is kept
 DAMAGED = re.compile("Error reading persistent compilation cache entry for '([^']+)'")
 
 
