@@ -12,7 +12,7 @@ from .batch import LOOP, MIXED, fitted
 from .materials import file
 from .record import RECONSTRUCTIONS, Record, Target
 
-FILES, TURNS = 8, 3
+FILES, TURNS = 24, 3
 DASK = "merlfit fit --executor dask"
 
 
