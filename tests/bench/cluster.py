@@ -9,7 +9,8 @@ from merlfit.fitting.support.threads import CORES
 
 from ..clusters import scheduler, until, workers
 from .batch import LOOP, MIXED, fitted
-from .materials import file
+from .materials import TWELVE, file
+from .materials import every as every_material
 from .record import RECONSTRUCTIONS, Record, Target
 
 FILES, TURNS = 24, 3
@@ -54,7 +55,8 @@ def run(folder, out, every):
          "cpu": Target("a Dask worker against the plain loop, processors", 10, "%")},
         folder=out,
     )  # fmt: skip
-    files = [file(folder, material) for material in MIXED[:FILES]]
+    others = [material for material in every_material() if material not in TWELVE]
+    files = [file(folder, material) for material in [*MIXED, *others][:FILES]]
     fitted(files)  # every body that they choose is compiled
     for turn in range(1, TURNS + 1):
         both = {LOOP: in_loop, DASK: on_cluster}
