@@ -32,7 +32,7 @@ LEAST_SIZE = 400  # effective draws of every coordinate
 TAILS = 0.05, 0.95  # the ends of the intervals
 CHECK_EVERY = 100  # steps between looks at the chain
 FIRST, ROUNDS, ROUND = 120, 5, 25  # steps of tuning, discarded: before the emulator, rounds of learning and their steps
-# The emulator learns anew if it is too low by more than TOO_LOW (log posterior) at more than a share RARE of the states.
+# The emulator learns anew if it is too low by more than TOO_LOW (log posterior) at more than a share RARE of states.
 TOO_LOW, RARE = 1.0, 0.01
 LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
 TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
