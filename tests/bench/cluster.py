@@ -13,7 +13,7 @@ from .materials import TWELVE, file
 from .materials import every as every_material
 from .record import RECONSTRUCTIONS, Record, Target
 
-FILES, TURNS = 24, 3
+FILES, TURNS = 16, 3
 DASK = "merlfit fit --executor dask"
 
 
