@@ -88,8 +88,9 @@ def run(folder, out, every):
          f"{ALIKE} in all channels, and blurred: {' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} "
          "(standard deviations by theta_h, theta_d, phi_d; the same parameters and the same white noise for both). Its "
          "variance is in proportion to 1/w within the grid. Towards the ends of theta_h and theta_d, where the blur "
-         "reflects, it grows, for the long kind to 2.8 times as much at theta_h = theta_d = 0. Its cost is log-uniform "
-         f"in {COST} of the energy. Fitted and sampled as `merlfit fit` does it. Ranks: of the truth among the "
+         "reflects, it grows, for the long kind to 2.8 times as much at theta_h = theta_d = 0; in phi_d the blur takes "
+         f"the folded azimuths 0 and 90 degrees for neighbours. Its cost is log-uniform in {COST} of the energy. "
+         "Fitted and sampled as `merlfit fit` does it. Ranks: of the truth among the "
          "weighted draws, how many in each tenth; p: of a chi-square test that they are uniform; coverage: of the "
          "90 % intervals.",
          "What chance does: if all intervals were exact, the smallest of 38 p would be below 0.01 in up to a third of "
