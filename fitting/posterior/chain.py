@@ -6,23 +6,21 @@ it to the likelihood of all bins.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import emcee
-import jax
 import jax.numpy as jnp
 import numpy as np
 from arviz_stats.base.array import array_stats
-from jax import Array
 from numpy.lib.npyio import NpzFile
 
 from ...merl_io.archive import shape_of
 from ...merl_io.atomic import write_atomically
 from ..objective.transforms import Layout
 from ..support.tables import UNSOUND
-from .emulator import MOST_EVER, Channels, Emulator, log_posterior
+from .emulator import MOST_EVER, Emulator, log_posterior
+from .hamiltonian import LEAPS, Hamiltonian
 from .likelihood import StandIn
 
 WALKERS = 32
@@ -40,10 +38,6 @@ SOON = 400  # steps: a chain that needs no more of them, or no more than it has 
 EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not begin anew
 DEPTH = 25.0  # of log posterior below the highest: deeper points teach nothing that matters
 LED = 0.8  # share of moves that are led; the others are differential evolution
-WAYS = 3  # of a led move, one after the other
-WAY = 1.0, 2.5  # how far each goes, in standard deviations of the posterior
-LEAPS, UNEVEN = (0.03, 0.15, 0.4), 0.5  # their length: least, to begin with, most; how much shorter some of them are
-RATE = 0.8  # share of ways that are to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
 KEYS = 624  # of a Mersenne twister
 GOLDEN = (np.sqrt(5) - 1) / 2
 LogProb = Callable[[np.ndarray], np.ndarray]
@@ -52,93 +46,6 @@ Progress = Callable[[int, int], None]
 
 class ChainError(ValueError):
     """A file that is not the chain of this fit; the message is one line that names it."""
-
-
-class Chances(NamedTuple):
-    """What is random of a led move: momenta (WAYS, W, P), logarithms of uniform numbers (WAYS, W), leaps and their
-    lengths (WAYS,).
-    """
-
-    momenta: Array
-    thresholds: Array
-    leaps: Array
-    lengths: Array
-
-
-Density = Callable[[Array], Array]
-
-
-def leapfrog(
-    log_density: Density, root: Array, points: Array, momenta: Array, leaps: Array, length: Array
-) -> tuple[Array, Array]:
-    """So many leaps by Hamilton's equations: points and momenta at their end, (W, P) each."""
-    slope = jax.grad(lambda z: jnp.sum(log_density(z)))
-
-    def leap(_: Array | int, at: tuple[Array, Array]) -> tuple[Array, Array]:
-        z, p = at
-        z = z + length * p @ root.T
-        return z, p + length * slope(z) @ root
-
-    z, p = jax.lax.fori_loop(0, leaps, leap, (points, momenta + length / 2 * slope(points) @ root))
-    return z, p - length / 2 * slope(z) @ root
-
-
-@jax.jit
-def _lead(points: Array, chances: Chances, root: Array, channels: Channels, scale: Array) -> tuple[Array, Array, Array]:
-    """Where Hamiltonian Monte Carlo on the emulated log posterior leads, how much lower that is there, and the share of
-    ways that were accepted: (W, P), (W,) and ().
-    """
-    log_density = partial(log_posterior, channels=channels, scale=scale)
-
-    def way(at: tuple[Array, Array], chance: Chances) -> tuple[tuple[Array, Array], Array]:
-        z, held = at
-        new, turned = leapfrog(log_density, root, z, chance.momenta, chance.leaps, chance.lengths)
-        found = log_density(new)
-        kinetic = jnp.sum(chance.momenta**2 - turned**2, -1) / 2
-        # false where all is nan: a walker that left the model's domain stays
-        accepted = found - held + kinetic > chance.thresholds
-        return (jnp.where(accepted[:, None], new, z), jnp.where(accepted, found, held)), jnp.mean(accepted)
-
-    start = log_density(points)
-    (end, found), rates = jax.lax.scan(way, (points, start), chances)
-    return end, start - found, jnp.mean(rates)
-
-
-@dataclass(frozen=True)
-class Hamiltonian:
-    """Proposals for emcee's MHMove: where Hamiltonian Monte Carlo on the emulated posterior leads.
-
-    A few moves of one kind, which leave the emulated posterior pi* as it is and are reversible, make one proposal, its
-    ratio of probabilities there and back being pi*(x)/pi*(y): with it the posterior of the stand-in is left as it is,
-    however rough the emulator (surrogate transitions, Liu 2001, section 9.4.3; Hamiltonian moves: Neal 2011).
-
-    Attributes:
-        emulator: of the posterior. root: of the walkers' covariance, (P, P), which takes the place of a mass.
-        leap: the longest, in standard deviations of the posterior.
-    """
-
-    emulator: Emulator
-    root: np.ndarray
-    leap: float
-
-    def __call__(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        """New points, and the logarithm of the proposals' ratio; (W, P) and (W,)."""
-        new, log_ratio, _ = self._go(points, rng)
-        return new, np.where(np.isfinite(log_ratio), log_ratio, -np.inf)
-
-    def _go(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray, float]:
-        momenta = rng.standard_normal((WAYS, *points.shape))
-        thresholds = np.log(rng.uniform(size=(WAYS, len(points))))
-        lengths = self.leap * rng.uniform(UNEVEN, 1, size=WAYS)
-        leaps = np.ceil(rng.uniform(*WAY, size=WAYS) / lengths).astype(int)
-        chances = Chances(*(jnp.asarray(x) for x in (momenta, thresholds, leaps, lengths)))
-        found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), self.emulator.channels, self.emulator.scale)
-        return np.asarray(found[0]), np.asarray(found[1]), float(found[2])
-
-    def fitting_leap(self, points: np.ndarray, seed: int) -> float:
-        """Longer or shorter leaps, as more or fewer ways from ``points`` (W, P) are accepted than are to be."""
-        rate = self._go(points, np.random.RandomState(seed))[2]
-        return float(np.clip(self.leap * np.exp(2 * (rate - RATE)), LEAPS[0], LEAPS[2]))
 
 
 @dataclass(frozen=True)

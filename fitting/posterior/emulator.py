@@ -3,8 +3,8 @@
 Weighted residuals of a channel are smooth functions of the few coordinates that it depends on. Their principal
 components over the training points (a proper orthogonal decomposition) are interpolated by cubic radial basis
 functions with a quadratic polynomial; the sum of their squares is the cost. Walkers are led by its gradient
-(`chain.Hamiltonian`) and the stand-in itself accepts or refuses: the emulator's accuracy only decides how often a step
-is accepted.
+(`hamiltonian.Hamiltonian`) and the stand-in itself accepts or refuses: the emulator's accuracy only decides how often
+a step is accepted.
 """
 
 from collections.abc import Sequence

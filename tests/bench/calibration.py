@@ -125,10 +125,7 @@ def tables(record, kept):
     """Rows and targets of all materials so far, by reach of the noise and parameter, and what is to be said of them."""
     record.rows.clear()
     devices = Counter(row["details"]["device"] for row in kept.rows)
-    said = [
-        f"Computed on: {', '.join(f'{name} ({many} runs)' for name, many in sorted(devices.items()))}. What a GPU has "
-        "no time to end is computed on the CPU: no run is left out."
-    ]
+    said = [f"Computed on: {', '.join(f'{name} ({many} runs)' for name, many in sorted(devices.items()))}."]
     for reach in REACHES:
         rows = [row for row in kept.rows if row["correlation"] == reach]
         found = [row["details"]["ranks"] for row in rows if "ranks" in row["details"]]

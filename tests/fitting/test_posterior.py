@@ -16,16 +16,15 @@ from merlfit.fitting.posterior.chain import (
     WALKERS,
     Chain,
     ChainError,
-    Hamiltonian,
     begin,
     diagnose,
     extend,
-    leapfrog,
     read_chain,
     spread_over,
     write_chain,
 )
 from merlfit.fitting.posterior.emulator import Emulator, log_posterior
+from merlfit.fitting.posterior.hamiltonian import Hamiltonian, leapfrog
 from scipy.optimize import minimize
 from stand_ins import LAYOUT, banana, gentle, taught
 
