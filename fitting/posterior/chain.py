@@ -29,7 +29,10 @@ LARGEST_R_HAT = 1.05  # 50 autocorrelation times of independent walkers make 1.0
 LEAST_SIZE = 400  # effective draws of every coordinate
 TAILS = 0.05, 0.95  # the ends of the intervals
 CHECK_EVERY = 100  # steps between looks at the chain
-FIRST, ROUNDS, ROUND = 120, 5, 25  # steps of tuning, discarded: before the emulator, rounds of learning and their steps
+FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of learning
+# Of the likelihood, whose power is 1/heat, in each of these rounds; the first also before the emulator. Where no walker
+# of the tuning has been, the emulator is too low, and walkers of the chain get stuck.
+HEATS = 4.0, 4.0, 3.0, 2.0, 1.0
 # The emulator learns anew if it is too low by more than TOO_LOW (log posterior) at more than a share RARE of states.
 TOO_LOW, RARE = 1.0, 0.01
 LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
@@ -237,10 +240,10 @@ def spread_over(total: int, count: int, begun: int = 0) -> np.ndarray:
 
 
 class _Recorder:
-    """The log posterior of a stand-in, which remembers what it was asked."""
+    """The log posterior of a stand-in, its likelihood heated, which remembers what it was asked."""
 
-    def __init__(self, few: StandIn) -> None:
-        self.few = few
+    def __init__(self, few: StandIn, heat: float) -> None:
+        self.few = replace(few, scale=few.scale / heat)
         self.points: list[np.ndarray] = []
         self.found: list[np.ndarray] = []
 
@@ -251,11 +254,9 @@ class _Recorder:
         return found
 
     def asked(self, count: int) -> np.ndarray:
-        """So many points, accepted or not, and forget all; none that are far below the highest."""
+        """So many points, accepted or not; none that are far below the highest."""
         points, found = np.concatenate(self.points), np.concatenate(self.found)
         high = points[found > found.max() - DEPTH]
-        self.points.clear()
-        self.found.clear()
         return high[spread_over(len(high), min(count, len(high)))]
 
 
@@ -265,18 +266,20 @@ def begin(
     """A chain with walkers in place, and the emulator that leads them.
 
     From the Laplace approximation the walkers go by differential evolution, then in rounds led by an emulator, which
-    learns from each: from moves that were refused, above all, for there it erred.
+    learns from each: from moves that were refused, above all, for there it erred. They go farther than the posterior
+    does, and return to it (`HEATS`).
     """
-    rng, recorder = np.random.default_rng(seed), _Recorder(few)
+    rng, recorder = np.random.default_rng(seed), _Recorder(few, HEATS[0])
     away = rng.multivariate_normal(np.zeros(len(fit)), covariance, size=WALKERS, method="eigh")
     now = emcee.State(fit + away, random_state=np.random.RandomState(seed).get_state())
     way = _advance(recorder, EVOLUTION, now, FIRST, progress)
     seen = way.states[FIRST // 2 :].reshape(-1, len(fit))
     emulator = Emulator.of(few, layout, recorder.asked(TAUGHT))
     leap = LEAPS[1]
-    for k in range(ROUNDS):
-        lead = Hamiltonian(emulator, _root(seen), leap)
-        way = _advance(recorder, _moves(lead), way.now, ROUND, progress, FIRST + k * ROUND)
+    for k, heat in enumerate(HEATS):
+        recorder, lead = _Recorder(few, heat), Hamiltonian(emulator, _root(seen), leap, heat)
+        now = emcee.State(way.now.coords, random_state=way.now.random_state)  # its log_prob is of another heat
+        way = _advance(recorder, _moves(lead), now, ROUND, progress, FIRST + k * ROUND)
         seen = np.concatenate([seen[len(seen) // 3 :], way.states.reshape(-1, len(fit))])
         leap = lead.fitting_leap(way.now.coords, seed)
         # also where walkers are: one where the emulator is too low would not be let go

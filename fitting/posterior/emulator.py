@@ -2,9 +2,9 @@
 
 Weighted residuals of a channel are smooth functions of the few coordinates that it depends on. Their principal
 components over the training points (a proper orthogonal decomposition) are interpolated by cubic radial basis
-functions with a quadratic polynomial; the sum of their squares is the cost. Walkers are led by its gradient
-(`hamiltonian.Hamiltonian`) and the stand-in itself accepts or refuses: the emulator's accuracy only decides how often
-a step is accepted.
+functions with a quadratic polynomial, of distances that count most where they are curved; the sum of their squares is
+the cost. Walkers are led by its gradient (`hamiltonian.Hamiltonian`) and the stand-in itself accepts or refuses: the
+emulator's accuracy only decides how often a step is accepted.
 """
 
 from collections.abc import Sequence
@@ -20,10 +20,12 @@ from jax import Array
 from ..objective.transforms import Layout
 from .likelihood import StandIn
 
-NEGLECTED = 1e-3  # of log L, on average over the training points: components that matter less are left out
+NEGLECTED = 1e-2  # of log L, on average over the training points: components that matter less are left out
 MOST, MOST_EVER = 1024, 2048  # points, and where the posterior is too crooked for them (`chain.extend`)
 ROUNDED = 1024, 16  # centres and components are filled up with idle ones to multiples of these: few shapes to compile
 NUGGET = 1e-9  # on the kernel's diagonal, relative to its largest entry
+RIDGE = 1e-3  # of quadratic terms, relative to their number of points, where the directions of curvature are found
+STRAIGHT = 0.1  # of the greatest curvature, what every direction is taken to have at the least
 
 
 def coordinates_of(layout: Layout, z: np.ndarray) -> list[np.ndarray]:
@@ -42,6 +44,25 @@ def _tail(x: Array) -> Array:
     """Monomials up to degree two, (N, 1 + d + d (d + 1) / 2)."""
     pairs = [x[:, i] * x[:, j] for i, j in combinations_with_replacement(range(x.shape[1]), 2)]
     return jnp.stack([jnp.ones(len(x)), *x.T, *pairs], 1)
+
+
+def _stretched(x: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Axes, (d, d), along which points (N, d) lie as far apart as what is known there (N, R) is curved.
+
+    Columns are the eigenvectors of the sum of squares of Hessians, those of a quadratic fit, each as long as the root
+    of the curvature: the kernel then sees few directions instead of ten, and interpolates as well from fewer points.
+    """
+    d = x.shape[1]
+    terms = np.asarray(_tail(jnp.asarray(x)))
+    ridge = np.diag(np.where(np.arange(terms.shape[1]) > d, RIDGE * len(x), 0.0))
+    fitted = np.linalg.solve(terms.T @ terms + ridge, terms.T @ known)[d + 1 :]
+    hessians = np.zeros((known.shape[1], d, d))
+    for (i, j), slope in zip(combinations_with_replacement(range(d), 2), fitted, strict=True):
+        hessians[:, i, j] += slope
+        hessians[:, j, i] += slope
+    squares, axes = np.linalg.eigh(np.einsum("rij,rjk->ik", hessians, hessians))
+    curvature = np.sqrt(np.maximum(squares, 0.0))
+    return axes * np.sqrt(curvature / max(curvature.max(), 1e-300) + STRAIGHT)
 
 
 @jax.jit
@@ -114,6 +135,8 @@ class Emulator:
             left, size, basis = np.linalg.svd(self.residuals[:, k] - mean, full_matrices=False)
             rest = np.append(np.cumsum(size[::-1] ** 2)[::-1], 0.0) * self.scale / len(x)
             rank = max(int(np.argmax(rest < NEGLECTED)), 1)
+            stretch = _stretched(x, left[:, :rank] * size[:rank])
+            whiten, x = whiten @ stretch, x @ stretch
             tail, kernel = np.asarray(_tail(jnp.asarray(x))), np.asarray(_kernel(jnp.asarray(x), jnp.asarray(x)))
             system = np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
             system[np.diag_indices(len(x))] += NUGGET * kernel.max()

@@ -17,8 +17,9 @@ from .emulator import Channels, Emulator, log_posterior
 
 WAYS = 3  # of a led move, one after the other
 WAY = 1.0, 2.5  # how far each goes, in standard deviations of the posterior
-LEAPS, UNEVEN = (0.03, 0.15, 0.4), 0.5  # their length: least, to begin with, most; how much shorter some of them are
+LEAPS, UNEVEN = (0.03, 0.15, 0.8), 0.5  # their length: least, to begin with, most; how much shorter some of them are
 RATE = 0.8  # share of ways that are to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
+SOFTENED = 1 / 0.9  # heat of the emulated likelihood: where it is too low, walkers get away sooner
 
 
 class Chances(NamedTuple):
@@ -75,18 +76,20 @@ def _lead(points: Array, chances: Chances, root: Array, channels: Channels, scal
 class Hamiltonian:
     """Proposals for emcee's MHMove: where Hamiltonian Monte Carlo on the emulated posterior leads.
 
-    A few moves of one kind, which leave the emulated posterior pi* as it is and are reversible, make one proposal, its
-    ratio of probabilities there and back being pi*(x)/pi*(y): with it the posterior of the stand-in is left as it is,
-    however rough the emulator (surrogate transitions, Liu 2001, section 9.4.3; Hamiltonian moves: Neal 2011).
+    A few moves of one kind, which leave the emulated posterior pi*, its likelihood softened, as it is and are
+    reversible, make one proposal, its ratio of probabilities there and back being pi*(x)/pi*(y): with it the posterior
+    of the stand-in is left as it is, however rough the emulator (surrogate transitions, Liu 2001, section 9.4.3;
+    Hamiltonian moves: Neal 2011).
 
     Attributes:
         emulator: of the posterior. root: of the walkers' covariance, (P, P), which takes the place of a mass.
-        leap: the longest, in standard deviations of the posterior.
+        leap: the longest, in standard deviations of the posterior. heat: of the stand-in's likelihood.
     """
 
     emulator: Emulator
     root: np.ndarray
     leap: float
+    heat: float = 1.0
 
     def __call__(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         """New points, and the logarithm of the proposals' ratio; (W, P) and (W,)."""
@@ -99,7 +102,8 @@ class Hamiltonian:
         lengths = self.leap * rng.uniform(UNEVEN, 1, size=WAYS)
         leaps = np.ceil(rng.uniform(*WAY, size=WAYS) / lengths).astype(int)
         chances = Chances(*(jnp.asarray(x) for x in (momenta, thresholds, leaps, lengths)))
-        found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), self.emulator.channels, self.emulator.scale)
+        scale = self.emulator.scale / (SOFTENED * self.heat)
+        found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), self.emulator.channels, scale)
         return np.asarray(found[0]), np.asarray(found[1]), float(found[2])
 
     def fitting_leap(self, points: np.ndarray, seed: int) -> float:
