@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # which imports this module
     from .two_scale import TwoScale
 
 ALBEDO_INCIDENCES_DEG = (0, 60)
-ORDER = 16  # of the convolution in the albedos
+ORDER, AZIMUTHS = 12, 5  # of the convolution in the albedos; nodes of half a ring of half vectors
 LEAST_INCIDENCE = 1e-4  # rad: at the normal itself no viewer is where a ring begins
 
 
@@ -71,10 +71,11 @@ def directional_albedo(
 ) -> Array:
     """Int of the BRDF times cos_o over all viewers for light at ``theta_i`` (rad), (A,): shape (C, A).
 
-    Accuracy: 5e-3, relative, for incidences up to 60 degrees (``tests/model/test_derived.py``).
+    Accuracy: 5e-3, relative, for incidences up to 60 degrees (``tests/model/test_derived.py``); of 120 sets drawn
+    between the bounds two miss it, by up to 1.1e-2, both with n below 0.3 in a channel.
     """
     largest_B = 2 * values["b"] / jnp.min(jnp.asarray(wavelengths_um)) if "b" in values else jnp.ones(())
     degree = material.zonal_order if material.diffraction == "zonal" else 0
     incidences = jnp.maximum(theta_i, LEAST_INCIDENCE)
-    geometry, measure = energy.half_vectors(incidences, values["beta"], values["p"], largest_B, degree)
+    geometry, measure = energy.half_vectors(incidences, values["beta"], values["p"], largest_B, degree, AZIMUTHS)
     return jnp.sum(evaluate(material.coarse(ORDER), values, geometry, wavelengths_um) * measure, (-2, -1))

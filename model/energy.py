@@ -161,7 +161,9 @@ def _position(theta: Real, beta: Scalar) -> Real:
     return (1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)) * INCIDENCES / 2 - 0.02
 
 
-def half_vectors(theta_i: Real, beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Geometry, Array]:
+def half_vectors(
+    theta_i: Real, beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0, azimuths: int = AZIMUTHS
+) -> tuple[Geometry, Array]:
     """Half vectors for light at the angles ``theta_i`` (rad), (A,), and the measure cos_o domega_o of their viewers.
 
     The same theta_h for every incidence, in log tan(theta_h): panels around the edge of D, and from 45 degrees on,
@@ -171,9 +173,10 @@ def half_vectors(theta_i: Real, beta: Scalar, p: Scalar, largest_B: Scalar, degr
     Args:
         beta, p: the EPD. largest_B: 2 b/lambda of the narrowest lobe.
         degree: of zonal harmonics, whose ringing two nodes a degree in either outer panel resolve; 0 for lobes without.
+        azimuths: nodes of half a ring.
 
     Returns:
-        geometry with theta_h ``(1, R, 1)`` and the rest ``(A, R, AZIMUTHS)``; measure of that shape.
+        geometry with theta_h ``(1, R, 1)`` and the rest ``(A, R, azimuths)``; measure of that shape.
     """
     theta_i = theta_i[:, None, None]
     log_beta = jnp.log(beta)
@@ -188,7 +191,7 @@ def half_vectors(theta_i: Real, beta: Scalar, p: Scalar, largest_B: Scalar, degr
     theta_h = jnp.arctan(tan_h)
     sin_h, cos_h = jnp.sin(theta_h), jnp.cos(theta_h)
     sin_i, cos_i = jnp.sin(theta_i), jnp.cos(theta_i)
-    v, w = gauss_legendre(AZIMUTHS)
+    v, w = gauss_legendre(azimuths)
     sets = -cos_i * (cos_h**2 - sin_h**2) / (2 * sin_i * sin_h * cos_h)
     end = safe_acos(jnp.clip(sets, -1.0, 1.0))
     phi, dphi = end * v, end * w

@@ -24,7 +24,7 @@ from merlfit.fitting.posterior.chain import (
     write_chain,
 )
 from merlfit.fitting.posterior.emulator import Emulator, log_posterior
-from merlfit.fitting.posterior.hamiltonian import Hamiltonian, leapfrog
+from merlfit.fitting.posterior.hamiltonian import SOFTENED, Hamiltonian, leapfrog
 from scipy.optimize import minimize
 from stand_ins import LAYOUT, banana, gentle, taught
 
@@ -65,9 +65,9 @@ def rough():
 ROOT = np.array([[0.8, 0.0], [0.3, 1.1]])
 
 
-def emulated(emulator):
+def emulated(emulator, heat=1.0):
     """Its log posterior."""
-    return lambda z: log_posterior(z, emulator.channels, emulator.scale)
+    return lambda z: log_posterior(z, emulator.channels, emulator.scale / heat)
 
 
 @pytest.mark.slow
@@ -123,11 +123,11 @@ def test_led_moves_of_a_good_emulator_are_accepted_and_go_far():
     assert np.median(np.linalg.norm((new - points) / np.sqrt(np.diag(covariance)), axis=1)) > 0.5
 
 
-def test_the_ratio_of_a_led_move_is_that_of_the_emulated_posterior():
+def test_the_ratio_of_a_led_move_is_that_of_the_posterior_that_leads_it():
     emulator, rng = rough(), np.random.default_rng(9)
     points = rng.normal(size=(20, 2))
-    new, log_ratio = Hamiltonian(emulator, ROOT, 0.15)(points, np.random.RandomState(10))
-    density = emulated(emulator)
+    new, log_ratio = Hamiltonian(emulator, ROOT, 0.15, heat=2.0)(points, np.random.RandomState(10))
+    density = emulated(emulator, heat=2 * SOFTENED)
     np.testing.assert_allclose(log_ratio, density(jnp.asarray(points)) - density(jnp.asarray(new)), atol=1e-8)
     assert np.any(log_ratio != 0)
 
