@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # which imports this module
     from .two_scale import TwoScale
 
 ALBEDO_INCIDENCES_DEG = (0, 60)
-ORDER, AZIMUTHS = 12, 5  # of the convolution in the albedos; nodes of half a ring of half vectors
+ORDER, AZIMUTHS = 12, 6  # of the convolution in the albedos; nodes of half a ring of half vectors
 LEAST_INCIDENCE = 1e-4  # rad: at the normal itself no viewer is where a ring begins
 
 

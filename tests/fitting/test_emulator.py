@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from merlfit.fitting.posterior import emulator as emulators
 from merlfit.fitting.posterior.emulator import Emulator, coordinates_of, cost_at
+from merlfit.fitting.posterior.likelihood import StandIn
 from stand_ins import LAYOUT, OWN, banana, gentle, taught
 
 
@@ -75,3 +76,25 @@ def test_idle_centres_and_components_are_idle(count, monkeypatch):
     padded = emulated(taught(few, OWN, points), at)
     monkeypatch.setattr(emulators, "ROUNDED", (1, 1))
     np.testing.assert_allclose(padded, emulated(taught(few, OWN, points), at), rtol=1e-9)
+
+
+def test_distances_count_along_what_is_curved(monkeypatch):
+    """Of five coordinates one is: an emulator that knows which errs by a fraction of one that does not."""
+    rng = np.random.default_rng(7)
+    few = StandIn(lambda z: np.stack([np.cos(2 * z[:, 0] + 0.5), z[:, 1] - z[:, 2]], 1), np.zeros(2), 2.0)
+    points, at = rng.normal(size=(150, 5)), 0.7 * rng.normal(size=(300, 5))
+
+    def error():
+        return np.std(emulated(taught(few, [np.arange(5)], points), at) + few.log_likelihood(at))
+
+    with_axes = error()
+    monkeypatch.setattr(emulators, "_stretched", lambda x, known: np.eye(x.shape[1]))
+    assert with_axes < error() / 2
+
+
+def test_residuals_that_are_straight_have_no_axes():
+    few = StandIn(lambda z: z @ np.array([[1.0, 0.5], [0.0, 2.0]]), np.zeros(2), 2.0)
+    rng = np.random.default_rng(8)
+    at = rng.normal(size=(30, 2))
+    found = emulated(taught(few, [np.arange(2)], rng.normal(size=(40, 2))), at)
+    np.testing.assert_allclose(found, -few.log_likelihood(at), atol=1e-6)

@@ -80,7 +80,7 @@ def test_led_moves_leave_the_target_as_it_is_however_rough_the_emulator():
     move = emcee.moves.MHMove(Hamiltonian(emulator, np.linalg.cholesky(covariance), 0.2))
     walkers = emcee.EnsembleSampler(WALKERS, 2, few.log_posterior, moves=move, vectorize=True)
     walkers.random_state = np.random.RandomState(3).get_state()
-    walkers.run_mcmc(rng.multivariate_normal(mean, covariance, size=WALKERS), 4000)
+    walkers.run_mcmc(rng.multivariate_normal(mean, covariance, size=WALKERS), 8000)
     found = walkers.get_chain(discard=200, flat=True)
     assert 0.2 < walkers.acceptance_fraction.mean() < 0.95  # some are refused: the ratio is at work
     deviation = np.sqrt(np.diag(covariance))
@@ -205,6 +205,15 @@ def test_a_chain_begun_has_its_walkers_where_the_posterior_is(monkeypatch):
     done = extend(chain, few, LAYOUT, emulator, 1001, silent, silent)
     assert diagnose(done).failures() == []
     assert 0.2 < done.acceptance < 1
+
+
+def test_the_emulator_learns_from_farther_than_the_posterior_goes():
+    few, _, chain, emulator = begun()
+    flat = extend(chain, few, LAYOUT, emulator, 501, silent, silent).states.reshape(-1, LAYOUT.size)
+    wider = np.cov(emulator.points.T) @ np.linalg.inv(np.cov(flat.T))
+    assert np.linalg.det(wider) ** (1 / LAYOUT.size) > 1.3  # in the variance of a coordinate
+    held = few.log_posterior(flat) - np.asarray(emulated(emulator)(jnp.asarray(flat)))
+    assert np.quantile(held - np.median(held), 0.999) < 3
 
 
 def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_path, monkeypatch):
