@@ -30,8 +30,8 @@ LEAST_SIZE = 400  # effective draws of every coordinate
 TAILS = 0.05, 0.95  # the ends of the intervals
 CHECK_EVERY = 100  # steps between looks at the chain
 FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of learning
-# Of the likelihood, whose power is 1/heat, in each of these rounds; the first also before the emulator. Where no walker
-# of the tuning has been, the emulator is too low, and walkers of the chain get stuck.
+# Of the stand-in's likelihood, whose power is 1/heat, in each of these rounds; the first also before the emulator. The
+# last must be 1: there the chain begins. Where the emulator is too low walkers of the chain get stuck, or never come.
 HEATS = 4.0, 4.0, 3.0, 2.0, 1.0
 # The emulator learns anew if it is too low by more than TOO_LOW (log posterior) at more than a share RARE of states.
 TOO_LOW, RARE = 1.0, 0.01
@@ -39,7 +39,7 @@ LESSONS = 5  # at the most: looks after which the emulator learns where it was t
 TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
 SOON = 400  # steps: a chain that needs no more of them, or no more than it has made, is not worth beginning anew
 EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not begin anew
-DEPTH = 25.0  # of log posterior below the highest: deeper points teach nothing that matters
+DEPTH = 25.0  # of (heated) log posterior below the highest: deeper points teach nothing that matters
 LED = 0.8  # share of moves that are led; the others are differential evolution
 KEYS = 624  # of a Mersenne twister
 GOLDEN = (np.sqrt(5) - 1) / 2
@@ -316,7 +316,7 @@ def extend(
 ) -> Chain:  # fmt: skip
     """Go on until the chain is good enough (`diagnose`), or to ``max_steps``.
 
-    Where a chain is slow since walkers came to a tail of which the emulator knows nothing, it learns of it, and the
+    Where a chain is slow since walkers came to where the emulator is too low, it learns of it, and the
     chain begins anew. A chain that is kept, read from its file and extended to as many steps is the same to the
     last bit as one that goes on at once.
 

@@ -25,7 +25,8 @@ MOST, MOST_EVER = 1024, 2048  # points, and where the posterior is too crooked f
 ROUNDED = 1024, 16  # centres and components are filled up with idle ones to multiples of these: few shapes to compile
 NUGGET = 1e-9  # on the kernel's diagonal, relative to its largest entry
 RIDGE = 1e-3  # of quadratic terms, relative to their number of points, where the directions of curvature are found
-STRAIGHT = 0.1  # of the greatest curvature, what every direction is taken to have at the least
+# Added to the share of the greatest curvature that a direction has; and what counts as none, of the size of residuals.
+STRAIGHT, NO_CURVE = 0.1, 1e-6
 
 
 def coordinates_of(layout: Layout, z: np.ndarray) -> list[np.ndarray]:
@@ -49,8 +50,8 @@ def _tail(x: Array) -> Array:
 def _stretched(x: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Axes, (d, d), along which points (N, d) lie as far apart as what is known there (N, R) is curved.
 
-    Columns are the eigenvectors of the sum of squares of Hessians, those of a quadratic fit, each as long as the root
-    of the curvature: the kernel then sees few directions instead of ten, and interpolates as well from fewer points.
+    Columns are the eigenvectors of the sum of squares of Hessians, those of a quadratic fit. The square of each one's
+    length is its share of the greatest curvature, plus `STRAIGHT`.
     """
     d = x.shape[1]
     terms = np.asarray(_tail(jnp.asarray(x)))
@@ -62,7 +63,8 @@ def _stretched(x: np.ndarray, known: np.ndarray) -> np.ndarray:
         hessians[:, j, i] += slope
     squares, axes = np.linalg.eigh(np.einsum("rij,rjk->ik", hessians, hessians))
     curvature = np.sqrt(np.maximum(squares, 0.0))
-    return axes * np.sqrt(curvature / max(curvature.max(), 1e-300) + STRAIGHT)
+    most = max(curvature.max(), NO_CURVE * np.sqrt(np.mean(np.sum(known**2, 1))), 1e-300)
+    return axes * np.sqrt(curvature / most + STRAIGHT)
 
 
 @jax.jit
@@ -135,12 +137,13 @@ class Emulator:
             left, size, basis = np.linalg.svd(self.residuals[:, k] - mean, full_matrices=False)
             rest = np.append(np.cumsum(size[::-1] ** 2)[::-1], 0.0) * self.scale / len(x)
             rank = max(int(np.argmax(rest < NEGLECTED)), 1)
-            stretch = _stretched(x, left[:, :rank] * size[:rank])
+            parts = left[:, :rank] * size[:rank]
+            stretch = _stretched(x, parts)
             whiten, x = whiten @ stretch, x @ stretch
             tail, kernel = np.asarray(_tail(jnp.asarray(x))), np.asarray(_kernel(jnp.asarray(x), jnp.asarray(x)))
             system = np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
             system[np.diag_indices(len(x))] += NUGGET * kernel.max()
-            known = np.concatenate([left[:, :rank] * size[:rank], np.zeros((tail.shape[1], rank))])
+            known = np.concatenate([parts, np.zeros((tail.shape[1], rank))])
             solved = np.linalg.solve(system, known)
             more, wider = -len(x) % ROUNDED[0], -rank % ROUNDED[1]
             found.append({

@@ -16,10 +16,10 @@ from jax import Array
 from .emulator import Channels, Emulator, log_posterior
 
 WAYS = 3  # of a led move, one after the other
-WAY = 1.0, 2.5  # how far each goes, in standard deviations of the posterior
+WAY = 1.0, 2.5  # how far each goes, in standard deviations of the covariance behind `root`
 LEAPS, UNEVEN = (0.03, 0.15, 0.8), 0.5  # their length: least, to begin with, most; how much shorter some of them are
 RATE = 0.8  # share of ways that are to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
-SOFTENED = 1 / 0.9  # heat of the emulated likelihood: where it is too low, walkers get away sooner
+SOFTENED = 1 / 0.9  # heat of the emulated likelihood: where the emulator is too low, walkers get away sooner
 
 
 class Chances(NamedTuple):
@@ -82,8 +82,8 @@ class Hamiltonian:
     Hamiltonian moves: Neal 2011).
 
     Attributes:
-        emulator: of the posterior. root: of the walkers' covariance, (P, P), which takes the place of a mass.
-        leap: the longest, in standard deviations of the posterior. heat: of the stand-in's likelihood.
+        emulator: of the posterior. root: of a covariance of walkers, (P, P), which takes the place of a mass.
+        leap: the longest, in standard deviations of that covariance. heat: of the stand-in's likelihood.
     """
 
     emulator: Emulator

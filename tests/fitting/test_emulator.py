@@ -95,6 +95,8 @@ def test_distances_count_along_what_is_curved(monkeypatch):
 def test_residuals_that_are_straight_have_no_axes():
     few = StandIn(lambda z: z @ np.array([[1.0, 0.5], [0.0, 2.0]]), np.zeros(2), 2.0)
     rng = np.random.default_rng(8)
-    at = rng.normal(size=(30, 2))
-    found = emulated(taught(few, [np.arange(2)], rng.normal(size=(40, 2))), at)
-    np.testing.assert_allclose(found, -few.log_likelihood(at), atol=1e-6)
+    points, at = rng.normal(size=(2, 40, 2))
+    for known in (few.weighed(points), np.ones((40, 2)), np.zeros((40, 2))):
+        stretch = emulators._stretched(points, known)
+        np.testing.assert_allclose(stretch @ stretch.T, emulators.STRAIGHT * np.eye(2), atol=1e-6)
+    np.testing.assert_allclose(emulated(taught(few, [np.arange(2)], points), at), -few.log_likelihood(at), atol=1e-6)

@@ -211,9 +211,9 @@ def test_the_emulator_learns_from_farther_than_the_posterior_goes():
     few, _, chain, emulator = begun()
     flat = extend(chain, few, LAYOUT, emulator, 501, silent, silent).states.reshape(-1, LAYOUT.size)
     wider = np.cov(emulator.points.T) @ np.linalg.inv(np.cov(flat.T))
-    assert np.linalg.det(wider) ** (1 / LAYOUT.size) > 1.3  # in the variance of a coordinate
+    assert np.linalg.det(wider) ** (1 / LAYOUT.size) > 2  # in the variance of a coordinate; without heat 1.18
     held = few.log_posterior(flat) - np.asarray(emulated(emulator)(jnp.asarray(flat)))
-    assert np.quantile(held - np.median(held), 0.999) < 3
+    assert np.quantile(held - np.median(held), 0.999) < 0.3
 
 
 def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_path, monkeypatch):
