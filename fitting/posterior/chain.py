@@ -4,7 +4,7 @@ docs/statistics.md states the likelihood and what is asked of a chain before int
 it to the likelihood of all bins.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,22 +12,18 @@ from typing import Any, NamedTuple
 import emcee
 import jax.numpy as jnp
 import numpy as np
-from arviz_stats.base.array import array_stats
 from numpy.lib.npyio import NpzFile
 
 from ...merl_io.archive import shape_of
 from ...merl_io.atomic import write_atomically
 from ..objective.transforms import Layout
 from ..support.tables import UNSOUND
+from .diagnosis import diagnose
 from .emulator import MOST_EVER, Emulator, log_posterior
 from .hamiltonian import LEAPS, Hamiltonian
 from .likelihood import StandIn
 
 WALKERS = 32
-ENOUGH = 50  # autocorrelation times a chain must span before intervals are given (emcee's recommendation)
-LARGEST_R_HAT = 1.05  # 50 autocorrelation times of independent walkers make 1.02 of halves of them
-LEAST_SIZE = 400  # effective draws of every coordinate
-TAILS = 0.05, 0.95  # the ends of the intervals
 CHECK_EVERY = 100  # steps between looks at the chain
 FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of learning
 # Of the stand-in's likelihood, whose power is 1/heat, in each of these rounds; the first also before the emulator. The
@@ -37,7 +33,6 @@ HEATS = 4.0, 4.0, 3.0, 2.0, 1.0
 TOO_LOW, RARE = 1.0, 0.01
 LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
 TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
-SOON = 400  # steps: a chain that needs no more of them, or no more than it has made, is not worth beginning anew
 EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not begin anew
 DEPTH = 25.0  # of (heated) log posterior below the highest: deeper points teach nothing that matters
 LED = 0.8  # share of moves that are led; the others are differential evolution
@@ -87,74 +82,6 @@ class Chain:
             "random_keys": keys, "random_state": np.array([position, cached, normal]),
             "lessons": np.array(self.lessons),
         }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """What is known of a chain, by coordinate, (P,) each.
-
-    Attributes:
-        steps: of the chain. times: integrated autocorrelation times (steps), by emcee.
-        r_hat: split, over walkers. bulk, tail: effective sizes. These three by ArviZ (Vehtari et al. 2021).
-    """
-
-    steps: int
-    times: np.ndarray
-    r_hat: np.ndarray
-    bulk: np.ndarray
-    tail: np.ndarray
-
-    @property
-    def ratio(self) -> float:
-        """Of the longest autocorrelation times, how many the chain spans."""
-        return self.steps / float(self.times.max())
-
-    @property
-    def needed(self) -> float:
-        """Steps of a chain like this one that would be enough; sizes grow with them, R-hat - 1 falls inversely."""
-        least = np.min([self.bulk, self.tail])
-        for_sizes = self.steps * LEAST_SIZE / least if least > 0 else np.inf
-        for_r_hat = self.steps * (self.r_hat.max() - 1) / (LARGEST_R_HAT - 1)
-        return float(np.max([ENOUGH * self.times.max(), for_sizes, for_r_hat]))
-
-    @property
-    def slow(self) -> bool:
-        """Whether a chain that begins anew, its emulator better, may well be long enough before this one."""
-        return not self.needed <= self.steps + max(SOON, self.steps)
-
-    def failures(self, names: Sequence[str] = ()) -> list[str]:
-        """In what it is not good enough, in sentences; names: of the coordinates."""
-        name = names or tuple(map(str, range(len(self.times))))
-        found = []
-        if not self.ratio >= ENOUGH:
-            found.append(f"{self.steps} steps are {self.ratio:.0f} autocorrelation times, {ENOUGH} are needed")
-        if not (worst := self.r_hat.max()) <= LARGEST_R_HAT:
-            found.append(
-                f"split R-hat of {name[int(self.r_hat.argmax())]} is {worst:.3f}, at most {LARGEST_R_HAT} is accepted"
-            )
-        for kind, size in (("bulk", self.bulk), ("tail", self.tail)):
-            if not (least := size.min()) >= LEAST_SIZE:
-                found.append(
-                    f"{kind} effective size of {name[int(size.argmin())]} is {least:.0f}, {LEAST_SIZE} are needed"
-                )
-        return found
-
-
-def diagnose(chain: Chain) -> Diagnosis:
-    """Look at a chain."""
-    steps, _, size = chain.states.shape
-    if steps < CHECK_EVERY:
-        bad, none = np.full(size, np.inf), np.zeros(size)
-        return Diagnosis(steps, bad, bad, none, none)
-    times = emcee.autocorr.integrated_time(chain.states, tol=0, quiet=True)
-    each = np.transpose(chain.states, (2, 1, 0))  # (P, walkers, steps), as ArviZ has chains and draws
-    return Diagnosis(
-        steps,
-        np.where(np.isfinite(times), np.maximum(times, 1.0), steps),
-        np.asarray(array_stats.rhat(each)),
-        np.asarray(array_stats.ess(each, method="bulk")),
-        np.asarray(array_stats.ess(each, method="tail", prob=TAILS)),
-    )
 
 
 def read_chain(path: Path, fit: np.ndarray) -> Chain:
@@ -314,7 +241,7 @@ def extend(
     chain: Chain, few: StandIn, layout: Layout, emulator: Emulator, max_steps: int, progress: Progress,
     keep: Callable[[Chain], None],
 ) -> Chain:  # fmt: skip
-    """Go on until the chain is good enough (`diagnose`), or to ``max_steps``.
+    """Go on until the chain is good enough (`diagnosis`), or to ``max_steps``.
 
     Where a chain is slow since walkers came to where the emulator is too low, it learns of it, and the
     chain begins anew. A chain that is kept, read from its file and extended to as many steps is the same to the
@@ -324,7 +251,7 @@ def extend(
         max_steps: at the most, in all; those given up for lessons come on top, at most `EARLY` of them for each.
         progress: called with (steps done, steps at the most). keep: called with the chain at every look.
     """
-    found = diagnose(chain)
+    found = diagnose(chain.states)
     while len(chain.states) < max_steps and found.failures():
         done = len(chain.states)
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
@@ -339,7 +266,7 @@ def extend(
             accepted=chain.accepted + way.accepted,
             random=random,
         )
-        found = diagnose(chain)
+        found = diagnose(chain.states)
         may = chain.lessons and len(chain.states) <= EARLY * max_steps
         low, where = _ignored(emulator, way) if may and found.slow else (-np.inf, now.coords)
         if low > TOO_LOW:
@@ -352,6 +279,6 @@ def extend(
                 leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, random=random,
                 lessons=lessons,
             )  # fmt: skip
-            found = diagnose(chain)
+            found = diagnose(chain.states)
         keep(chain)
     return chain

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from arviz_stats.base.array import array_stats
 
-from .chain import LEAST_SIZE, Chain, Diagnosis, diagnose, spread_over
+from .chain import Chain, spread_over
+from .diagnosis import LEAST_SIZE, Diagnosis, diagnose
 
 LARGEST_K = 0.7  # of the Pareto shape: above it the weights cannot be trusted
 DRAWS, MOST_DRAWS = 600, 2400  # on all bins: to begin with, and to come to the least size
@@ -86,7 +87,7 @@ def correct(
         log_few: log L of the chain at points (N, P). log_likelihood: on all bins, of a point (P,).
         names: of the coordinates.
     """
-    diagnosis, size = diagnose(chain), chain.states.shape[-1]
+    diagnosis, size = diagnose(chain.states), chain.states.shape[-1]
     failed = [f"{said}; {GO_ON}" for said in diagnosis.failures(names)]
     flat = chain.states.reshape(-1, size)
     draws, log_ratio, wanted = np.empty((0, size)), np.empty(0), DRAWS

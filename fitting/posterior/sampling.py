@@ -18,7 +18,8 @@ from ..objective.problem import make_problem
 from ..objective.transforms import Layout
 from ..support.clock import Report, Stage, silent
 from ..support.threads import SHARES, one_core_a_call, side_by_side
-from .chain import Chain, begin, diagnose, extend, read_chain, write_chain
+from .chain import Chain, begin, extend, read_chain, write_chain
+from .diagnosis import diagnose
 from .emulator import Emulator
 from .importance import Posterior, correct
 from .likelihood import log_likelihood, stand_in
@@ -86,7 +87,7 @@ def draw(
     if resume:
         chain = read_chain(path, solution.z)
         drawn = _drawn(path)  # those that the result names, until there are new ones
-        if drawn and not diagnose(chain).failures():
+        if drawn and not diagnose(chain.states).failures():
             chain = replace(chain, lessons=0)  # one that was long enough once is not given up
         emulator = Emulator.of(few, layout, chain.taught)
     else:

@@ -9,7 +9,8 @@ from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.outcome import Fitted
 from merlfit.fitting.pipeline.result import parameter_results, posterior_parts
 from merlfit.fitting.posterior import importance
-from merlfit.fitting.posterior.chain import LEAST_SIZE, WALKERS, Chain
+from merlfit.fitting.posterior.chain import WALKERS, Chain
+from merlfit.fitting.posterior.diagnosis import LEAST_SIZE
 from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
 from merlfit.fitting.solve.levenberg_marquardt import Solution
 from stand_ins import LAYOUT

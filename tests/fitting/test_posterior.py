@@ -10,19 +10,18 @@ import numpy as np
 import pytest
 from merlfit.fitting.assess.laplace import laplace_covariance
 from merlfit.fitting.posterior import chain as sampler
+from merlfit.fitting.posterior import diagnosis
 from merlfit.fitting.posterior.chain import (
-    CHECK_EVERY,
-    ENOUGH,
     WALKERS,
     Chain,
     ChainError,
     begin,
-    diagnose,
     extend,
     read_chain,
     spread_over,
     write_chain,
 )
+from merlfit.fitting.posterior.diagnosis import ENOUGH, SHORTEST, diagnose
 from merlfit.fitting.posterior.emulator import Emulator, log_posterior
 from merlfit.fitting.posterior.hamiltonian import SOFTENED, Hamiltonian, leapfrog
 from scipy.optimize import minimize
@@ -149,29 +148,29 @@ def independent(steps, size=3, seed=0):
 
 
 def test_a_chain_of_independent_draws_is_good_enough():
-    found = diagnose(independent(CHECK_EVERY))
+    found = diagnose(independent(SHORTEST).states)
     assert found.failures() == []
     np.testing.assert_allclose(found.times, 1, atol=0.3)
-    np.testing.assert_allclose(found.bulk, CHECK_EVERY * WALKERS, rtol=0.15)
+    np.testing.assert_allclose(found.bulk, SHORTEST * WALKERS, rtol=0.15)
 
 
 def test_what_a_chain_lacks_is_said_of_the_coordinate_that_lacks_it():
     names = ("a", "b", "c")
-    assert f"{ENOUGH} are needed" in diagnose(independent(CHECK_EVERY - 1)).failures(names)[0]
+    assert f"{ENOUGH} are needed" in diagnose(independent(SHORTEST - 1).states).failures(names)[0]
     slow = independent(400)
     slow.states[..., 1] = np.cumsum(slow.states[..., 1], 0)  # a random walk
-    said = diagnose(slow).failures(names)
+    said = diagnose(slow.states).failures(names)
     assert said[0].startswith("400 steps are ")
     assert said[0].endswith(f" autocorrelation times, {ENOUGH} are needed")
     assert any("R-hat of b" in x for x in said)
     assert not any("of a" in x or "of c" in x for x in said)
     apart = independent(400)
     apart.states[:, :6, 2] += 8  # walkers in a mode of their own: each looks well by itself
-    assert any("R-hat of c" in x for x in diagnose(apart).failures(names))
+    assert any("R-hat of c" in x for x in diagnose(apart.states).failures(names))
     stuck = independent(400)
     stuck.states[:, 5] = 1.0  # one walker
     with np.errstate(invalid="ignore"):
-        assert diagnose(stuck).failures(names)[0].startswith("400 steps are 1 autocorrelation times")
+        assert diagnose(stuck.states).failures(names)[0].startswith("400 steps are 1 autocorrelation times")
 
 
 def test_places_cover_a_sequence_however_many_they_are():
@@ -201,9 +200,9 @@ def test_a_chain_begun_has_its_walkers_where_the_posterior_is(monkeypatch):
     np.testing.assert_array_equal(chain.fit, fit)
     lowest = few.log_posterior(fit[None])[0]
     assert np.all(chain.log_prob[0] > lowest - 25)
-    monkeypatch.setattr(sampler, "ENOUGH", 10)
+    monkeypatch.setattr(diagnosis, "ENOUGH", 10)
     done = extend(chain, few, LAYOUT, emulator, 1001, silent, silent)
-    assert diagnose(done).failures() == []
+    assert diagnose(done.states).failures() == []
     assert 0.2 < done.acceptance < 1
 
 
@@ -217,7 +216,7 @@ def test_the_emulator_learns_from_farther_than_the_posterior_goes():
 
 
 def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_path, monkeypatch):
-    monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    monkeypatch.setattr(diagnosis, "ENOUGH", np.inf)
     monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
     few, fit, chain, emulator = begun()
     kept = []
@@ -237,7 +236,7 @@ def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_pa
 
 def test_what_a_chain_still_needs_is_told_by_the_worst_of_its_measures():
     one = np.ones(2)
-    fine = sampler.Diagnosis(200, 3 * one, 1.01 * one, 900 * one, 800 * one)
+    fine = diagnosis.Diagnosis(200, 3 * one, 1.01 * one, 900 * one, 800 * one)
     assert fine.needed == pytest.approx(150)  # 50 autocorrelation times of 3 steps
     assert not fine.slow
     for worse, needed in (
@@ -246,7 +245,7 @@ def test_what_a_chain_still_needs_is_told_by_the_worst_of_its_measures():
     ):  # fmt: skip
         found = dataclasses.replace(fine, **worse)
         assert found.needed == pytest.approx(needed)
-        assert found.slow == (needed > 200 + sampler.SOON)
+        assert found.slow == (needed > 200 + diagnosis.SOON)
     late = dataclasses.replace(fine, steps=2000, times=70 * one)
     assert (late.needed, late.slow) == (pytest.approx(3500), False)  # less than it has made
     for name in ("times", "r_hat", "bulk", "tail"):
@@ -254,7 +253,7 @@ def test_what_a_chain_still_needs_is_told_by_the_worst_of_its_measures():
 
 
 def test_a_late_chain_does_not_begin_anew(monkeypatch):
-    monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    monkeypatch.setattr(diagnosis, "ENOUGH", np.inf)
     monkeypatch.setattr(sampler, "TOO_LOW", -1e9)
     monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
     few, _, chain, emulator = begun()
@@ -264,7 +263,7 @@ def test_a_late_chain_does_not_begin_anew(monkeypatch):
 
 
 def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_path, monkeypatch):
-    monkeypatch.setattr(sampler, "ENOUGH", np.inf)
+    monkeypatch.setattr(diagnosis, "ENOUGH", np.inf)
     monkeypatch.setattr(sampler, "EARLY", 1.0)
     monkeypatch.setattr(sampler, "TOO_LOW", 1.0)
     monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
