@@ -97,7 +97,7 @@ cluster-cost: install
 hard-cases: install
 	$(BIN)/python -m tests.hard_cases
 
-# Hours: every committed table of results/ that needs no genuine measurement.
+# Hours: the tables of results/ about the physics; the others have targets of their own, or name their command.
 tables: install
 	for table in hard_cases tier_errors zonal_failure energy energy_splits grazing_exponent; do \
 		$(BIN)/python -m tests.$$table || exit 1; done

@@ -9,7 +9,7 @@ from .fresnel import fresnel
 from .numerics import Real, safe_divide, safe_sqrt, total
 from .quadrature import gauss_legendre
 
-DIFFUSE_ORDER = 64  # 1e-12 for n in [1, 4] (tests/hard_cases.toml)
+DIFFUSE_ORDER = 64  # 1e-12 for n in [1, 4] (tests/hard_cases/cases.toml)
 
 
 def external_diffuse_reflectance(n: Real) -> Real:

@@ -222,7 +222,7 @@ def convolve(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: 
     B = 900, c = 1.01 or 6, and are those of values above 1e-6 of that at theta_h = 0: at beta = 1e-3, p = 0.2, c = 6,
     B = 900, theta_h = 87 degrees, where the value is 1e-19, order 32 loses all of it. Over beta in [1e-4, 2], p in
     [0.12, 5], c in [1.001, 8], B in [1e-3, 2e4]: 32: 1e-5, 99 % below 3e-3; 256: 1e-13, worst 1e-6
-    (``tests/hard_cases.toml``). Float32 is kept, and adds 4e-4 in the former range.
+    (``tests/hard_cases/cases.toml``). Float32 is kept, and adds 4e-4 in the former range.
     """
     theta_h, B = jnp.broadcast_arrays(theta_h, B)
     return _integrate(theta_h, B, c, beta, p, order).value

@@ -95,7 +95,7 @@ def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> 
 
     The numbers are those printed, even where they leave a model no specular light (:func:`without_surface`). Names
     follow the models: SGD's ``eta`` is ``F0`` and ``F1``, Ngan's Cook-Torrance ``eta`` is ``F0``; SGD's ``K`` is no
-    parameter, because it is what normalises the distribution, to the 4e-6 of its rounding.
+    parameter, because it is what normalises the distribution, to the 5e-6 of its rounding.
 
     Args:
         material: MERL's name, such as ``blue-metallic-paint``.

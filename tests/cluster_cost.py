@@ -4,26 +4,22 @@ The workers do not fit: they write a result at once, so that scheduler and clien
 """
 
 import pickle
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import psutil
 import typer
+from merlfit.fitting.execution.cluster import Cluster
+from merlfit.fitting.execution.slot import Brought
+from merlfit.fitting.execution.unit import Kind, Unit
+from merlfit.fitting.settings.config import Config
 
-TESTS = Path(__file__).parent
-sys.path.append(str(TESTS))
-from clusters import scheduler, until, workers  # noqa: E402
-from merlfit.fitting.execution.cluster import Cluster  # noqa: E402
-from merlfit.fitting.execution.slot import Brought  # noqa: E402
-from merlfit.fitting.execution.unit import Kind, Unit  # noqa: E402
-from merlfit.fitting.settings.config import Config  # noqa: E402
-from worker_tasks import task  # noqa: E402
+from .bench.record import Record
+from .support.clusters import scheduler, until, workers
+from .support.worker_tasks import task
 
-from .bench.record import Record  # noqa: E402
-
-RESULTS = TESTS.parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 WORKERS = 4
 MERL = 35_000_000  # bytes of a file, as near as matters
 

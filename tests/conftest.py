@@ -8,9 +8,10 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 import jax
 import pytest
-import reconstructions
-import times
 from jaxtyping import install_import_hook
+
+from tests import times
+from tests.support import reconstructions
 
 install_import_hook(["merlfit.model", "merlfit.merl_io"], "beartype.beartype")
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from merlfit.fitting.support.compilation import use_persistent_cache
 
-from . import refit
-from .reconstructions import make
+from .support import refit
+from .support.reconstructions import make
 
 RESULTS = Path(__file__).parents[1] / "results"
 STORE = RESULTS / "splits.json"

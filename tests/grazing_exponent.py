@@ -17,8 +17,8 @@ from merlfit.model.acquisition import derived_exponent
 from merlfit.model.apparatus import APPARATUS, Apparatus
 from merlfit.model.measured import Measured
 
-from . import refit
-from .reconstructions import make
+from .support import refit
+from .support.reconstructions import make
 
 RESULTS = Path(__file__).parents[1] / "results"
 MATERIALS = {  # sharp to dull; the body is fixed, so that only the exponent differs between the fits

@@ -16,10 +16,10 @@ from merlfit.fitting.results.export import read_result, write_result
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from . import chromium
 from .bench.materials import every, file
 from .bench.processes import MERLFIT
-from .reconstructions import ORIGIN
+from .support import chromium
+from .support.reconstructions import ORIGIN
 
 DOCS = Path(__file__).parents[1] / "docs" / "report"
 EXAMPLE = ("gray-plastic", "nickel")

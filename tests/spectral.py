@@ -23,11 +23,9 @@ from merlfit.model.geometry import Geometry
 from merlfit.model.reflectance import evaluate
 from merlfit.model.two_scale import TwoScale
 
-TESTS = Path(__file__).parent
-sys.path.append(str(TESTS))
-import rgl_files  # noqa: E402
+from .support import rgl_files
 
-ROOT = TESTS.parent
+ROOT = Path(__file__).parents[1]
 WAVELENGTHS_UM = np.round(np.arange(0.40, 0.7001, 0.01), 3)
 ORDER = 48  # of the convolution in the data; fits have 32
 TARGET = 1e-3

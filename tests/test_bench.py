@@ -6,9 +6,6 @@ import sys
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bench import plain_numpy, processes, record
-from bench.against_scipy import Whole
-from lobes import ANGLES, draw
 from merlfit.fitting.objective.problem import make_problem
 from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
@@ -20,6 +17,10 @@ from merlfit.model.convolution import convolve
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale, two_scale
+
+from tests.bench import plain_numpy, processes, record
+from tests.bench.against_scipy import Whole
+from tests.support.lobes import ANGLES, draw
 
 METAL = {
     "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "grazing_exponent": 0.35,

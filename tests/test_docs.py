@@ -6,7 +6,8 @@ import subprocess
 import sys
 
 import pytest
-from shown_commands import ROOT
+
+from tests.shown_commands import ROOT
 
 sys.path.insert(0, str(ROOT / "docs" / "extensions"))
 import schema_tables

@@ -1,35 +1,36 @@
-"""The hard cases of tests/hard_cases.toml: each within its tolerance, in value and gradient and both precisions."""
+"""The hard cases of cases.toml: each within its tolerance, in value and gradient and both precisions."""
 
 from dataclasses import fields
 from typing import Literal, get_args, get_origin
 
-import hard_cases as hard
-import hard_fits
-import hard_table
 import jax
 import mpmath as mp
 import numpy as np
 import pytest
-from hard_effects import MODEL, scaled_lobe
 from merlfit.model.apparatus import GrazingLoss
 from merlfit.model.effects import ANY, KINDS
 from merlfit.model.two_scale import TwoScale
-from oracles import precise
+
+from tests.hard_cases import __main__ as program
+from tests.hard_cases import comparison, fits
+from tests.hard_cases import table as hard_table
+from tests.hard_cases.effects import MODEL, scaled_lobe
+from tests.oracles import precise
 
 CASES, KNOWN, _ = hard_table.table()
 NAMES = {case.name for case in CASES}
-MOST_KNOWN_FAILURES = 0  # as hard_cases.toml has it; only ever lowered
+MOST_KNOWN_FAILURES = 0  # as cases.toml has it; only ever lowered
 FAILING = {entry["case"] for entry in KNOWN["entries"]}
 
 
 @pytest.fixture(scope="module")
 def found(compilation_cache, compiled_quickly, table):
-    return hard.found()
+    return comparison.found()
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_hard_case(case, found):
-    row = hard.Row(case, found[case.name])
+    row = comparison.Row(case, found[case.name])
     for precision, dtype in row.found.dtype.items():
         assert dtype == hard_table.PRECISIONS[precision], f"the result is {dtype}"
     for modes in row.found.gradient.values():
@@ -132,11 +133,11 @@ def test_a_changed_oracle_is_noticed_and_everything_computed_anew(one_reference,
 
 @pytest.mark.parametrize("failures", [[], ["status CONVERGED"]])
 def test_the_command_fails_with_a_file_whose_status_is_wrong(failures, tmp_path, monkeypatch):
-    monkeypatch.setattr(hard, "use_persistent_cache", lambda: None)
-    monkeypatch.setattr(hard, "HERE", tmp_path / "tests")
-    monkeypatch.setattr(hard, "rows", list)
-    monkeypatch.setattr(hard_fits, "rows", lambda: [hard_fits.Row("all black", "CONVERGED", "so", failures)])
-    assert hard.main([]) == bool(failures)
+    monkeypatch.setattr(program, "use_persistent_cache", lambda: None)
+    monkeypatch.setattr(program, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(program, "rows", list)
+    monkeypatch.setattr(fits, "rows", lambda: [fits.Row("all black", "CONVERGED", "so", failures)])
+    assert program.main([]) == bool(failures)
     assert "| all black |" in (tmp_path / "results" / "hard_cases.md").read_text()
 
 
@@ -181,8 +182,8 @@ def test_a_wrong_formula_fails(effect, found, monkeypatch):
     def wrong(case, precision):
         return WRONG[effect](**case.at(precision), **case.static), dict.fromkeys(case.checked, mp.mpf(0))
 
-    monkeypatch.setattr(hard, "reference", wrong)
-    rows = (hard.Row(case, found[case.name]) for case in CASES if case.effect == effect)
+    monkeypatch.setattr(comparison, "reference", wrong)
+    rows = (comparison.Row(case, found[case.name]) for case in CASES if case.effect == effect)
     assert any("value" in row.failures for row in rows)
 
 
@@ -194,7 +195,7 @@ def test_a_wrong_gradient_fails(name, found):
     """One that leaves out the parameter's own scale, as if d/dx were d/dlog x."""
     case, mine = next(case for case in CASES if case.name == name), found[name]
     wrong = [{**mode, "beta": mode["beta"] / 2} for mode in mine.gradient[""]]
-    row = hard.Row(case, hard.Found(mine.value, {**mine.gradient, "": wrong}, mine.dtype))
+    row = comparison.Row(case, comparison.Found(mine.value, {**mine.gradient, "": wrong}, mine.dtype))
     assert row.failures == ["gradient"]
 
 

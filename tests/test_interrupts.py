@@ -12,11 +12,11 @@ from merlfit.fitting.posterior.chain import _advance
 from merlfit.fitting.results.export import read_result
 from merlfit.fitting.support.terminal import Stopped
 
-TESTS = Path(__file__).parent
+ROOT = Path(__file__).parents[1]
 PROGRAM = f"""
 import os, signal, sys, time
-sys.path.insert(0, {str(TESTS)!r})
-from made_results import made
+sys.path.insert(0, {str(ROOT)!r})
+from tests.support.made_results import made
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution import here, unit
 from merlfit.fitting.results.export import write_result

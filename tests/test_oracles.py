@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import bodies, convolution, diffraction, facets, fresnel, masking, ndf, two_scale
 from scipy.integrate import dblquad, quad
+
+from tests.oracles import bodies, convolution, diffraction, facets, fresnel, masking, ndf, two_scale
 
 few = settings(derandomize=True, max_examples=25, deadline=None, database=None)
 angles = st.floats(0.0, 1.55)

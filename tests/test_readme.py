@@ -6,13 +6,14 @@ import sys
 import tomllib
 
 import pytest
-import shown_commands
 import typer.main
 from merlfit.fitting import cli
 from merlfit.fitting.settings.config import Replaced, load
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
-from shown_commands import ROOT, shown
+
+from tests import shown_commands
+from tests.shown_commands import ROOT, shown
 
 README = (ROOT / "README.md").read_text()
 SHOWN = [(page, block) for page in shown_commands.pages() for block in shown(page.read_text())]

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import typer.main
-from made_results import made
 from merlfit.fitting import cli
 from merlfit.fitting.output.checked import check_table
 from merlfit.fitting.output.report import Outcome, print_result, summary_table
@@ -20,6 +19,8 @@ from merlfit.merl_io.check import FileReport
 from rich.console import Console
 from rich.table import Table
 from typer.testing import CliRunner
+
+from tests.support.made_results import made
 
 runner = CliRunner()
 

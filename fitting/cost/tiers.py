@@ -1,7 +1,8 @@
 """What a tier of the diffraction lobe errs by and costs where it is evaluated: the first half of ``merlfit cost``.
 
-Errors are those of the BRDF against `exact` (Eq. 27), for conductors with parameters drawn from the priors of the fit,
-in directions drawn from all bins of MERL's grid above the horizon. ``tests/tier_errors.py`` does the same at length.
+Errors are those of the BRDF against `exact` (Eq. 27), for conductors with parameters drawn between the bounds of the
+fit, in directions drawn from all bins of MERL's grid above the horizon. ``tests/tier_errors.py`` does the same at
+length.
 """
 
 import time
@@ -30,7 +31,7 @@ from ..objective.weights import weighted_samples
 from .frontier import Percentiles
 
 SEED, SETS, DIRECTIONS = 20261122, 40, 64
-WHAT = f"synthetic: {SETS} conductors drawn from the priors of the fit, {DIRECTIONS} directions of MERL's grid each"
+WHAT = f"synthetic: {SETS} conductors drawn between the bounds of the fit, {DIRECTIONS} directions of MERL's grid each"
 TIERS = {
     "off": TwoScale(diffraction="off"),
     "lobe": TwoScale(diffraction="lobe"),

@@ -239,9 +239,9 @@ def _root(states: np.ndarray) -> np.ndarray:
 
 def extend(
     chain: Chain, few: StandIn, layout: Layout, emulator: Emulator, max_steps: int, progress: Progress,
-    keep: Callable[[Chain], None],
+    keep: Callable[[Chain], None], least: int = 0,
 ) -> Chain:  # fmt: skip
-    """Go on until the chain is good enough (`diagnosis`), or to ``max_steps``.
+    """Go on until the chain is good enough (`diagnosis`) and has ``least`` steps, or to ``max_steps``.
 
     Where a chain is slow since walkers came to where the emulator is too low, it learns of it, and the
     chain begins anew. A chain that is kept, read from its file and extended to as many steps is the same to the
@@ -252,7 +252,7 @@ def extend(
         progress: called with (steps done, steps at the most). keep: called with the chain at every look.
     """
     found = diagnose(chain.states)
-    while len(chain.states) < max_steps and found.failures():
+    while len(chain.states) < max_steps and (found.failures() or len(chain.states) < least):
         done = len(chain.states)
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
         lead = Hamiltonian(emulator, chain.root, chain.leap)

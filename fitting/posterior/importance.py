@@ -16,7 +16,12 @@ from .diagnosis import LEAST_SIZE, Diagnosis, diagnose
 
 LARGEST_K = 0.7  # of the Pareto shape: above it the weights cannot be trusted
 DRAWS, MOST_DRAWS = 600, 2400  # on all bins: to begin with, and to come to the least size
+MARGIN = 1.1  # of what is expected to be enough
 GO_ON = "continue the chain with `merlfit sample`"
+TOO_UNEVEN = (
+    "effective size of {name} in {count} weighted draws is {least:.0f}, {most} are needed: the weights are uneven, "
+    "since the chain, which uses few bins, is far from the posterior of all bins"
+)
 TOO_FAR = (
     "the chain, which uses few bins, is too far from the posterior of all bins: Pareto k of its weights is {k:.2f}, "
     "at most {most} is accepted"
@@ -32,6 +37,8 @@ class Posterior:
         log_ratio: log L of all bins minus the chain's, (n,). pareto_k: shape of the largest weights.
         diagnosis: of the chain.
         effective_size: of the weighted draws, (P,). sufficient: whether intervals may be given. message: in a sentence.
+        wanted: steps of the chain with which its weighted draws would be enough, where they are not and all else is; 0
+        otherwise.
     """
 
     chain: Chain
@@ -43,6 +50,7 @@ class Posterior:
     effective_size: np.ndarray
     sufficient: bool
     message: str
+    wanted: int = 0
 
 
 def quantiles(values: np.ndarray, weights: np.ndarray, levels: tuple[float, ...] = (0.05, 0.5, 0.95)) -> np.ndarray:
@@ -105,13 +113,19 @@ def correct(
         if good or len(draws) >= MOST_DRAWS or failed:  # a chain that failed is not worth more
             break
         # of few draws k is uncertain by tenths: more of them decide
-        wanted = min(int(len(draws) * np.clip(1.1 * LEAST_SIZE / effective.min(), 1.5, 4.0)) + 1, MOST_DRAWS)
+        wanted = min(int(len(draws) * np.clip(MARGIN * LEAST_SIZE / effective.min(), 1.5, 4.0)) + 1, MOST_DRAWS)
     if not k <= LARGEST_K:
         failed.append(TOO_FAR.format(k=k, most=LARGEST_K))
+    longer = 0
     if not (least := effective.min()) >= LEAST_SIZE:
         name = names[int(effective.argmin())]
-        failed.append(
-            f"effective size of {name} in the weighted draws is {least:.0f}, {LEAST_SIZE} are needed; {GO_ON}"
-        )
+        if sizes(draws, weights, np.full(size, np.inf)).min() >= LEAST_SIZE:  # the chain is what is too short for them
+            longer = 0 if failed else int(np.ceil(MARGIN * diagnosis.steps * LEAST_SIZE / least))
+            failed.append(
+                f"effective size of {name} in the weighted draws is {least:.0f}, {LEAST_SIZE} are needed; {GO_ON}"
+            )
+        else:
+            failed.append(TOO_UNEVEN.format(name=name, count=len(draws), least=least, most=LEAST_SIZE))
     good = f"{diagnosis.steps} steps are {diagnosis.ratio:.0f} autocorrelation times, Pareto k {k:.2f}"
-    return Posterior(chain, draws, weights, log_ratio, k, diagnosis, effective, not failed, (failed or [good])[0])
+    message = (failed or [good])[0]
+    return Posterior(chain, draws, weights, log_ratio, k, diagnosis, effective, not failed, message, longer)

@@ -98,19 +98,21 @@ def draw(
         if said := _unwritten(path, {**_names(layout), **drawn, **chain.arrays()}):
             report(f"posterior: {said}")
 
-    chain = extend(chain, few, layout, emulator, max_steps, say, keep)
     problem, lowest = make_problem(samples, precision="float32"), solution.cost  # 1e-6 of S is 1e-6 N of log L
 
     def say_draw(done: int, most: int) -> None:
         report(Stage(f"posterior: all bins, draw {done} of {most}", done / most))
 
-    return correct(
-        chain,
-        few.log_likelihood,
-        lambda z: log_likelihood(layout, z, problem, fitted.count, lowest),
-        layout.coordinates,
-        say_draw,
-    )
+    def whole(z: np.ndarray) -> float:
+        return log_likelihood(layout, z, problem, fitted.count, lowest)
+
+    least = 0
+    while True:
+        chain = extend(chain, few, layout, emulator, max_steps, say, keep, least)
+        found = correct(chain, few.log_likelihood, whole, layout.coordinates, say_draw)
+        if not len(chain.states) < min(found.wanted, max_steps):
+            return found
+        chain, least = replace(chain, lessons=0), found.wanted  # long enough once: it is not given up
 
 
 def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:

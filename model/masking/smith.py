@@ -124,7 +124,7 @@ def masking(cos_theta: Real, beta: Scalar, p: Scalar, table: Real | None = None)
         table: `masking_table` of p, if it is known already.
 
     Accuracy: 1e-9 for p in [0.12, 4] and any beta, 3.3e-9 up to p = 5; the table adds less than 1e-9
-    (``tests/model/test_masking.py``, ``tests/hard_cases.toml``). Float32 is kept, to 1e-6.
+    (``tests/model/test_masking.py``, ``tests/hard_cases/cases.toml``). Float32 is kept, to 1e-6.
     """
     if table is None and cos_theta.size <= TABLE_SIZE:
         return masking_direct(cos_theta, beta, p)

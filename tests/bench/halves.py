@@ -1,6 +1,7 @@
 """Whether intervals from two disjoint halves of a material's bins agree."""
 
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,11 @@ from merlfit.fitting.pipeline.result import parameter_results
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.posterior.sampling import sample
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import read
 
-from .materials import TWELVE, measured
+from .materials import TWELVE, file
+from .processes import worker
 from .record import RECONSTRUCTIONS, Record, Target
 
 FOUR = ("nickel", "aluminium", "white-marble", "red-plastic")
@@ -71,10 +74,14 @@ def run(folder, out, every):
          "theta": Target("intervals that overlap, low and high theta_d", 80, "%", at_least=True)},
         folder=out,
     )  # fmt: skip
-    for material, found in measured(record, TWELVE if every else FOUR, folder):
-        shares = {f"overlap {a}": overlap(found[a], found[b]) for a, b in PAIRS}
-        counts = {f"N {name}": found[name]["count"] for name in HALVES}
-        record.add({"material": material, "body": TWELVE[material], **shares, **counts}, found)
+    record.resume()
+    left = [m for m in (TWELVE if every else FOUR) if m not in record.column("material")]
+    with ThreadPoolExecutor(CORES) as pool:
+        runs = pool.map(lambda m: worker("halves", file(folder, m), TWELVE[m])[0], left)
+        for material, found in zip(left, runs, strict=True):
+            shares = {f"overlap {a}": overlap(found[a], found[b]) for a, b in PAIRS}
+            counts = {f"N {name}": found[name]["count"] for name in HALVES}
+            record.add({"material": material, "body": TWELVE[material], **shares, **counts}, found)
     for target, (a, _) in zip(("phi", "theta"), PAIRS, strict=True):
         record.set(target, 100 * np.nanmean(record.column(f"overlap {a}")))
     record.finish()

@@ -4,12 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..support import reconstructions
 from .processes import worker
-
-if __package__ == "bench":  # under pytest, which puts the folder of the tests on the path
-    import reconstructions
-else:
-    from .. import reconstructions
 
 BODIES = {
     "none": ("chrome", "nickel", "aluminium", "brass", "gold-metallic-paint2", "tungsten-carbide"),

@@ -2,18 +2,14 @@
 
 import io
 import struct
-import sys
 import tracemalloc
 import zipfile
-from pathlib import Path
 
 import numpy as np
 from merlfit.merl_io import inputs
 from merlfit.merl_io.source import MerlError
 
-sys.path.append(str(Path(__file__).parents[1]))
-import rgl_files
-
+from ..support import rgl_files
 from .loaders import HEADER, HOSTILE, Executed, damaged, trial
 
 TABLE = """# made

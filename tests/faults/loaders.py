@@ -21,9 +21,7 @@ from merlfit.fitting.results.export import ResultError, read_result, write_resul
 from merlfit.fitting.settings.config import Config, ConfigError, load
 from merlfit.merl_io import binary
 
-sys.path.append(str(Path(__file__).parents[1]))
-from made_results import made
-
+from ..support.made_results import made
 from .stand_in import CHAIN
 
 ROOT = Path(__file__).parents[2]

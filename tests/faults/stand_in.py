@@ -12,9 +12,8 @@ import threading
 from pathlib import Path
 from unittest import mock
 
-sys.path += [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
+sys.path.append(str(Path(__file__).parents[2]))  # run as a file, in any folder
 import numpy as np
-from made_results import made
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution import unit as units
 from merlfit.fitting.execution.pool import Pool, jobs_for
@@ -22,6 +21,8 @@ from merlfit.fitting.pipeline.run import chain_of
 from merlfit.fitting.posterior.chain import write_chain
 from merlfit.fitting.results.export import write_result
 from merlfit.merl_io.binary import MerlError
+
+from tests.support.made_results import made
 
 CHAIN = {
     "chain_free": np.ones((4, 8, 3)), "log_prob": np.ones((4, 8)), "accepted": np.array(0.5), "root": np.eye(3),

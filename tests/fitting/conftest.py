@@ -1,9 +1,10 @@
 """What several tests of the fit share."""
 
-import frontiers
 import jax
 import pytest
 from merlfit.fitting.cost import calibration
+
+from tests.support import frontiers
 
 PROGRAMS = "jax_compilation_cache_dir"
 

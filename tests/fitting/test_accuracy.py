@@ -7,7 +7,6 @@ from dataclasses import replace
 import jsonschema
 import numpy as np
 import pytest
-from frontiers import fit, measurement, point
 from merlfit.fitting import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier
 from merlfit.fitting.cost.accuracy import Aim, distance, estimate, reference_problem, remaining, resume_fit
@@ -23,6 +22,8 @@ from merlfit.fitting.settings.config import Config, load
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
+
+from tests.support.frontiers import fit, measurement, point
 
 runner = CliRunner()
 HELD = [f"drawn-{1000 + seed}" for seed in range(16)]  # every body four times

@@ -19,7 +19,8 @@ from merlfit.model.measured import Measured
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
-from plain_jacobian import difference, plain
+
+from tests.support.plain_jacobian import difference, plain
 
 FIVE = Bands(("violet", "blue", "green", "orange", "red"), (0.42, 0.47, 0.53, 0.6, 0.66))
 ONE = Bands(("green",), (0.532,))

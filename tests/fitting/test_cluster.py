@@ -8,11 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import psutil
 import pytest
-from clusters import PROGRAM, ended, scheduler, units, until, workers
 from merlfit.fitting.execution.cluster import Cluster, ClusterError
 from merlfit.fitting.execution.unit import Kind
 from merlfit.fitting.results.export import read_result
-from worker_tasks import task
+
+from tests.support.clusters import PROGRAM, ended, scheduler, units, until, workers
+from tests.support.worker_tasks import task
 
 
 @pytest.fixture(scope="module")

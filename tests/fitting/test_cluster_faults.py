@@ -7,12 +7,13 @@ from pathlib import Path
 
 import psutil
 import pytest
-from clusters import PROGRAM, TESTS, children, ended, program, scheduler, units, until, workers
 from merlfit.fitting.execution import cluster as module
 from merlfit.fitting.execution import watch
 from merlfit.fitting.execution.cluster import Cluster, ClusterError
 from merlfit.fitting.execution.unit import Kind
-from worker_tasks import task
+
+from tests.support.clusters import PROGRAM, ROOT, children, ended, program, scheduler, units, until, workers
+from tests.support.worker_tasks import task
 
 BOUND = 90.0  # seconds: any of these ends long before
 
@@ -44,7 +45,7 @@ def without(tmp_path):
         "    return found(name)\n"
         "metadata.version = version\n"
     )
-    return {"PYTHONPATH": f"{tmp_path / 'less'}{os.pathsep}{TESTS}"}
+    return {"PYTHONPATH": f"{tmp_path / 'less'}{os.pathsep}{ROOT}"}
 
 
 def test_a_result_that_dies_with_its_worker_before_it_is_fetched_is_made_anew(where, tmp_path, monkeypatch):

@@ -5,8 +5,9 @@ import sys
 
 import psutil
 import pytest
-from clusters import children, scheduler, until, workers
 from merlfit.fitting.results.export import read_result
+
+from tests.support.clusters import children, scheduler, until, workers
 
 MATERIALS = ("nickel", "chrome", "aluminium")
 SETTINGS = """

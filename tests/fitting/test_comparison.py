@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_results import made
 from merlfit.fitting import cli, comparisons
 from merlfit.fitting.assess.metrics import Errors, by_incidence, errors
 from merlfit.fitting.assess.published import assess_published
@@ -21,6 +20,8 @@ from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.registry import models
 from typer.testing import CliRunner
+
+from tests.support.made_results import made
 
 GOOD = Errors(0.01, 0.02, 0.01, 0.01, 1.0, 0.5)
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from frontiers import measurement, point, spread
 from matplotlib.text import Text
 from merlfit.fitting import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
@@ -16,6 +15,8 @@ from merlfit.fitting.cost.report import changes, front, gains, tables, write_mar
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.model import published
 from typer.testing import CliRunner
+
+from tests.support.frontiers import measurement, point, spread
 
 runner = CliRunner()
 

@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from made_results import made
 from merlfit.fitting import cli
 from merlfit.fitting.pictures import subject
 from merlfit.fitting.posterior.chain import ChainError, read_chain
@@ -15,6 +14,8 @@ from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
+
+from tests.support.made_results import made
 
 
 def edited(tmp_path, edit, **kind):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from made_results import made, quantiles
 from merlfit.fitting import cli
 from merlfit.fitting.execution import unit
 from merlfit.fitting.output import demo
@@ -12,6 +11,8 @@ from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.binary import genuine_names, read, write
 from merlfit.model.measured import Measured
 from typer.testing import CliRunner
+
+from tests.support.made_results import made, quantiles
 
 
 @pytest.fixture

@@ -9,7 +9,8 @@ import pytest
 from merlfit.fitting.posterior import emulator as emulators
 from merlfit.fitting.posterior.emulator import Emulator, coordinates_of, cost_at
 from merlfit.fitting.posterior.likelihood import StandIn
-from stand_ins import LAYOUT, OWN, banana, gentle, taught
+
+from tests.support.stand_ins import LAYOUT, OWN, banana, gentle, taught
 
 
 def emulated(found, points):

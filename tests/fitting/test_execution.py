@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from made_results import made
 from merlfit.fitting.execution import journal, pool
 from merlfit.fitting.execution.pool import Pool, jobs_for
 from merlfit.fitting.execution.unit import Ended, Kind, Unit, fit_unit, log
@@ -21,14 +20,16 @@ from merlfit.fitting.results.export import versions, write_result
 from merlfit.fitting.settings.config import Config, load
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import DIMS, write
-from worker_tasks import task
 
-TESTS = Path(__file__).parents[1]
+from tests.support.made_results import made
+from tests.support.worker_tasks import task
+
+ROOT = Path(__file__).parents[2]
 PROGRAM = f"""
 import signal, sys
-sys.path.insert(0, {str(TESTS)!r})
+sys.path.insert(0, {str(ROOT)!r})
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever it is begun by: a shell's "&" makes it deaf
-from worker_tasks import task
+from tests.support.worker_tasks import task
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution.pool import Pool
 files.executor_of = lambda units, jobs, where: (Pool(2, task, note=files.note), 2)

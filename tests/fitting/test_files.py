@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_results import made
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution import here, journal, unit
 from merlfit.fitting.objective.transforms import layout_of
@@ -25,6 +24,8 @@ from merlfit.model.measured import Measured
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
+
+from tests.support.made_results import made
 
 
 def results_in(folder):

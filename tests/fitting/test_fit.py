@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from known_materials import CONDUCTOR, EXPONENTS, PLASTIC, tabulate
 from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.settings.config import Config, load
@@ -16,6 +15,8 @@ from merlfit.merl_io.binary import read, write
 from merlfit.model.acquisition import derived_exponent
 from merlfit.model.effects import KINDS
 from merlfit.model.two_scale import TwoScale
+
+from tests.support.known_materials import CONDUCTOR, EXPONENTS, PLASTIC, tabulate
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from frontiers import point
 from merlfit.fitting import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
@@ -14,6 +13,8 @@ from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.settings.config import Config, ConfigError, load
 from merlfit.fitting.settings.models import two_scale
 from typer.testing import CliRunner
+
+from tests.support.frontiers import point
 
 runner = CliRunner()
 

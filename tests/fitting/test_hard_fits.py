@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import hard_fits
-import hard_table
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,26 +14,29 @@ from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
+from tests.hard_cases import fits
+from tests.hard_cases import table as hard_table
+
 pytestmark = pytest.mark.usefixtures("compiled_quickly")  # of few bins, or few effects
 FILES = {file["name"]: file for file in hard_table.table()[2]}
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_degenerate_file_ends_finite_and_says_what_is_wrong(name, compilation_cache):
-    assert not hard_fits.row(name).failures, hard_fits.row(name)
+    assert not fits.row(name).failures, fits.row(name)
 
 
 def test_the_check_of_fits_sees_a_wrong_status_and_a_parameter_that_is_not_finite(compilation_cache, monkeypatch):
     file = FILES["constant file"]
-    found = hard_fits.fit(file)
-    assert not hard_fits.complaints(file, found)
-    assert hard_fits.complaints({**file, "status": ["NO_DATA"]}, found) == [f"status {found.fit.status}"]
-    assert hard_fits.complaints({**file, "near": 1e-2}, found)
+    found = fits.fit(file)
+    assert not fits.complaints(file, found)
+    assert fits.complaints({**file, "status": ["NO_DATA"]}, found) == [f"status {found.fit.status}"]
+    assert fits.complaints({**file, "near": 1e-2}, found)
     first, *rest = found.parameters
     for update in ({"value": float("nan")}, {"value": first.upper + 1}, {"standard_error": float("inf")}):
         spoiled = found.model_copy(update={"parameters": [first.model_copy(update=update), *rest]})
-        assert hard_fits.complaints(file, spoiled)
-    assert "**" in hard_fits.markdown([hard_fits.Row("a file", "CONVERGED", "so", ["status CONVERGED"])])
+        assert fits.complaints(file, spoiled)
+    assert "**" in fits.markdown([fits.Row("a file", "CONVERGED", "so", ["status CONVERGED"])])
 
 
 # --- Starts at the edges, with everything that the model has
@@ -45,7 +46,7 @@ WHOLE = layout_of(Measured(TwoScale("none")))
 
 @pytest.fixture(scope="module")
 def coarse(compilation_cache):
-    return thin(weighted_samples(hard_fits.measurement(hard_fits.material())), (10, 10, 45))
+    return thin(weighted_samples(fits.measurement(fits.material())), (10, 10, 45))
 
 
 @pytest.fixture(scope="module")

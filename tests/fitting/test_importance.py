@@ -1,6 +1,8 @@
 """Importance weights against Gaussians, of which all is known."""
 
 import json
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +12,11 @@ from merlfit.fitting.assess.outcome import Fitted
 from merlfit.fitting.pipeline.result import parameter_results, posterior_parts
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.posterior.chain import WALKERS, Chain
-from merlfit.fitting.posterior.diagnosis import LEAST_SIZE
+from merlfit.fitting.posterior.diagnosis import LEAST_SIZE, diagnose
 from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
 from merlfit.fitting.solve.levenberg_marquardt import Solution
-from stand_ins import LAYOUT
+
+from tests.support.stand_ins import LAYOUT
 
 SIZE = LAYOUT.size
 NORMAL = np.random.RandomState(0).get_state()[1:]
@@ -84,6 +87,33 @@ def test_too_short_a_chain_is_not_trusted_however_good_the_weights():
     assert not found.sufficient
     assert found.message.startswith("50 steps are 0 autocorrelation times, 50 are needed; continue the chain with")
     assert quantiles_of(found) == [None] * SIZE
+
+
+def test_a_chain_that_is_too_short_for_its_weights_says_how_long_it_must_be(monkeypatch):
+    def slow(states):
+        """Its diagnosis were a quarter of the steps of one walker independent."""
+        return replace(diagnose(states), bulk=np.full(SIZE, len(states) / 4))
+
+    monkeypatch.setattr(importance, "diagnose", slow)
+    whole = partial(gaussian, middle=np.where(np.arange(SIZE) == 1, 0.7, 0.0))
+    found = corrected(gaussian_chain(steps=1700), gaussian, whole)
+    assert not found.diagnosis.failures()
+    assert not found.sufficient
+    assert "in the weighted draws is" in found.message
+    assert found.message.endswith("continue the chain with `merlfit sample`")
+    assert found.wanted > 1700
+    longer = corrected(gaussian_chain(steps=found.wanted), gaussian, whole)
+    assert longer.sufficient, longer.message
+    assert longer.wanted == 0
+
+
+def test_weights_too_uneven_for_any_chain_do_not_send_it_on(monkeypatch):
+    monkeypatch.setattr(importance, "LARGEST_K", np.inf)
+    found = corrected(gaussian_chain(0.4), lambda z: gaussian(z, deviation=0.4), gaussian)
+    assert not found.sufficient
+    assert f"in {MOST_DRAWS} weighted draws is" in found.message
+    assert "the weights are uneven" in found.message
+    assert found.wanted == 0
 
 
 def test_too_short_a_chain_goes_into_json():

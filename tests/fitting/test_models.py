@@ -24,8 +24,9 @@ from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.gtr import GTR
 from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian
 from merlfit.model.rivals.oren_nayar import OrenNayar
-from oracles.facets import direction
-from plain_jacobian import difference, plain
+
+from tests.oracles.facets import direction
+from tests.support.plain_jacobian import difference, plain
 
 UP = np.array([0.0, 0.0, 1.0])
 MODELS = [kind() for kind in models().values()]

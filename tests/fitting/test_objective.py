@@ -6,7 +6,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from known_materials import CONDUCTOR, EXPONENTS, tabulate
 from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.outcome import Fitted
 from merlfit.fitting.objective import problem as problems
@@ -23,7 +22,9 @@ from merlfit.merl_io.samples import thin
 from merlfit.model.effects import KINDS
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
-from plain_jacobian import difference, plain
+
+from tests.support.known_materials import CONDUCTOR, EXPONENTS, tabulate
+from tests.support.plain_jacobian import difference, plain
 
 FREE = layout_of(Measured(TwoScale("none")))
 LOBE = layout_of(Measured(TwoScale("none", "lobe")))  # half the time to compile

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compiled import evaluate as evaluated
-from made_results import made
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from merlfit.fitting.output import inspection
@@ -22,6 +20,9 @@ from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate
 from merlfit.model.two_scale import TwoScale
 from merlfit.scene.colour import cielab
+
+from tests.support.compiled import evaluate as evaluated
+from tests.support.made_results import made
 
 LOBES = PICTURES["lobes"].draw
 LEAST = 30  # CIELAB distance

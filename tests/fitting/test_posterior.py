@@ -25,7 +25,8 @@ from merlfit.fitting.posterior.diagnosis import ENOUGH, SHORTEST, diagnose
 from merlfit.fitting.posterior.emulator import Emulator, log_posterior
 from merlfit.fitting.posterior.hamiltonian import SOFTENED, Hamiltonian, leapfrog
 from scipy.optimize import minimize
-from stand_ins import LAYOUT, banana, gentle, taught
+
+from tests.support.stand_ins import LAYOUT, banana, gentle, taught
 
 LOOK = 25  # steps between looks, where only that counts what is done at them
 NOBODY = np.random.RandomState(0).get_state()[1:]

@@ -8,10 +8,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
-import chromium
 import numpy as np
 import pytest
-from made_results import made
 from merlfit.fitting import cli
 from merlfit.fitting.execution.journal import Journal
 from merlfit.fitting.execution.unit import Ended, Kind, Unit
@@ -30,6 +28,9 @@ from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
 from playwright.sync_api import expect, sync_playwright
 from typer.testing import CliRunner
+
+from tests.support import chromium
+from tests.support.made_results import made
 
 ROOT = Path(__file__).parents[2]
 NICKEL = {"alpha": 0.1, "F0": np.array([0.6, 0.5, 0.4]), "albedo": np.array([0.05, 0.04, 0.03])}

@@ -3,7 +3,6 @@
 import csv
 from pathlib import Path
 
-from made_results import made
 from merlfit.fitting import cli
 from merlfit.fitting.execution.journal import NAME, Journal
 from merlfit.fitting.execution.unit import Ended, Kind, Unit
@@ -13,6 +12,8 @@ from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.rivals.ggx import GGX
 from typer.testing import CliRunner
+
+from tests.support.made_results import made
 
 ROOT = Path(__file__).parents[2]
 

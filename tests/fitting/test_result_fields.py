@@ -9,7 +9,6 @@ from datetime import UTC, datetime, timedelta
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from made_results import made
 from merlfit.fitting.assess.identifiability import identifiability, priors
 from merlfit.fitting.assess.laplace import laplace_covariance
 from merlfit.fitting.objective.transforms import layout_of
@@ -22,6 +21,8 @@ from merlfit.model.apparatus import Apparatus
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from scipy.stats import norm
+
+from tests.support.made_results import made
 
 
 def test_every_field_of_the_schema_is_described():

@@ -6,8 +6,6 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import rgl_files
-import spectral
 from merlfit.fitting import cli
 from merlfit.fitting.assess import scattered as assess
 from merlfit.fitting.objective.problem import Arrangement, make_problem
@@ -28,6 +26,9 @@ from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
+
+from tests import spectral
+from tests.support import rgl_files
 
 FOUR = Bands(("420nm", "500nm", "600nm", "680nm"), (0.42, 0.5, 0.6, 0.68))
 GLOSSY = {

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_results import made
 from merlfit.fitting import scenes, spheres
 from merlfit.fitting.cli import app
 from merlfit.fitting.pictures.labelled import MARGIN, labelled
@@ -15,6 +14,8 @@ from merlfit.scene import effects
 from merlfit.scene.images import read_map
 from PIL import Image
 from typer.testing import CliRunner
+
+from tests.support.made_results import made
 
 ROOT = Path(__file__).parents[2]
 SMALL = """

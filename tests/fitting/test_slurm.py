@@ -6,10 +6,11 @@ import subprocess
 import sys
 
 import pytest
-from clusters import PROGRAM, SBATCH, jobs, slurm, units, until
 from merlfit.fitting.execution.journal import lines
 from merlfit.fitting.execution.unit import Kind
 from merlfit.fitting.results.export import read_result
+
+from tests.support.clusters import PROGRAM, SBATCH, jobs, slurm, units, until
 
 BOUND = 120.0  # seconds: any of these ends long before
 REFUSAL = "sbatch: error: Batch job submission failed: Invalid account"

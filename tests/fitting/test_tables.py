@@ -8,10 +8,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from arrays import j
-from lobes import INSIDE
 from merlfit.fitting.support import tables
 from merlfit.model import scaled
+
+from tests.support.arrays import j
+from tests.support.lobes import INSIDE
 
 
 @pytest.fixture

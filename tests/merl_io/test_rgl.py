@@ -8,11 +8,12 @@ import tracemalloc
 
 import numpy as np
 import pytest
-import rgl_files
 from merlfit.merl_io import check, inputs, rgl
 from merlfit.merl_io.binary import MerlError
 from merlfit.merl_io.scattered import half_difference
-from oracles import rgl as oracle
+
+from tests.oracles import rgl as oracle
+from tests.support import rgl_files
 
 NM = np.array([360.0, 450, 550, 660.5, 1000])
 CASES = {

@@ -16,9 +16,10 @@ from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import DIFFRACTION, SURFACE
 from merlfit.model.two_scale import TwoScale
-from oracles import acquisition as oracle
-from oracles import convolution as o_convolution
 from scipy.interpolate import CubicSpline
+
+from tests.oracles import acquisition as oracle
+from tests.oracles import convolution as o_convolution
 
 STEEP_RAD = tuple(np.radians([20.0, 45.0, 65.0, 80.0]).tolist())
 FOOTPRINT_RAD = APPARATUS.footprint_rad

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.model import body
-from oracles import bodies as o_bodies
+
+from tests.oracles import bodies as o_bodies
 
 SEED = 20261121
 

@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arrays import j
 from merlfit.model import convolution
 from merlfit.model.two_scale import TwoScale
-from oracles import convolution as o_convolution
+
+from tests.oracles import convolution as o_convolution
+from tests.support.arrays import j
 
 SEED = 20261121
 

@@ -3,12 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from energy import half_vectors
 from merlfit.model.derived import derived, directional_albedo
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.two_scale import TwoScale, two_scale
-from oracles import diffraction as o_diffraction
-from oracles import fresnel as o_fresnel
+
+from tests.energy import half_vectors
+from tests.oracles import diffraction as o_diffraction
+from tests.oracles import fresnel as o_fresnel
 
 ANGLES = np.radians([0.0, 60.0])
 EFFECTS = [

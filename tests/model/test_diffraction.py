@@ -2,9 +2,10 @@
 
 import jax.numpy as jnp
 import numpy as np
-from arrays import worst
 from merlfit.model import diffraction
-from oracles import diffraction as o_diffraction
+
+from tests.oracles import diffraction as o_diffraction
+from tests.support.arrays import worst
 
 SEED = 20261121
 

@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from energy import BRIGHTEST, FULL, albedo, draw, half_vectors, under
 from merlfit.model import energy
 from merlfit.model.geometry import Geometry
 from merlfit.model.reflectance import setting, shaped
 from merlfit.model.terms import surface_albedo
 from merlfit.model.two_scale import TwoScale, two_scale
-from oracles import energy as o_energy
+
+from tests.energy import BRIGHTEST, FULL, albedo, draw, half_vectors, under
+from tests.oracles import energy as o_energy
 
 WAVELENGTH_UM = 0.526
 NOT_LOBES = ("body", "conservation")

@@ -6,7 +6,8 @@ import numpy as np
 from merlfit.model.geometry import Geometry
 from merlfit.model.reflectance import factor_values, setting, shaped
 from merlfit.model.two_scale import TwoScale
-from oracles import two_scale as o_two_scale
+
+from tests.oracles import two_scale as o_two_scale
 
 WAVELENGTH_UM = 0.526
 

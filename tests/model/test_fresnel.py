@@ -4,9 +4,10 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from arrays import j, worst
 from merlfit.model import fresnel
-from oracles import fresnel as o_fresnel
+
+from tests.oracles import fresnel as o_fresnel
+from tests.support.arrays import j, worst
 
 SEED = 20261121
 

@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arrays import j, worst
 from merlfit.model.masking import smith
-from oracles import masking as o_masking
+
+from tests.oracles import masking as o_masking
+from tests.support.arrays import j, worst
 
 SEED = 20261121
 

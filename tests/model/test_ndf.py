@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from arrays import j, worst
 from merlfit.model.ndf.epd import epd
-from oracles import ndf as o_ndf
+
+from tests.oracles import ndf as o_ndf
+from tests.support.arrays import j, worst
 
 
 @pytest.mark.parametrize(("beta", "p"), [(0.001, 0.3), (0.1, 0.2), (0.1, 1.0), (0.5, 5.0), (1.0, 0.7), (2.0, 2.0)])

@@ -3,13 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.part import Part
 from merlfit.model.reflectance import prepared
 from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
+
+from tests.support.compiled import evaluate
 
 ALL = {
     "beta": 0.1, "p": 0.6, "b": 3.0, "c": 2.0, "sigma_s": 0.03, "n": np.array([1.9, 1.7, 1.6]),

@@ -4,11 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arrays import j
-from lobes import ANGLES, HIGH, INSIDE, LOW, OUTSIDE, SEED, lobes_in_range, truth
 from merlfit.model import chebyshev, convolution, scaled
-from oracles import convolution as o_convolution
 from scipy.special import gammaincinv
+
+from tests.oracles import convolution as o_convolution
+from tests.support.arrays import j
+from tests.support.lobes import ANGLES, HIGH, INSIDE, LOW, OUTSIDE, SEED, lobes_in_range, truth
 
 
 def forms(log_s, q, c, squared_cosine=True):

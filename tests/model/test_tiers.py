@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arrays import j
-from lobes import ANGLES, INSIDE, SEED, lobes_in_range
 from merlfit.model import scaled, zonal
+
+from tests.support.arrays import j
+from tests.support.lobes import ANGLES, INSIDE, SEED, lobes_in_range
 
 TIERS = [zonal.convolve, scaled.convolve]
 

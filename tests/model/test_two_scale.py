@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled import two_scale
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax.flatten_util import ravel_pytree
@@ -20,8 +19,10 @@ from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.reflectance import factor_values, reads, setting, shaped
 from merlfit.model.two_scale import TwoScale
-from oracles import bodies as o_bodies
-from oracles import two_scale as o_two_scale
+
+from tests.oracles import bodies as o_bodies
+from tests.oracles import two_scale as o_two_scale
+from tests.support.compiled import two_scale
 
 SEED = 20261121
 SHARED = {"beta": 0.15, "p": 0.7, "b": 3.0, "c": 1.8, "sigma_s": 0.04}

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arrays import j
-from lobes import ANGLES, draw, truth
 from merlfit.model import zonal
-from oracles import convolution as o_convolution
-from oracles import zonal as o_zonal
+
+from tests.oracles import convolution as o_convolution
+from tests.oracles import zonal as o_zonal
+from tests.support.arrays import j
+from tests.support.lobes import ANGLES, draw, truth
 
 DEGREES = [0, 1, 2, 9, 30, 61, 100, 149, 200]
 NORMALS = [(1e-3, 0.2), (1e-3, 5.0), (0.03, 1.0), (0.1, 5.0), (0.3, 0.5), (1.0, 0.2), (1.0, 5.0)]
@@ -95,7 +96,7 @@ def zonal_errors(lobes, order):
 
 
 def test_order_100_fails_for_sharp_lobes_as_stated():
-    """physics.md: over 100 random lobes the error reaches 44 % of the peak, its 95th percentile is 1700 % relative.
+    """docs/effects.md: of 100 random lobes the worst error is 37 to 92 % of the peak, the 95th percentile 30 to 7900 %.
 
     Both depend on the draw; `python -m tests.zonal_failure` has the spread over twenty.
     """

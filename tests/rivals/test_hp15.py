@@ -6,7 +6,6 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled import evaluate
 from merlfit.fitting.objective.problem import directions, make_problem
 from merlfit.fitting.objective.residuals import Objective, predict
 from merlfit.fitting.solve import hp15
@@ -16,9 +15,11 @@ from merlfit.model.geometry import Geometry
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.rivals.epd import EPD
 from merlfit.model.rivals.hp15 import HP15, diffraction_lobe
-from oracles import microfacets as oracle
-from oracles.facets import direction
 from scipy.integrate import quad
+
+from tests.oracles import microfacets as oracle
+from tests.oracles.facets import direction
+from tests.support.compiled import evaluate
 
 VALUES = {
     "beta": 0.2, "p": 0.7, "a": 0.9, "k_s": np.array([0.8, 0.5, 0.2]), "F0": np.array([0.9, 0.5, 0.1]),

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled import evaluate
 from jaxtyping import TypeCheckError
 from merlfit.model import sampled_facets
 from merlfit.model.body import plastic
@@ -12,10 +11,12 @@ from merlfit.model.geometry import Geometry
 from merlfit.model.interfaces import fresnel_of_dielectric
 from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian, through
 from merlfit.model.rivals.oren_nayar import OrenNayar
-from oracles import microfacets
-from oracles import rivals as oracle
-from oracles.facets import direction
 from scipy.integrate import quad
+
+from tests.oracles import microfacets
+from tests.oracles import rivals as oracle
+from tests.oracles.facets import direction
+from tests.support.compiled import evaluate
 
 ETA, ALBEDO = np.array([1.5, 1.2, 2.0]), np.array([0.9, 0.5, 0.1])
 KINDS = [

@@ -5,7 +5,6 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking import beckmann as beckmann_masking
 from merlfit.model.ndf import sgd
@@ -16,11 +15,13 @@ from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.gtr import GTR
 from merlfit.model.rivals.sgd_microfacet import SGDMicrofacet
 from merlfit.model.two_scale import TwoScale
-from oracles import microfacets as oracle
-from oracles.diffraction import renormalisation, s_hs
-from oracles.facets import direction
-from oracles.fresnel import q_from_cosines
-from oracles.two_scale import mirror_cosine
+
+from tests.oracles import microfacets as oracle
+from tests.oracles.diffraction import renormalisation, s_hs
+from tests.oracles.facets import direction
+from tests.oracles.fresnel import q_from_cosines
+from tests.oracles.two_scale import mirror_cosine
+from tests.support.compiled import evaluate
 
 COLOURS = {"F0": np.array([0.9, 0.3, 0.04]), "albedo": np.array([0.02, 0.1, 0.3])}
 CASES = {  # widths, the oracle's D, a typical slope, accuracy of our masking

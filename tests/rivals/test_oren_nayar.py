@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.rivals.oren_nayar import OrenNayar
 from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
-from oracles import microfacets
-from oracles import rivals as oracle
-from oracles.facets import direction
+
+from tests.oracles import microfacets
+from tests.oracles import rivals as oracle
+from tests.oracles.facets import direction
+from tests.support.compiled import evaluate
 
 ALBEDO = np.array([0.9, 0.5, 0.1])
 MATTE, INTEGRAL = OrenNayar(surface="none"), OrenNayar("numerical", "none")

@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
-from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.published import SOURCES, materials, published
 from merlfit.model.rivals import he_series
-from rivals import rival_oracles as oracle
+
+from tests.rivals import rival_oracles as oracle
+from tests.support.compiled import evaluate
 
 # parameters that a random test draws, log-uniform between two bounds; every channel its own
 DRAWN = {

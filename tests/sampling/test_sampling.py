@@ -4,8 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chi_square import AZIMUTHS, densities, draws, expected, given_at, numbers, p_value
-from compiled import evaluate
 from merlfit.model.geometry import Geometry
 from merlfit.model.numerics import safe_divide
 from merlfit.model.reflectance import prepared
@@ -17,6 +15,9 @@ from merlfit.model.sampling.published import hp15, hp17, interfaced_lambertian
 from merlfit.model.sampling.visible import visible
 from merlfit.model.two_scale import TwoScale
 from scipy.stats import gamma
+
+from tests.support.chi_square import AZIMUTHS, densities, draws, expected, given_at, numbers, p_value
+from tests.support.compiled import evaluate
 
 ANGLES = (0.0, 35.0, 70.0, 86.0)
 WIDTHS = ((0.003, 0.3), (0.02, 5.0), (0.1, 1.0), (0.4, 0.2), (0.8, 3.0))

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 ORIGIN = "neural reconstructions of MERL (Sztrajman et al. 2021)"
-DATA = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(__file__).parents[3] / "shared" / "data"
 SCRIPT = DATA / "make_merl.py"
 ABSENT = f"the neural reconstructions of MERL are absent: {Path('..', 'shared', 'data')} beside the project holds them"
 

@@ -13,19 +13,19 @@ import psutil
 from merlfit.fitting.execution.unit import Unit
 from merlfit.fitting.settings.config import Config
 
-TESTS = Path(__file__).parent
+ROOT = Path(__file__).parents[2]
 _PROGRAM = f"""
 import signal, sys
-sys.path.insert(0, {str(TESTS)!r})
+sys.path.insert(0, {str(ROOT)!r})
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from merlfit.fitting import cli
 from merlfit.fitting.execution import cluster
-from worker_tasks import task
+from tests.support.worker_tasks import task
 made = cluster.Cluster.__init__
 cluster.Cluster.__init__ = lambda self, where, jobs=None, task=task, note=print: made(self, where, jobs, task, note)
 cli.main()
 """
-PROGRAM = [sys.executable, "-c", _PROGRAM]  # merlfit, its fit one of `worker_tasks`
+PROGRAM = [sys.executable, "-c", _PROGRAM]  # merlfit, its fit that of worker_tasks.py
 SBATCH = {
     "takes": 'echo "Submitted batch job 123"',
     "starts": """cp "$1" "$0.$$" && setsid sh "$0.$$" >> "$0.said" 2>&1 < /dev/null &
@@ -58,7 +58,7 @@ def program(*words, folder, **environment):
     with open(folder / "said", "wb") as said:
         running = subprocess.Popen(
             [sys.executable, "-m", "dask", *map(str, words)], cwd=folder, stdout=said, stderr=said,
-            env=os.environ | {"PYTHONPATH": str(TESTS), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+            env=os.environ | {"PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
             | environment,
         )  # fmt: skip
         try:
@@ -117,7 +117,7 @@ def slurm(folder, sbatch):
         "SCHEDULER_OPTIONS": '{"dashboard_address": ":0"}',
     }  # fmt: skip
     yield os.environ | {
-        "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(TESTS),
+        "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT),
         **{f"DASK_JOBQUEUE__SLURM__{name}": value for name, value in settings.items()},
     }  # fmt: skip
     for job in jobs(folder / "sbatch"):

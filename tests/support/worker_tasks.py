@@ -4,10 +4,11 @@ import os
 import signal
 import time
 
-from made_results import made
 from merlfit.fitting.execution.unit import Ended, Kind
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.support.terminal import Stopped
+
+from .made_results import made
 
 FOREVER = 60.0
 

@@ -7,7 +7,8 @@ computed at the directions that the nodes have by the oracle, which knows nothin
 import struct
 
 import numpy as np
-from oracles import rgl
+
+from ..oracles import rgl
 
 UINT8, FLOAT32 = 1, 10
 

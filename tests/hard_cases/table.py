@@ -1,6 +1,6 @@
-"""The hard cases of tests/hard_cases.toml: arguments, tolerances, and references of 30 digits.
+"""The hard cases of cases.toml: arguments, tolerances, and references of 30 digits.
 
-Dear references, two-dimensional integrals, are read from tests/hard_references.json, each under a mark of its
+Dear references, two-dimensional integrals, are read from references.json, each under a mark of its
 arguments, all under one of the oracles' sources; `write_references` makes anew what is out of date.
 """
 
@@ -15,15 +15,11 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 
-if __package__:
-    from .hard_effects import CHOICES, DEAR, ORACLE
-    from .oracles import precise
-else:
-    from hard_effects import CHOICES, DEAR, ORACLE
-    from oracles import precise
+from ..oracles import precise
+from .effects import CHOICES, DEAR, ORACLE
 
 HERE = Path(__file__).parent
-TABLE, REFERENCES = HERE / "hard_cases.toml", HERE / "hard_references.json"
+TABLE, REFERENCES = HERE / "cases.toml", HERE / "references.json"
 ORACLES = Path(precise.__file__).parent
 PRECISIONS = {"": np.float64, "32": np.float32}
 LOGARITHMIC = {"beta": 0.0, "p": 0.0, "b": 0.0, "b_over_lambda": 0.0, "B": 0.0, "tau": 0.0, "c": 1.0}  # log(x - offset)

@@ -1,4 +1,4 @@
-"""Degenerate files, the ``[[fit]]`` entries of tests/hard_cases.toml: what fitting each of them says.
+"""Degenerate files, the ``[[fit]]`` entries of cases.toml: what fitting each of them says.
 
 ``python -m tests.hard_cases`` prints them as its second table; tests/fitting/test_hard_fits.py asserts them.
 """
@@ -21,10 +21,7 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import TwoScale, two_scale
 
-if __package__:
-    from .hard_table import table
-else:
-    from hard_table import table
+from .table import table
 
 TRUTH = {"beta": 0.15, "p": 0.7, "eta": np.array([1.4, 1.5, 1.6]), "albedo": np.array([0.5, 0.2, 0.05])}
 CONFIG = parse(

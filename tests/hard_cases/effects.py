@@ -11,10 +11,7 @@ from merlfit.model.measured import Measured
 from merlfit.model.ndf.epd import epd
 from merlfit.model.two_scale import TwoScale, two_scale
 
-if __package__:  # python -m tests.hard_cases; pytest has tests/ on its path
-    from .oracles import precise
-else:
-    from oracles import precise
+from ..oracles import precise
 
 FIELDS = tuple(x.name for x in fields(TwoScale))
 CHOICES = (*FIELDS[: FIELDS.index("index")], "acquisition", *FIELDS[FIELDS.index("index") :])  # marks of cases go by it

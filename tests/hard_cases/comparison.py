@@ -1,16 +1,9 @@
-"""The table of hard cases: values and gradients of the model at its extremes against 30 digits, in both precisions.
+"""Values and gradients of the model at hard cases beside those of 30 digits, in both precisions.
 
-``python -m tests.hard_cases`` prints it, with the degenerate files of tests/hard_fits.py as a second one, and writes
-both to results/hard_cases.md; with ``--references`` it first computes the references of the dear cases (two-dimensional
-integrals) into tests/hard_references.json: those that are missing, and all where an oracle's source has changed. All
-cases of an effect go through one compiled, vmapped function, in forward and reverse mode.
-
-The error of ``diffraction = "scaled"`` and ``"zonal"`` against HP17 Eq. 33 is no matter of this table but of
-results/tiers.md: here they are held to what they say they are, a table's polynomial and a truncated sum.
+All cases of an effect go through one compiled, vmapped function, in forward and reverse mode.
 """
 
 import math
-import sys
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -18,16 +11,9 @@ from functools import cache, cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.support.compilation import use_persistent_cache
 
-if __package__:
-    from . import hard_fits
-    from .hard_effects import MODEL
-    from .hard_table import HERE, PRECISIONS, Case, reference, table, write_references
-else:
-    import hard_fits
-    from hard_effects import MODEL
-    from hard_table import HERE, PRECISIONS, Case, reference, table, write_references
+from .effects import MODEL
+from .table import PRECISIONS, Case, reference, table
 
 FLOOR = {"": 1e-280, "32": 1e-30}  # errors are relative to no less than this
 
@@ -126,34 +112,3 @@ def markdown(lines):
         cells = [f"**{x}**" if q in row.failures else x for q, x in zip(quantities, cells, strict=True)]
         text.append(" | ".join(["| " + row.case.name, row.case.effect, *cells]) + " |")
     return "\n".join(text)
-
-
-def main(arguments):
-    """Print the tables, write them to results/; 1 where a case fails that is not known to, or a file's fit."""
-    jax.config.update("jax_enable_x64", True)
-    use_persistent_cache()
-    if "--references" in arguments:
-        write_references()
-    lines, known = rows(), {entry["case"] for entry in table()[1]["entries"]}
-    failing = [row for row in lines if row.failures]
-    unknown = [row for row in failing if row.case.name not in known]
-    files = hard_fits.rows()
-    wrong = [row for row in files if row.failures]
-    text = [
-        markdown(lines),
-        f"{len(lines)} cases, {len(lines) - len(failing)} pass, {len(failing) - len(unknown)} known failures",
-        "## Degenerate files",
-        hard_fits.markdown(files),
-        f"{len(files)} files, {len(files) - len(wrong)} end as they should",
-    ]
-    print(*text, sep="\n\n")
-    folder = HERE.parent / "results"
-    folder.mkdir(exist_ok=True)
-    (folder / "hard_cases.md").write_text("\n\n".join(["# Hard cases", *text]) + "\n")
-    for name, failures in [(row.case.name, row.failures) for row in unknown] + [(r.name, r.failures) for r in wrong]:
-        print(f"FAILED {name}: {', '.join(failures)}")
-    return 1 if unknown or wrong else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
