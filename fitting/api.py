@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from ..merl_io import inputs
+from ..merl_io.atomic import WriteError
 from ..merl_io.inputs import Input
+from ..merl_io.scattered import ScatteredMeasurement
 from .fitted import Fit
 from .output.keeping import claimed, place_of
-from .pipeline.run import fit_file
+from .pipeline.run import fit_file, settled
 from .results.export import read_result
 from .settings.config import Replaced
 from .settings.config import load as settings_of
@@ -54,10 +56,20 @@ def fit(
     use_cache()
     named = isinstance(file, str | os.PathLike)
     measurement = inputs.read(Path(file).absolute(), dims=config.input.allowed) if named else file
-    folder = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out)
+    if isinstance(measurement, ScatteredMeasurement) and config.posterior.enabled:
+        settled(measurement.path, config, "--posterior")
+    folder, place = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out), None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"{folder}: cannot be made ({error.strerror or error})") from None
     try:
         with claimed(folder, alone=False), place_of(folder, measurement.name) as place:
             result = fit_file(measurement, place.folder, config, report)
+    except RuntimeError as error:
+        if place is None:
+            raise
+        raise RuntimeError(str(error).replace(str(place.folder), str(place.path.parent))) from error
     except BaseException:  # raised again
         if out is None and not any(folder.iterdir()):
             folder.rmdir()

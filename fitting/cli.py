@@ -54,7 +54,7 @@ Dims = Annotated[
         help="Bins that MERL-like files may have, if they are not MERL's 90x90x180: 45x45x90.", show_default=False
     ),
 ]
-Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False)]
+Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False, min=0, max=2**31 - 1)]
 
 
 def main() -> None:

@@ -103,7 +103,10 @@ def compare_files(
         data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE
         title = f"{len({row.material for row in rows})} materials, {len(by_label(rows))} models"
         console.print(table_of(rows))
-        written = write_tables(rows, out, "comparison", title, data)
+        try:
+            written = write_tables(rows, out, "comparison", title, data)
+        except WriteError as error:
+            raise fail(str(error)) from None
         console.print(f"wrote {written[0]}, and .md, .html and .png beside it", soft_wrap=True)
     if code:
         raise typer.Exit(code)
@@ -115,7 +118,7 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     writable_folder(out)
     wanted = chosen_models(names)
     try:
-        with progress_display() as progress:
+        with claimed(out), progress_display() as progress:
             task = progress.add_task(path.name, total=None)
             rows, _ = compare_file(path, wanted, settings, out, reporter(progress, task, path.stem), False, placed)
     except (MerlError, WriteError, ConfigError) as error:
@@ -140,5 +143,9 @@ def metrics_of(results: list[Path], against: Path, out: Path | None) -> None:
     console.print(metrics_table(found, against))
     if out is not None:
         writable_folder(out)
-        for path in write_metrics(found, out):
+        try:
+            written = write_metrics(found, out)
+        except WriteError as error:
+            raise fail(str(error)) from None
+        for path in written:
             console.print(f"wrote {path}", soft_wrap=True)

@@ -145,7 +145,11 @@ def fit_files(
                         raise Stopped(ended.code - 128)
                     found[left[k]] = run.book(left[k], ended)
             except Stopped as stop:
-                run.stopped += [(left[k], ended) for k, ended in executor.stop()]
+                for k, ended in executor.stop():
+                    if ended.kind is Kind.STOPPED:
+                        run.stopped.append((left[k], ended))
+                    else:  # it came to its end meanwhile
+                        found[left[k]] = run.book(left[k], ended)
                 journal.closed(True, time.perf_counter() - start)
                 _say_stopped(stop, run, [found[k] for k in sorted(found)])
                 raise typer.Exit(stop.code) from None

@@ -1,7 +1,6 @@
 """A fitted material as an object of Python: numbers, predictions, pictures, the posterior."""
 
 import os
-import shutil
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,9 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 from rich.console import Console
 
+from ..merl_io.atomic import WriteError, write_bytes
 from .output.inspection import file_of
+from .output.keeping import claimed
 from .output.report import print_result
 from .pictures import style
 from .pictures.all import PICTURES
@@ -101,7 +102,8 @@ class Fit:
             merlfit.WriteError: it cannot be kept.
         """
         use_cache()
-        self.result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
+        with claimed(self.path.parent, alone=False):
+            self.result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
         return self
 
     def to_arviz(self) -> "xarray.DataTree":
@@ -197,12 +199,15 @@ class Fit:
             merlfit.WriteError: it cannot be written.
         """
         target = Path(folder) / f"{self.result.source.material}.json"
-        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise WriteError(f"{target.parent}: cannot be made ({error.strerror or error})") from None
         posterior, chain = self.result.posterior, chain_of(target)
         if posterior is not None:
             own = self.path.parent / posterior.chain_file
             if own.is_file() and own.resolve() != chain.resolve():
-                shutil.copyfile(own, chain)
+                write_bytes(chain, own.read_bytes())
             self.result = self.result.model_copy(
                 update={"posterior": posterior.model_copy(update={"chain_file": chain.name})}
             )

@@ -13,6 +13,14 @@ class MerlError(ValueError):
     """A file that cannot be read or written as a measurement; the message is one line that names it and the mend."""
 
 
+def is_regular(path: Path) -> bool:
+    """Whether there is a regular file of this name, and it can be seen; no name is an error."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a folder that is closed, a name too long, a NUL in it
+        return False
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[tuple[IO[bytes], int]]:
     """A file to read and its length (bytes).

@@ -194,6 +194,8 @@ def load(path: str | os.PathLike[str]) -> Scene:
         raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: is not TOML: {error}") from None
+    except RecursionError:
+        raise SceneError(f"{path}: its lists or tables lie in each other too deeply for a scene") from None
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

@@ -1,40 +1,41 @@
 """Image files: EXR of radiance, PNG for screens, and environment maps; through OpenEXR and Pillow."""
 
-import os
-import tempfile
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from PIL import Image
 
+from ..merl_io.atomic import write_atomically
 from .colour import displayed
 from .description import SceneError
 
 
 def write_exr(path: Path, radiance: np.ndarray) -> None:
-    """Linear RGB (H, W, 3) as floats of 32 bits, atomically."""
+    """Linear RGB (H, W, 3) as floats of 32 bits, atomically.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: it cannot be written.
+    """
     import OpenEXR  # a quarter of a second that only pictures are worth
 
     image = np.ascontiguousarray(radiance, np.float32)
-    handle, name = tempfile.mkstemp(suffix=".exr", dir=path.parent)
-    os.close(handle)
-    try:
-        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": image}) as file:
-            file.write(name)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+
+    def write(file: IO[bytes]) -> None:
+        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": image}) as exr:
+            exr.write(file.name)  # by its name: the library opens it itself
+
+    write_atomically(path, write)
 
 
 def write_png(path: Path, radiance: np.ndarray) -> None:
-    """Linear RGB (H, W, 3) over white as a screen shows it, or (H, W, 3) of 8 bits as it is."""
+    """Linear RGB (H, W, 3) over white as a screen shows it, or (H, W, 3) of 8 bits as it is, atomically.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: it cannot be written.
+    """
     image = radiance if radiance.dtype == np.uint8 else displayed(radiance)
-    with tempfile.NamedTemporaryFile(suffix=".png", dir=path.parent, delete=False) as file:
-        Image.fromarray(image).save(file, "PNG", optimize=True)
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, path)
+    write_atomically(path, lambda file: Image.fromarray(image).save(file, "PNG", optimize=True))
 
 
 def read_map(path: Path) -> np.ndarray:

@@ -108,9 +108,9 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
     """What a user of the parameters should know, in words."""
     found, peak = [], fitted.errors.highlight
     if np.isfinite(peak) and lost(peak):
-        adaptive = config.fit.weights == "adaptive"
         other = "none" if np.isnan(fitted.errors.picture) else "adaptive"  # which compares pictures
-        mend = "no exponent of the weights keeps it" if adaptive else f"fit with --weights {other}"
+        tried = config.fit.weights in (other, "adaptive")
+        mend = "no exponent of the weights keeps it" if tried else f"fit with --weights {other}"
         found.append(f"the highlight is lost: the fit's peak is {peak:.2g} times as bright as the file's; {mend}")
     found += others(fitted)
     if fitted.status is Status.STEP_LIMIT:

@@ -23,6 +23,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from ...merl_io.atomic import WriteError, write_bytes
+from ...merl_io.source import is_regular
 from ..output.keeping import place_of
 from ..pipeline.run import chain_of
 from ..results.export import versions, write_result
@@ -215,7 +216,7 @@ class Cluster:
 
         unit = self._units[k]
         path = unit.path.absolute()
-        sha1 = sha1_of(path) if _regular(path) else None
+        sha1 = sha1_of(path) if is_regular(path) else None
         send = send or path.parent in self._unseen
         try:
             data = path.read_bytes() if send and sha1 and path.stat().st_size <= LARGEST else None
@@ -388,10 +389,3 @@ def written(unit: Unit, brought: Brought) -> Ended:
 
 def _silent(k: int, stage: str) -> None:
     """What nobody is told any more."""
-
-
-def _regular(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False

@@ -12,7 +12,7 @@ from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
 from ..output.keeping import place_of
 from ..pipeline.run import Finish, fit_file
-from ..results.export import read_result
+from ..results.export import ResultError, read_result
 from ..results.schema import Result
 from ..settings.config import Config
 from ..support.clock import Report, silent
@@ -93,7 +93,10 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
     except WriteError as error:  # names the output, the input is not to blame
         return Ended(Kind.FAILED, error=str(error), said=place.said if place else "")
     except Stopped as stop:
-        kept = read_result(place.path) if place and place.path.exists() else None
+        kept = None
+        if place is not None:
+            with suppress(ResultError):  # what stood there before may be no result
+                kept = read_result(place.path)
         return Ended(Kind.STOPPED, kept, said=place.said if place else "", code=stop.code)
     except Exception as error:  # of any kind: said with its name, and the next file has its turn
         log(unit, traceback.format_exc())

@@ -95,12 +95,18 @@ def figure_of(row: Row, name: str) -> float:
 
 
 def winners(rows: Sequence[Row], name: str) -> dict[str, tuple[str, float]]:
-    """Of every material the model with the lowest error, and how many times the second best one has it."""
+    """Of every material the model with the lowest error, and how many times the second best one has it.
+
+    Materials of which no row has this error are left out: scattered directions make no picture.
+    """
     found = {}
     for material in dict.fromkeys(row.material for row in rows):
         own = sorted(
-            (r for r in rows if r.material == material), key=lambda r: np.nan_to_num(figure_of(r, name), nan=np.inf)
+            (r for r in rows if r.material == material and not np.isnan(figure_of(r, name))),
+            key=lambda r: figure_of(r, name),
         )
+        if not own:
+            continue
         best, second = [*(figure_of(row, name) for row in own), float("nan")][:2]
         found[material] = label(own[0]), second / best if best > 0 else float("inf")
     return found
@@ -142,12 +148,13 @@ def verdict(rows: Sequence[Row]) -> str:
         return "no model could be fitted"
     figures = zip(*((r.bic, r.errors.picture, r.errors.highlight, r.numbers) for r in fitted), strict=True)
     chosen = fitted[least(*figures)]
-    nearest = min(fitted, key=lambda r: r.errors.picture)
+    seen = np.isfinite(chosen.errors.picture)  # scattered directions make no picture
+    nearest = min(fitted, key=lambda r: r.errors.picture) if seen else chosen
     lowest = min(fitted, key=lambda r: r.bic)
     said = (
-        f"{chosen.material}: the least model that explains it is {_named(chosen)}, with {chosen.numbers} numbers: its "
-        f"spheres differ from the file's by {number(chosen.errors.picture, 2)} (CIELAB), its RMSE is "
-        f"{number(chosen.errors.rmse, 3)}/sr."
+        f"{chosen.material}: the least model that explains it is {_named(chosen)}, with {chosen.numbers} numbers: "
+        + (f"its spheres differ from the file's by {number(chosen.errors.picture, 2)} (CIELAB), " if seen else "")
+        + f"its RMSE is {number(chosen.errors.rmse, 3)}/sr."
     )
     if chosen is not nearest:
         alike = chosen.errors.picture <= nearest.errors.picture + SEEN
@@ -164,7 +171,8 @@ def verdict(rows: Sequence[Row]) -> str:
             why = f"but its picture is off by {number(lowest.errors.picture, 2)}"
         said += f" The lowest BIC is that of {_named(lowest)}, {number(less, 2)} lower: {why}."
     if lost(peak := chosen.errors.highlight):
-        said += f" Its highlight is {number(peak, 2)} times the file's: try `merlfit fit --weights adaptive`."
+        said += f" Its highlight is {number(peak, 2)} times the file's: try "
+        said += f"`merlfit fit --weights {'adaptive' if seen else 'none'}`."
     return said
 
 
@@ -355,7 +363,7 @@ class Assessed(NamedTuple):
     rmse: np.ndarray
 
 
-def assessed_result(path: Path, result: Result, against: Path, theta_max: float = THETA_MAX) -> Assessed:
+def assessed_result(path: Path, result: Result, against: Path) -> Assessed:
     """A result's prediction, as the apparatus would have measured it, beside a file.
 
     Raises:
@@ -364,24 +372,21 @@ def assessed_result(path: Path, result: Result, against: Path, theta_max: float 
     if (model := result.model) is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
     measurement = inputs.read(against, dims=result.source.dims)
+    count = 3 if isinstance(measurement, Measurement) else len(measurement.bands)
+    if len(model.channels) != count:
+        raise ResultError(f"{path}: has {len(model.channels)} channels, and {measurement.path} {count}")
     if not isinstance(measurement, Measurement):
-        return _assessed_scattered(path, result, model, measurement, theta_max)
+        return _assessed_scattered(path, result, model, measurement)
     values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
     grid, valid = merl_grid(measurement.dims), measurement.valid
-    found = errors(measurement.values, values, valid, grid, theta_max)
-    curve = by_incidence(measurement.values, values, valid, grid, theta_max)
+    found = errors(measurement.values, values, valid, grid)
+    curve = by_incidence(measurement.values, values, valid, grid)
     return Assessed(path, replace(row_of(result), errors=found), *curve)
 
 
-def _assessed_scattered(
-    path: Path, result: Result, model: Model, measurement: ScatteredMeasurement, theta_max: float
-) -> Assessed:
+def _assessed_scattered(path: Path, result: Result, model: Model, measurement: ScatteredMeasurement) -> Assessed:
     """On the samples themselves; there are too few of an incidence for a curve."""
-    if len(model.channels) != len(measurement.bands):
-        raise ResultError(
-            f"{path}: has {len(model.channels)} channels, and {measurement.path} {len(measurement.bands)}"
-        )
-    samples = weighted_samples(measurement, theta_max=theta_max)
+    samples = weighted_samples(measurement)
     assert isinstance(samples, ScatteredSamples)
     values = {name: jnp.asarray(x) for name, x in result.values().items()}
     found = scattered.errors(samples, predict_samples(model.measured, values, samples))

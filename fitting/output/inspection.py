@@ -6,6 +6,7 @@ from pathlib import Path
 import typer
 
 from ...merl_io.atomic import WriteError
+from ...merl_io.source import is_regular
 from ..pictures import style
 from ..pictures.all import PICTURES, SCATTERED
 from ..pictures.subject import NoPicture, Subject, subject_of
@@ -44,10 +45,7 @@ def file_of(path: Path, result: Result) -> Path:
     places = [named, *(folder / named for folder in path.absolute().parents), path.parent / named.name]
     if result.run is not None and result.run.folder is not None:
         places.append(Path(result.run.folder) / named)
-    try:
-        return next((place for place in places if place.is_file()), named)
-    except ValueError:  # a NUL in it, which reading it complains about
-        return named
+    return next((place for place in places if is_regular(place)), named)
 
 
 def show(

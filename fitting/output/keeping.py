@@ -10,7 +10,7 @@ from enum import IntEnum
 from itertools import count
 from pathlib import Path
 
-from ...merl_io.atomic import UNFINISHED, WriteError
+from ...merl_io.atomic import UNFINISHED, WriteError, umask
 from ..pipeline.run import chain_of
 
 
@@ -123,19 +123,13 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
             new.path = target.path
         elif new.path.exists():
             named = next(folder for k in count(2) if not (folder := out / f"{name}.{k}").exists())
-            beside.chmod(0o777 & ~_umask())
+            beside.chmod(0o777 & ~umask())
             new.path = beside.rename(named) / new.path.name
             of_model, of_new = (f" of the {model} model" if other else "" for model in models)
             new.said = f"{target.path} stays as it was, with {before.words}{of_model}; "
             new.said += f"{new.path} is the new one, {after.words}{of_new}"
         with suppress(OSError):  # not empty
             beside.rmdir()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _model(path: Path) -> str | None:

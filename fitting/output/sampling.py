@@ -28,6 +28,9 @@ def sample_result(result: Path, file: Path | None, max_steps: int | None) -> Non
             found = resample(result, read, file or file_of(result, read), max_steps, report)
     except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
         raise fail(str(error)) from None
+    except RuntimeError as error:
+        fail(f"{error}; {result} is as it was")
+        raise typer.Exit(FAILED_FIT) from None
     except Stopped as stop:
         note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` continues the chain so far")
         raise typer.Exit(stop.code) from None

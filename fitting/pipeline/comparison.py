@@ -9,7 +9,6 @@ import numpy as np
 
 from ...merl_io import inputs
 from ...merl_io.bands import MERL
-from ...merl_io.grid import merl_grid
 from ...merl_io.inputs import Input
 from ...merl_io.scattered import ScatteredMeasurement
 from ...model import published
@@ -61,10 +60,7 @@ class Row:
 
     def flat(self) -> dict[str, Any]:
         """As a line of a table."""
-        own = {
-            key: getattr(self, key)
-            for key in ("material", "model", "variant", "origin", "weights", "status", "numbers")
-        }
+        own = {key: getattr(self, key) for key in KEYS}
         figures = {name: finite(x) for name, x in asdict(self.errors).items()}
         return {**own, **figures, "cost": self.cost, "bic": self.bic, "seconds": self.seconds, "values": self.values}
 
@@ -118,7 +114,7 @@ def compare_file(
     if with_published and (sources := sources_of(measurement.name)):
         report("published parameters")
         assert not isinstance(measurement, ScatteredMeasurement)
-        samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+        samples = weighted_samples(measurement, config.rungs[-1], config.fit.theta_max)  # the fits' last
         for source in sources:
             errors, cost = assess_published(source, measurement, samples, config.fit.theta_max)
             rows.append(published_row(measurement.name, source, measurement.genuine is not None, errors, cost))
@@ -161,6 +157,4 @@ def row_of(result: Result) -> Row:
 
 def angles() -> str:
     """The directions over which errors are taken, in words."""
-    grid = merl_grid()
-    shape = " x ".join(str(len(x)) for x in (grid.theta_h, grid.theta_d, grid.phi_d))
-    return f"MERL's own {shape} bins of (theta_h, theta_d, phi_d)"
+    return "the bins of (theta_h, theta_d, phi_d) or the samples of the file itself"

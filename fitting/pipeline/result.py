@@ -43,7 +43,7 @@ def make_result(
         "source": source, "accuracy": accuracy, "seconds": seconds, "seed": config.seed,
         "versions": export.versions(), "config": config.model_dump(mode="json"),
     }  # fmt: skip
-    if fitted is None or not np.isfinite(fitted.solution.cost):
+    if fitted is None or fitted.status is Status.NON_FINITE:
         status = Status.NO_DATA if fitted is None else Status.NON_FINITE
         fit_part = schema.Fit(
             status=status.name, message=status.value, succeeded=False, cost=None, cost_per_channel=None,

@@ -97,8 +97,8 @@ def fit_file(
                 sampled = sample(
                     fitted, samples, config.posterior.max_steps, config.seed, chain_of(target), report=report
                 )
-            except Exception as error:  # raised again: whatever stops a sampler, the fit is kept and named
-                raise RuntimeError(f"the sampler: {error}; {target} holds the fit without a posterior") from error
+            except RuntimeError as error:
+                raise RuntimeError(f"{error}; {target} holds the fit without a posterior") from error
         result = make_result(measurement, samples, fitted, sampled, config, clock.times(), accuracy)
         export.write_result(target, result)
     return result

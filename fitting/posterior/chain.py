@@ -23,7 +23,7 @@ from .emulator import MOST_EVER, Emulator, log_posterior
 from .hamiltonian import LEAPS, Hamiltonian
 from .likelihood import StandIn
 
-WALKERS = 32
+WALKERS = 32  # or two for each parameter, which differential evolution needs
 CHECK_EVERY = 100  # steps between looks at the chain
 FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of learning
 # Of the stand-in's likelihood, whose power is 1/heat, in each of these rounds; the first also before the emulator. The
@@ -197,7 +197,8 @@ def begin(
     does, and return to it (`HEATS`).
     """
     rng, recorder = np.random.default_rng(seed), _Recorder(few, HEATS[0])
-    away = rng.multivariate_normal(np.zeros(len(fit)), covariance, size=WALKERS, method="eigh")
+    walkers = max(WALKERS, 2 * len(fit))
+    away = rng.multivariate_normal(np.zeros(len(fit)), covariance, size=walkers, method="eigh")
     now = emcee.State(fit + away, random_state=np.random.RandomState(seed).get_state())
     way = _advance(recorder, EVOLUTION, now, FIRST, progress)
     seen = way.states[FIRST // 2 :].reshape(-1, len(fit))
@@ -276,8 +277,7 @@ def extend(
             flat = way.states.reshape(-1, way.states.shape[-1])
             chain = replace(
                 chain, states=way.states[-1:], log_prob=way.log_prob[-1:], accepted=0.0, root=_root(flat),
-                leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, random=random,
-                lessons=lessons,
+                leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, lessons=lessons,
             )  # fmt: skip
             found = diagnose(chain.states)
         keep(chain)

@@ -17,8 +17,9 @@ from ..assess.outcome import Fitted
 from ..objective.problem import make_problem
 from ..objective.transforms import Layout
 from ..support.clock import Report, Stage, silent
+from ..support.tables import UNSOUND
 from ..support.threads import SHARES, one_core_a_call, side_by_side
-from .chain import Chain, begin, extend, read_chain, write_chain
+from .chain import Chain, ChainError, begin, extend, read_chain, write_chain
 from .diagnosis import diagnose
 from .emulator import Emulator
 from .importance import Posterior, correct
@@ -126,8 +127,11 @@ def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:
 
 def _drawn(path: Path) -> dict[str, np.ndarray]:
     """Weighted draws in the file of a chain, and what goes with them; nothing while it is unfinished."""
-    with np.load(path, allow_pickle=False) as chain:
-        return {name: chain[name] for name in chain.files if name in DRAWN or name.startswith("derived_")}
+    try:
+        with np.load(path, allow_pickle=False) as chain:
+            return {name: chain[name] for name in chain.files if name in DRAWN or name.startswith("derived_")}
+    except UNSOUND:
+        raise ChainError(f"{path}: its draws are damaged; delete it to start a new chain") from None
 
 
 def _names(layout: Layout) -> dict[str, np.ndarray]:
@@ -144,7 +148,23 @@ def sample(
     resume: bool = False,
     report: Report = silent,
 ) -> Sampled:
-    """:func:`draw`, and what the draws are in units of physics; all of it in ``path``."""
+    """:func:`draw`, and what the draws are in units of physics; all of it in ``path``.
+
+    Raises:
+        merlfit.fitting.posterior.chain.ChainError: there is no chain to go on with, or one of another fit.
+        RuntimeError: whatever else stops a sampler.
+    """
+    try:
+        return _sampled(fitted, samples, max_steps, seed, path, resume, report)
+    except ChainError:
+        raise
+    except Exception as error:  # raised again: what was fitted before is kept, and named by the caller
+        raise RuntimeError(f"the sampler: {error}") from error
+
+
+def _sampled(
+    fitted: Fitted, samples: Samples, max_steps: int, seed: int, path: Path, resume: bool, report: Report
+) -> Sampled:
     found, layout = draw(fitted, samples, max_steps, seed, path, resume, report), fitted.layout
     values, quantities = physical(layout, np.concatenate([found.draws, fitted.solution.z[None]]))
     done = Sampled(

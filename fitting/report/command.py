@@ -1,5 +1,6 @@
 """`merlfit report` in a terminal: its progress, and what it says."""
 
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from ...merl_io.atomic import WriteError
@@ -20,6 +21,10 @@ def report_on(folder: Path, out: Path, files: Path | None, jobs: int | None, ori
             lacks = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"), origin)
     except WriteError as error:
         raise fail(str(error)) from None
+    except BrokenProcessPool:
+        raise fail(
+            f"a process that made pages was killed, perhaps for want of memory: {out} is not whole; try --jobs 1"
+        ) from None
     except Stopped as stop:
         note(f"stopped by {stop}: {out} is not whole; the same command writes it anew")
         raise SystemExit(stop.code) from None

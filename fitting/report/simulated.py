@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...merl_io.inputs import SCATTERED
 from ...model.two_scale import TwoScale
 from ..output.report import number
 from ..results.schema import Result
@@ -85,6 +86,8 @@ def reproducing(result: Result) -> list[str]:
     own = result.source.path
     if own not in words:
         return words
+    measured = (".binary", *SCATTERED)
     return [
-        word for word in words if word == own or not word.endswith(".binary") or words[words.index(word) - 1] == "-o"
-    ]
+        word for k, word in enumerate(words)
+        if word == own or not word.lower().endswith(measured) or words[k - 1] in ("-o", "--out")
+    ]  # fmt: skip

@@ -117,10 +117,13 @@ def _made(jobs: list[Job], count: int) -> Iterator[tuple[str, list[str]]]:
     if count <= 1:
         yield from ((job.name, make_page(job)) for job in jobs)
         return
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
+    try:
         running = {pool.submit(make_page, job): job for job in jobs}
         for done in as_completed(running):
             yield running[done].name, done.result()
+    finally:
+        pool.shutdown(cancel_futures=True)  # whoever stops it does not wait for all other pages
 
 
 def make_page(job: Job) -> list[str]:

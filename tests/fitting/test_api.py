@@ -153,6 +153,19 @@ def test_settings_say_whether_to_sample(file, tmp_path, monkeypatch):
     assert asked == [False, False, True, False, True]
 
 
+def test_a_folder_that_cannot_be_made_is_named(file, tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(merlfit.WriteError, match="taken/out: cannot be made"):
+        merlfit.fit(file, tmp_path / "taken" / "out")
+
+
+def test_a_posterior_of_scattered_directions_is_refused(tmp_path):
+    table = tmp_path / "x.csv"
+    table.write_text("theta_i_deg,theta_o_deg,phi_deg,R,G,B\n0,30,0,1,1,1\n30,30,180,1,1,1\n")
+    with pytest.raises(merlfit.MerlError, match="leave --posterior out"):
+        merlfit.fit(table, tmp_path, posterior=True)
+
+
 def test_bad_settings_and_failed_fits_are_told(file, tmp_path):
     with pytest.raises(merlfit.ConfigError, match=r"settings: unknown key 'fit\.start'"):
         merlfit.fit(file, settings={"fit": {"start": 2}})

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
 from merlfit.fitting import cli, comparisons
 from merlfit.fitting.assess.metrics import Errors, by_incidence, errors
 from merlfit.fitting.assess.published import assess_published
@@ -14,9 +15,10 @@ from merlfit.fitting.objective.weights import weighted_samples
 from merlfit.fitting.output import comparison
 from merlfit.fitting.output.synthesis import from_published
 from merlfit.fitting.pipeline.comparison import FIT, Row, compare_file, config_of
-from merlfit.fitting.results.export import versions, write_result
+from merlfit.fitting.results.export import ResultError, versions, write_result
 from merlfit.fitting.settings.config import ConfigError, load, parse
-from merlfit.merl_io.binary import read, write
+from merlfit.merl_io.atomic import WriteError
+from merlfit.merl_io.binary import DIMS, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.registry import models
 from typer.testing import CliRunner
@@ -165,6 +167,36 @@ def test_what_speaks_for_another_model_is_said():
     assert "it loses the highlight" in comparison.verdict([row(numbers=16), row("b", bic=-30.0, highlight=0.2)])
     assert "no strong evidence" in comparison.verdict([row(), row("b", numbers=9, bic=-12.0)])
     assert "try `merlfit fit --weights adaptive`" in comparison.verdict([row(highlight=0.3)])
+
+
+def test_without_pictures_none_is_nearest():
+    """Scattered directions make no picture: nothing is said of one, and no model has the nearest."""
+    none = float("nan")
+    said = comparison.verdict([row(numbers=16, picture=none), row("b", numbers=9, bic=-12.0, picture=none)])
+    assert "spheres" not in said
+    assert "picture" not in said
+    assert "try `merlfit fit --weights none`" in comparison.verdict([row(picture=none, highlight=0.3)])
+    rows = [row("a", "x", picture=none), row("b", "x", picture=none), row("a", "y"), row("b", "y", picture=0.1)]
+    assert comparison.winners(rows, "picture") == {"y": ("b", pytest.approx(5.0))}
+
+
+def test_channels_that_are_not_the_files_are_named(tmp_path):
+    write(tmp_path / "x.binary", np.ones((3, *DIMS)))
+    result = made()
+    result.model.channels.append("X")
+    with pytest.raises(ResultError, match=r"x\.json: has 4 channels, and .*x\.binary 3"):
+        comparison.assessed_result(tmp_path / "x.json", result, tmp_path / "x.binary")
+
+
+def test_tables_that_cannot_be_written_are_said_in_a_line(tmp_path, monkeypatch, capsys):
+    def refuse(*_):
+        raise WriteError("comparison.csv: cannot be written (No space left on device)")
+
+    monkeypatch.setattr(comparisons, "write_tables", refuse)
+    monkeypatch.setattr(comparisons, "compare_file", lambda *_: ([row()], {}))
+    with pytest.raises(typer.Exit):
+        comparisons.compare_files([tmp_path / "x.binary"], "ggx", tmp_path, load())
+    assert "No space left on device" in capsys.readouterr().err
 
 
 def test_tables_say_who_wins_where_and_by_how_much(tmp_path):

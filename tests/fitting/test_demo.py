@@ -67,5 +67,12 @@ def test_no_apparatus_is_fitted_to_a_synthetic_material():
     assert candidates(settings) == [Measured(demo.EFFECTS, "off")]
 
 
+def test_a_seed_that_is_none_is_refused_before_anything_is_made(tmp_path):
+    shown = CliRunner().invoke(cli.app, ["demo", "--seed", "-1", "-o", str(tmp_path / "out")])
+    assert shown.exit_code == 2
+    assert "--seed" in shown.output
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_intervals_the_verdict_says_so():
     assert "no intervals" in demo.verdict(made(model=demo.EFFECTS))

@@ -1,11 +1,13 @@
 """Batches of files and the folder that they are written to; fits are stood in for, none is compiled."""
 
+import json
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import typer
 from merlfit.fitting import cli, files
 from merlfit.fitting.execution import here, journal, unit
 from merlfit.fitting.objective.transforms import layout_of
@@ -14,6 +16,7 @@ from merlfit.fitting.output.inspection import file_of
 from merlfit.fitting.output.keeping import Complete, completeness, place_of
 from merlfit.fitting.pipeline.run import chain_of, fit_file
 from merlfit.fitting.posterior import sampling
+from merlfit.fitting.posterior.chain import ChainError
 from merlfit.fitting.posterior.importance import Posterior
 from merlfit.fitting.results.export import read_result, write_result
 from merlfit.fitting.settings.config import Config
@@ -359,6 +362,51 @@ def test_the_file_of_a_fit_is_found_from_where_it_ran(tmp_path):
     assert file_of(tmp_path / "fits" / "nickel.json", result) == Path("nickel.binary")
     result.run.folder = str(data)
     assert file_of(tmp_path / "fits" / "nickel.json", result) == data / "nickel.binary"
+
+
+def test_a_path_of_other_people_is_no_error(tmp_path):
+    named = made(path="x" * 5000)
+    assert file_of(tmp_path / "nickel.json", named) == Path("x" * 5000)
+
+
+def test_stopping_beside_what_is_no_result_is_no_error(tmp_path, monkeypatch):
+    def stop(*_):
+        raise Stopped()
+
+    (tmp_path / "nickel.json").write_text("{}")
+    monkeypatch.setattr(unit, "fit_file", stop)
+    ended = unit.fit_unit(unit.Unit(Path("nickel.binary"), tmp_path, Config()))
+    assert ended.kind is unit.Kind.STOPPED
+    assert ended.result is None
+
+
+def test_a_unit_that_ends_while_a_run_is_stopped_is_booked(tmp_path, monkeypatch, capsys):
+    class Two:
+        name = "two"
+
+        def ended(self, units, tell):
+            yield 0, unit.Ended(unit.Kind.STOPPED, code=130)
+
+        def stop(self):
+            write_result(tmp_path / "b.json", made("b"))
+            return [(1, unit.Ended(unit.Kind.FITTED, made("b")))]
+
+    monkeypatch.setattr(files, "executor_of", lambda *_: (Two(), 2))
+    with pytest.raises(typer.Exit):
+        files.fit_files([tmp_path / "a.binary", tmp_path / "b.binary"], tmp_path, Config())
+    lines = [json.loads(line) for line in (tmp_path / journal.NAME).read_text().splitlines()]
+    assert [line["file"] for line in lines if line["event"] == "file"] == [str(tmp_path / "b.binary")]
+    assert "b.json holds" not in capsys.readouterr().err
+
+
+def test_a_damaged_chain_is_said_in_a_line(tmp_path):
+    path = tmp_path / "x.chain.npz"
+    np.savez(path, draws_free=np.arange(999.0))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 255
+    path.write_bytes(data)
+    with pytest.raises(ChainError, match=r"x\.chain\.npz: its draws are damaged; delete it"):
+        sampling._drawn(path)
 
 
 def test_draws_stay_while_their_chain_is_continued(tmp_path):

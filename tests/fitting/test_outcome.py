@@ -1,6 +1,7 @@
 """What a result says of itself: at which bound it is, and what a user of its parameters should know."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from merlfit.fitting.assess.outcome import POOR, Fitted, cautions
 from merlfit.fitting.assess.selection import ALIKE, MARGIN
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline import run
+from merlfit.fitting.pipeline.result import make_result
 from merlfit.fitting.results.schema import Candidate
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, Status
+from merlfit.merl_io.binary import DIMS
 from merlfit.model.measured import Measured
 from merlfit.model.plausible import METAL_FLOOR
 from merlfit.model.two_scale import TwoScale
@@ -73,6 +76,22 @@ def test_the_costs_of_all_bins_leave_the_matrix_of_the_last_grid_alone(monkeypat
 
 def test_a_lost_highlight_is_no_reason_to_advise_what_was_done():
     assert "no exponent" in said(fitted(errors=replace(GOOD, highlight=3.0)), weights="adaptive")
+    scattered = fitted(errors=replace(GOOD, highlight=3.0, picture=float("nan")))
+    assert "--weights none" in said(scattered)
+    assert "no exponent" in said(scattered, weights="none")
+
+
+def test_normal_equations_that_are_not_finite_are_no_fit():
+    one = fitted()
+    broken = replace(one.solution, normal=one.solution.normal * np.nan)
+    file = SimpleNamespace(
+        path="x.binary", name="x", sha1="0" * 40, blob_sha1="0" * 40, format="MERL", genuine=None, dims=DIMS,
+        valid=np.ones(3, bool), outliers=0,
+    )  # fmt: skip
+    samples = SimpleNamespace(weight=np.ones((3, 2, 2)))
+    found = make_result(file, samples, replace(one, solution=broken), None, load(), {})
+    assert found.fit.status == "NON_FINITE"
+    assert found.model is None
 
 
 def test_what_is_well_determined_beside_a_bound_is_not_at_it():

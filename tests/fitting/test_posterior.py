@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.assess.laplace import laplace_covariance
+from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.posterior import chain as sampler
 from merlfit.fitting.posterior import diagnosis
 from merlfit.fitting.posterior.chain import (
@@ -22,8 +23,10 @@ from merlfit.fitting.posterior.chain import (
     write_chain,
 )
 from merlfit.fitting.posterior.diagnosis import ENOUGH, SHORTEST, diagnose
-from merlfit.fitting.posterior.emulator import Emulator, log_posterior
+from merlfit.fitting.posterior.emulator import Emulator, coordinates_of, log_posterior
 from merlfit.fitting.posterior.hamiltonian import SOFTENED, Hamiltonian, leapfrog
+from merlfit.model.measured import Measured
+from merlfit.model.registry import made as made_model
 from scipy.optimize import minimize
 
 from tests.support.stand_ins import LAYOUT, banana, gentle, taught
@@ -205,6 +208,25 @@ def test_a_chain_begun_has_its_walkers_where_the_posterior_is(monkeypatch):
     done = extend(chain, few, LAYOUT, emulator, 1001, silent, silent)
     assert diagnose(done.states).failures() == []
     assert 0.2 < done.acceptance < 1
+
+
+def test_a_model_of_many_parameters_has_two_walkers_for_each():
+    layout = layout_of(Measured(made_model("sgd", {})))
+    assert layout.size > WALKERS // 2
+    few = gentle(1, coordinates_of(layout, np.zeros(layout.size)))
+    chain, emulator = begin(few, layout, np.zeros(layout.size), 0.05 * np.eye(layout.size), 3, silent)
+    assert chain.states.shape == (1, 2 * layout.size, layout.size)
+    done = extend(chain, few, layout, emulator, 21, silent, silent)
+    assert np.ptp(done.states, axis=0).min() > 0
+
+
+def test_a_chain_that_is_long_enough_goes_on_to_the_steps_that_are_asked_for(monkeypatch):
+    few, _, chain, emulator = begun()
+    monkeypatch.setattr(sampler, "CHECK_EVERY", LOOK)
+    monkeypatch.setattr(diagnosis.Diagnosis, "failures", lambda self, names=(): [])
+    assert len(extend(chain, few, LAYOUT, emulator, 1001, silent, silent).states) == 1
+    assert len(extend(chain, few, LAYOUT, emulator, 1001, silent, silent, 1 + LOOK).states) == 1 + LOOK
+    assert len(extend(chain, few, LAYOUT, emulator, LOOK, silent, silent, 1001).states) == LOOK
 
 
 def test_the_emulator_learns_from_farther_than_the_posterior_goes():

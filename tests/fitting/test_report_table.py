@@ -6,6 +6,7 @@ from pathlib import Path
 from merlfit.fitting import cli
 from merlfit.fitting.execution.journal import NAME, Journal
 from merlfit.fitting.execution.unit import Ended, Kind, Unit
+from merlfit.fitting.report.simulated import reproducing
 from merlfit.fitting.report.table import HEADS
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.settings.config import Config
@@ -104,3 +105,10 @@ def test_all_columns_are_documented():
     text = (ROOT / "docs" / "result.md").read_text()
     assert [head for head in HEADS if f"`{head}`" not in text] == []
     assert NAME in text
+
+
+def test_the_command_of_one_file_leaves_out_the_others_of_its_batch():
+    result = made(path="b.csv")
+    command = ["merlfit", "fit", "a.csv", "b.csv", "c.NPZ", "d.binary", "-o", "out.csv"]
+    result.run = result.run.model_copy(update={"command": command})
+    assert reproducing(result) == ["merlfit", "fit", "b.csv", "-o", "out.csv"]

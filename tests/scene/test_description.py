@@ -28,6 +28,7 @@ CASES = {
     ),
     "map without file": (GOOD + '[environment]\nkind = "map"\n', "file is for"),
     "not TOML": ("[camera", "is not TOML"),
+    "too deep": ("x = " + "[" * 9999 + "]" * 9999, "too deeply"),
 }  # fmt: skip
 
 

@@ -11,14 +11,14 @@ OWN = coordinates_of(LAYOUT, np.zeros(LAYOUT.size))
 ROWS = 6  # residuals of a channel
 
 
-def gentle(seed=0):
-    """Three channels of smooth residuals of the coordinates of `LAYOUT`."""
+def gentle(seed=0, channels=OWN):
+    """Three channels of smooth residuals of the coordinates of `LAYOUT`, or of others."""
     rng = np.random.default_rng(seed)
-    slopes = [rng.normal(size=(len(own), ROWS)) for own in OWN]
-    bends = [0.3 * rng.normal(size=(len(own), ROWS)) for own in OWN]
+    slopes = [rng.normal(size=(len(own), ROWS)) for own in channels]
+    bends = [0.3 * rng.normal(size=(len(own), ROWS)) for own in channels]
 
     def weighed(points):
-        each = zip(OWN, slopes, bends, strict=True)
+        each = zip(channels, slopes, bends, strict=True)
         return np.concatenate([points[:, own] @ a + np.sin(points[:, own]) ** 2 @ b for own, a, b in each], 1)
 
     return StandIn(weighed, 0.3 * rng.normal(size=3 * ROWS), 2.0)
