@@ -85,12 +85,14 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> lis
             raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
         return to_mitsuba(f"{path.stem}.measured", measurement(*folded(read(path))), f"Measured: {path.name}", out)
     result = read_result(path)
-    given = of_result(path.stem, result, path)
-    assert given.model is not None
-    said = f"{result.model.name if result.model else ''} fit of {result.source.material} by merlfit"
+    if result.model is None:
+        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
+    said = f"{result.model.name} fit of {result.source.material} by merlfit"
     match to:
         case "mitsuba":
             say("tables")
+            given = of_result(path.stem, result, path)
+            assert given.model is not None
             return to_mitsuba(path.stem, given.of(given.model), said, out)
         case "merl":
             say("bins")

@@ -159,6 +159,23 @@ def test_exports(tmp_path, result, to):
         assert read(out / "nickel.binary").valid.any()
 
 
+@pytest.mark.parametrize(
+    ("to", "said"), [("json", ""), ("mitsuba", "a picture needs R, G and B"), ("merl", "4 channels")]
+)
+def test_a_spectral_material_is_exported_where_no_picture_is_needed(tmp_path, monkeypatch, to, said):
+    from merlfit.fitting import exports
+    from merlfit.fitting.output import synthesis
+
+    four = made()
+    four.model.channels.append("700nm")
+    for module in (exports, synthesis):
+        monkeypatch.setattr(module, "read_result", lambda path: four)
+    found = run("export", "nickel.json", "--to", to, "-o", tmp_path)
+    assert found.exit_code == (2 if said else 0)
+    assert said in found.output
+    assert (tmp_path / "nickel.material.json").is_file() == (to == "json")
+
+
 def test_the_nearest_ggx_of_ggx_is_itself(tmp_path, monkeypatch):
     """A metal of GGX facets: glTF and OpenPBR can say all of it but the colour of F0's mean."""
     from merlfit.fitting import exports
