@@ -72,7 +72,8 @@ def diagnose(states: np.ndarray) -> Diagnosis:
     if steps < SHORTEST:
         bad, none = np.full(size, np.inf), np.zeros(size)
         return Diagnosis(steps, bad, bad, none, none)
-    times = emcee.autocorr.integrated_time(states, tol=0, quiet=True)
+    with np.errstate(invalid="ignore"):  # of a walker that has not moved
+        times = emcee.autocorr.integrated_time(states, tol=0, quiet=True)
     each = np.transpose(states, (2, 1, 0))  # (P, walkers, steps), as ArviZ has chains and draws
     return Diagnosis(
         steps,
