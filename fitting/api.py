@@ -56,7 +56,7 @@ def fit(
     use_cache()
     named = isinstance(file, str | os.PathLike)
     measurement = inputs.read(Path(file).absolute(), dims=config.input.allowed) if named else file
-    if isinstance(measurement, ScatteredMeasurement) and config.posterior.enabled:
+    if isinstance(measurement, ScatteredMeasurement) and replaced.get("posterior"):
         settled(measurement.path, config, "--posterior")
     folder, place = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out), None
     try:
@@ -66,13 +66,11 @@ def fit(
     try:
         with claimed(folder, alone=False), place_of(folder, measurement.name) as place:
             result = fit_file(measurement, place.folder, config, report)
-    except RuntimeError as error:
-        if place is None:
-            raise
-        raise RuntimeError(str(error).replace(str(place.folder), str(place.path.parent))) from error
-    except BaseException:  # raised again
+    except BaseException as error:  # raised again
         if out is None and not any(folder.iterdir()):
             folder.rmdir()
+        if isinstance(error, RuntimeError) and place is not None:  # it names the file where that was, not where it is
+            raise RuntimeError(str(error).replace(str(place.folder), str(place.path.parent))) from error
         raise
     if place.said:
         warnings.warn(place.said, stacklevel=2)

@@ -99,7 +99,8 @@ class Fit:
             merlfit.MerlError: the fitted file is missing, or is another one now.
             merlfit.ResultError: the fit failed, or its chain is missing.
             merlfit.ChainError: the chain is of another fit.
-            merlfit.WriteError: it cannot be kept.
+            merlfit.WriteError: it cannot be kept, or a command is writing there.
+            RuntimeError: the sampler failed; file and object are as they were.
         """
         use_cache()
         with claimed(self.path.parent, alone=False):

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from ..merl_io.binary import Measurement, MerlError
 from ..merl_io.samples import folded
+from ..merl_io.source import is_regular
 from ..model.parameters import WAVELENGTHS_UM
 from ..scene import images
 from ..scene.colour import difference, displayed
@@ -148,7 +149,7 @@ def _render_result(path: Path, out: Path, vary: Sequence[str], scene: Scene, say
         return target
     target = out / f"{path.stem}.png"
     file = file_of(path, result)
-    if not file.is_file():
+    if not is_regular(file):
         note(f"{path}: the fit alone; the measured file {file} is not there")
         images.write_png(target, sphere_of(of_result(path.stem, result, path), scene))
         return target

@@ -22,8 +22,11 @@ def write_exr(path: Path, radiance: np.ndarray) -> None:
     image = np.ascontiguousarray(radiance, np.float32)
 
     def write(file: IO[bytes]) -> None:
-        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": image}) as exr:
-            exr.write(file.name)  # by its name: the library opens it itself
+        try:
+            with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": image}) as exr:
+                exr.write(file.name)  # by its name: the library opens it itself
+        except RuntimeError as error:  # which is how the library says what the system said
+            raise OSError(str(error)) from None
 
     write_atomically(path, write)
 

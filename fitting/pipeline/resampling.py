@@ -29,6 +29,7 @@ def resample(
         merlfit.merl_io.binary.MerlError: the file is not the one that was fitted.
         merlfit.fitting.results.export.ResultError: the result has no fit to sample.
         merlfit.fitting.posterior.chain.ChainError: the chain is not one of this fit.
+        RuntimeError: the sampler failed; the result is as it was.
     """
     if result.model is None or not result.fit.succeeded:
         raise export.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")

@@ -18,13 +18,14 @@ LARGEST_K = 0.7  # of the Pareto shape: above it the weights cannot be trusted
 DRAWS, MOST_DRAWS = 600, 2400  # on all bins: to begin with, and to come to the least size
 MARGIN = 1.1  # of what is expected to be enough
 GO_ON = "continue the chain with `merlfit sample`"
+FEWER = "a longer chain does not mend it, fewer parameters may (`--body`)"
 TOO_UNEVEN = (
     "effective size of {name} in {count} weighted draws is {least:.0f}, {most} are needed: the weights are uneven, "
-    "since the chain, which uses few bins, is far from the posterior of all bins"
+    "since the chain, which uses few bins, is far from the posterior of all bins; " + FEWER
 )
 TOO_FAR = (
     "the chain, which uses few bins, is too far from the posterior of all bins: Pareto k of its weights is {k:.2f}, "
-    "at most {most} is accepted"
+    "at most {most} is accepted; " + FEWER
 )
 
 
@@ -108,18 +109,19 @@ def correct(
         draws = np.concatenate([draws, new])
         log_ratio = np.concatenate([log_ratio, np.array(whole) - log_few(new)])
         weights, k = smoothed(log_ratio)
-        effective = sizes(draws, weights, diagnosis.bulk)
-        good = k <= LARGEST_K and effective.min() >= LEAST_SIZE
+        own = sizes(draws, weights, np.full(size, np.inf)).min()  # what more draws can mend; the chain is for itself
+        good = k <= LARGEST_K and own >= LEAST_SIZE
         if good or len(draws) >= MOST_DRAWS or failed:  # a chain that failed is not worth more
             break
         # of few draws k is uncertain by tenths: more of them decide
-        wanted = min(int(len(draws) * np.clip(MARGIN * LEAST_SIZE / effective.min(), 1.5, 4.0)) + 1, MOST_DRAWS)
+        wanted = min(int(len(draws) * np.clip(MARGIN * LEAST_SIZE / own, 1.5, 4.0)) + 1, MOST_DRAWS)
+    effective = sizes(draws, weights, diagnosis.bulk)
     if not k <= LARGEST_K:
         failed.append(TOO_FAR.format(k=k, most=LARGEST_K))
     longer = 0
     if not (least := effective.min()) >= LEAST_SIZE:
         name = names[int(effective.argmin())]
-        if sizes(draws, weights, np.full(size, np.inf)).min() >= LEAST_SIZE:  # the chain is what is too short for them
+        if own >= LEAST_SIZE:  # the chain is what is too short for them
             longer = 0 if failed else int(np.ceil(MARGIN * diagnosis.steps * LEAST_SIZE / least))
             failed.append(
                 f"effective size of {name} in the weighted draws is {least:.0f}, {LEAST_SIZE} are needed; {GO_ON}"

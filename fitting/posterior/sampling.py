@@ -75,7 +75,7 @@ def draw(
         path: .npz with the chain. resume: go on with the chain in it.
 
     Raises:
-        merlfit.fitting.posterior.chain.ChainError: there is no chain to go on with, or one of another fit.
+        merlfit.fitting.posterior.chain.ChainError: there is no chain to go on with, it is damaged, or of another fit.
     """
     layout, solution = fitted.layout, fitted.solution
     few = stand_in(layout, samples, solution, fitted.count)

@@ -164,6 +164,7 @@ def test_a_posterior_of_scattered_directions_is_refused(tmp_path):
     table.write_text("theta_i_deg,theta_o_deg,phi_deg,R,G,B\n0,30,0,1,1,1\n30,30,180,1,1,1\n")
     with pytest.raises(merlfit.MerlError, match="leave --posterior out"):
         merlfit.fit(table, tmp_path, posterior=True)
+    assert merlfit.fit(table, settings={"posterior": {"enabled": True}}).result.fit.status == "NO_DATA"
 
 
 def test_bad_settings_and_failed_fits_are_told(file, tmp_path):

@@ -399,6 +399,20 @@ def test_a_unit_that_ends_while_a_run_is_stopped_is_booked(tmp_path, monkeypatch
     assert "b.json holds" not in capsys.readouterr().err
 
 
+def test_a_sampler_that_fails_is_said_in_a_line(tmp_path, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("the sampler: out of memory")
+
+    put_result(tmp_path)
+    before = (tmp_path / "nickel.json").read_bytes()
+    monkeypatch.setattr("merlfit.fitting.output.sampling.resample", fail)
+    shown = call("sample", tmp_path / "nickel.json")
+    assert shown.exit_code == FAILED_FIT
+    assert "the sampler: out of memory; " in shown.output.replace("\n", " ")
+    assert "Traceback" not in shown.output
+    assert (tmp_path / "nickel.json").read_bytes() == before
+
+
 def test_a_damaged_chain_is_said_in_a_line(tmp_path):
     path = tmp_path / "x.chain.npz"
     np.savez(path, draws_free=np.arange(999.0))

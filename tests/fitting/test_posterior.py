@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace
 
 import emcee
 import jax
@@ -11,7 +12,7 @@ import pytest
 from merlfit.fitting.assess.laplace import laplace_covariance
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.posterior import chain as sampler
-from merlfit.fitting.posterior import diagnosis
+from merlfit.fitting.posterior import diagnosis, sampling
 from merlfit.fitting.posterior.chain import (
     WALKERS,
     Chain,
@@ -226,6 +227,30 @@ def test_a_chain_that_is_long_enough_goes_on_to_the_steps_that_are_asked_for(mon
     assert len(extend(chain, few, LAYOUT, emulator, 1001, silent, silent).states) == 1
     assert len(extend(chain, few, LAYOUT, emulator, 1001, silent, silent, 1 + LOOK).states) == 1 + LOOK
     assert len(extend(chain, few, LAYOUT, emulator, LOOK, silent, silent, 1001).states) == LOOK
+
+
+def test_a_chain_goes_on_while_its_weighted_draws_want_more_steps(tmp_path, monkeypatch):
+    """As many as are wanted, and no more than there may be; without beginning anew."""
+    asked, wanted = [], iter([500, 9000, 9000])
+    whole = Chain(np.zeros((1, 2, 1)), np.zeros((1, 2)), 0.0, np.eye(1), 0.1, np.zeros((1, 1)), NOBODY, np.zeros(1), 5)
+
+    def extended(chain, few, layout, emulator, max_steps, say, keep, least):
+        asked.append((least, chain.lessons))
+        steps = min(max(least, 100), max_steps)
+        return dataclasses.replace(chain, states=np.zeros((steps, 2, 1)), log_prob=np.zeros((steps, 2)))
+
+    nothing = SimpleNamespace(log_likelihood=None)
+    for name, found in {
+        "stand_in": nothing, "laplace_covariance": None, "begin": (whole, None), "make_problem": None,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(sampling, name, lambda *_, found=found, **__: found)
+    monkeypatch.setattr(sampling, "extend", extended)
+    monkeypatch.setattr(sampling, "correct", lambda chain, *_: SimpleNamespace(chain=chain, wanted=next(wanted)))
+    solution = SimpleNamespace(z=np.zeros(1), normal=None, cost=1.0)
+    fitted = SimpleNamespace(layout=LAYOUT, solution=solution, count=9.0)
+    found = sampling.draw(fitted, None, 6000, 0, tmp_path / "x.npz")
+    assert asked == [(0, 5), (500, 0), (9000, 0)]
+    assert len(found.chain.states) == 6000
 
 
 def test_the_emulator_learns_from_farther_than_the_posterior_goes():

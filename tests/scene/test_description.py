@@ -1,7 +1,10 @@
 """Scenes that cannot be rendered are refused in one line that says what to mend."""
 
+import numpy as np
 import pytest
+from merlfit.merl_io.atomic import WriteError
 from merlfit.scene.description import SceneError, load
+from merlfit.scene.images import write_exr, write_png
 
 GOOD = """
 [camera]
@@ -53,3 +56,30 @@ def test_what_is_left_out_has_its_default(tmp_path):
     path.write_text("\ufeff" + GOOD, encoding="utf-8")  # as Windows editors write it
     found = load(path)
     assert (found.samples, found.camera.width, found.tolerance.cielab) == (64, 256, 1.0)
+
+
+def test_a_full_disk_leaves_no_half_picture(tmp_path, monkeypatch):
+    class Full:
+        """As OpenEXR says it."""
+
+        def __init__(self, *_):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def write(self, name):
+            raise RuntimeError(f"Failed to write pixel data to image file {name}. No space left on device.")
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("OpenEXR.File", Full)
+    monkeypatch.setattr("PIL.Image.Image.save", full)
+    for name, write in (("x.exr", write_exr), ("x.png", write_png)):
+        with pytest.raises(WriteError, match=rf"{name}: cannot be written .*No space left"):
+            write(tmp_path / name, np.zeros((2, 2, 3)))
+    assert list(tmp_path.iterdir()) == []
