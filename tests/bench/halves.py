@@ -1,7 +1,7 @@
 """Whether intervals from two disjoint halves of a material's bins agree."""
 
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,8 +77,9 @@ def run(folder, out, every):
     record.resume()
     left = [m for m in (TWELVE if every else FOUR) if m not in record.column("material")]
     with ThreadPoolExecutor(CORES) as pool:
-        runs = pool.map(lambda m: worker("halves", file(folder, m), TWELVE[m])[0], left)
-        for material, found in zip(left, runs, strict=True):
+        runs = {pool.submit(worker, "halves", file(folder, m), TWELVE[m]): m for m in left}
+        for run in as_completed(runs):  # written as they end: one may take an hour
+            material, (found, _) = runs[run], run.result()
             shares = {f"overlap {a}": overlap(found[a], found[b]) for a, b in PAIRS}
             counts = {f"N {name}": found[name]["count"] for name in HALVES}
             record.add({"material": material, "body": TWELVE[material], **shares, **counts}, found)
