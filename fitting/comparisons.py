@@ -10,8 +10,9 @@ from ..merl_io.binary import MerlError
 from ..merl_io.inputs import Input
 from ..model.registry import made, models
 from .files import refuse_same_names
-from .output.comparison import assessed_result, by_label, metrics_table, table_of, verdict, write_metrics, write_tables
+from .output.comparison import by_label, table_of, verdict, write_tables
 from .output.keeping import Taken, claimed, place_of
+from .output.metrics import assessed_result, metrics_table, write_metrics
 from .pipeline.comparison import FIT, compare_file
 from .pipeline.run import fit_file
 from .results.export import ResultError, read_result

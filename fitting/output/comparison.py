@@ -6,37 +6,21 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from rich import box
 from rich.table import Table
 
-from ...merl_io import inputs
 from ...merl_io.atomic import write_text
-from ...merl_io.binary import Measurement
-from ...merl_io.grid import merl_grid
-from ...merl_io.inputs import is_scattered
-from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
-from ...model.reflectance import evaluate
-from ..assess import scattered
-from ..assess.metrics import by_incidence, errors
 from ..assess.selection import ALIKE, SEEN, least, lost
-from ..objective.residuals import predict_samples
-from ..objective.weights import THETA_MAX, weighted_samples
 from ..pictures.style import save
-from ..pipeline.comparison import FIT, Row, angles, row_of
-from ..results.export import ResultError
-from ..results.schema import Model, Result
+from ..pipeline.comparison import FIT, Row
 from ..support.numbers import number
-from .synthesis import tabulate
 
 FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "cube_root": "cube-root error", "log": "log error",
@@ -152,14 +136,14 @@ def verdict(rows: Sequence[Row]) -> str:
     nearest = min(fitted, key=lambda r: r.errors.picture) if seen else chosen
     lowest = min(fitted, key=lambda r: r.bic)
     said = (
-        f"{chosen.material}: the least model that explains it is {_named(chosen)}, with {chosen.numbers} numbers: "
+        f"{chosen.material}: the least model that explains it is {named(chosen)}, with {chosen.numbers} numbers: "
         + (f"its spheres differ from the file's by {number(chosen.errors.picture, 2)} (CIELAB), " if seen else "")
         + f"its RMSE is {number(chosen.errors.rmse, 3)}/sr."
     )
     if chosen is not nearest:
         alike = chosen.errors.picture <= nearest.errors.picture + SEEN
         why = f": less than {SEEN:g} nearer, which is just noticeable" if alike else ", but it loses the highlight"
-        said += f" The nearest picture is that of {_named(nearest)}, off by {number(nearest.errors.picture, 2)} with "
+        said += f" The nearest picture is that of {named(nearest)}, off by {number(nearest.errors.picture, 2)} with "
         said += f"{nearest.numbers} numbers{why}."
     if chosen is not lowest:
         less = chosen.bic - lowest.bic
@@ -169,14 +153,15 @@ def verdict(rows: Sequence[Row]) -> str:
             why = "but it loses the highlight"
         else:
             why = f"but its picture is off by {number(lowest.errors.picture, 2)}"
-        said += f" The lowest BIC is that of {_named(lowest)}, {number(less, 2)} lower: {why}."
+        said += f" The lowest BIC is that of {named(lowest)}, {number(less, 2)} lower: {why}."
     if lost(peak := chosen.errors.highlight):
         said += f" Its highlight is {number(peak, 2)} times the file's: try "
         said += f"`merlfit fit --weights {'adaptive' if seen else 'none'}`."
     return said
 
 
-def _named(row: Row) -> str:
+def named(row: Row) -> str:
+    """The model, and which variant of it."""
     variant = row.variant.removeprefix(row.model).strip()
     return f"{row.model} ({variant})" if variant else row.model
 
@@ -236,7 +221,8 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
     lines = [
         f"# {title}",
         "",
-        f"Data: {data}. Errors over {angles()}, both directions at theta < fit.theta_max. {WHAT}. {CRITERION}.",
+        f"Data: {data}. Errors over each file's own bins of (theta_h, theta_d, phi_d), or its samples, both "
+        f"directions at theta < fit.theta_max. {WHAT}. {CRITERION}.",
     ]
 
     def section(title: str, said: str, heads: Sequence[str], table: Iterable[Sequence[object]]) -> None:
@@ -348,89 +334,3 @@ def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
         figure.axes[0].legend(fontsize=7.5, ncols=2)
     figure.suptitle(title, fontsize=11)
     return figure
-
-
-class Assessed(NamedTuple):
-    """Errors of one result against a file.
-
-    Attributes:
-        path: of the result. row: its errors there. incidence: middles of intervals of theta_i (rad); rmse: over them.
-    """
-
-    path: Path
-    row: Row
-    incidence: np.ndarray
-    rmse: np.ndarray
-
-
-def assessed_result(path: Path, result: Result, against: Path) -> Assessed:
-    """A result's prediction, as the apparatus would have measured it, beside a file.
-
-    Raises:
-        merlfit.merl_io.binary.MerlError: the file cannot be used. ResultError: the fit failed.
-    """
-    if (model := result.model) is None:
-        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
-    measurement = inputs.read(against, dims=result.source.dims)
-    count = 3 if isinstance(measurement, Measurement) else len(measurement.bands)
-    if len(model.channels) != count:
-        raise ResultError(f"{path}: has {len(model.channels)} channels, and {measurement.path} {count}")
-    if not isinstance(measurement, Measurement):
-        return _assessed_scattered(path, result, model, measurement)
-    values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
-    grid, valid = merl_grid(measurement.dims), measurement.valid
-    found = errors(measurement.values, values, valid, grid)
-    curve = by_incidence(measurement.values, values, valid, grid)
-    return Assessed(path, replace(row_of(result), errors=found), *curve)
-
-
-def _assessed_scattered(path: Path, result: Result, model: Model, measurement: ScatteredMeasurement) -> Assessed:
-    """On the samples themselves; there are too few of an incidence for a curve."""
-    samples = weighted_samples(measurement)
-    assert isinstance(samples, ScatteredSamples)
-    values = {name: jnp.asarray(x) for name, x in result.values().items()}
-    found = scattered.errors(samples, predict_samples(model.measured, values, samples))
-    return Assessed(path, replace(row_of(result), errors=found), np.zeros(0), np.zeros(0))
-
-
-def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
-    """What `merlfit metrics` prints."""
-    where = "its samples" if is_scattered(against) else angles()
-    table = Table(
-        title=f"errors against {against} over {where}, both directions at theta < {THETA_MAX:g} rad",
-        title_justify="left", box=box.SIMPLE_HEAD, caption=WHAT, caption_justify="left",
-    )  # fmt: skip
-    for head in ("result", "model", *FIGURES.values()):
-        table.add_column(head, justify="left" if head in ("result", "model") else "right", overflow="fold")
-    for each in found:
-        figures = (number(getattr(each.row.errors, name), 3) for name in FIGURES)
-        table.add_row(str(each.path), _named(each.row), *figures)
-    return table
-
-
-def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
-    """``metrics.csv``, ``by_incidence.csv`` and ``by_incidence.png``."""
-    lines = [{"result": str(f.path), "model": f.row.model, "variant": f.row.variant,
-              **{name: getattr(f.row.errors, name) for name in FIGURES}} for f in found]  # fmt: skip
-    curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
-              for k, x in enumerate(found[0].incidence)]  # fmt: skip
-    written = [folder / name for name in ("metrics.csv", "by_incidence.csv", "by_incidence.png")]
-    for path, table in zip(written, (lines, curves), strict=False):
-        out = io.StringIO()
-        writer = csv.DictWriter(out, list(table[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in line.items()} for line in table)
-        write_text(path, out.getvalue())
-        if not curves:
-            return written[:1]
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
-    axis = figure.subplots()
-    for each in found:
-        axis.plot(
-            np.degrees(each.incidence), each.rmse, "o-", markersize=3, label=f"{each.row.material}: {_named(each.row)}"
-        )
-    axis.set(yscale="log", xlabel=r"$\theta_i$ (deg)", ylabel="RMSE (1/sr)")
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
-    save(figure, written[2])
-    return written

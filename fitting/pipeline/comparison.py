@@ -153,8 +153,3 @@ def row_of(result: Result) -> Row:
         len(result.parameters), errors, float("nan") if fit.cost is None else fit.cost, float("nan"),
         result.seconds["total"], {q.name: q.value for q in result.parameters},
     )  # fmt: skip
-
-
-def angles() -> str:
-    """The directions over which errors are taken, in words."""
-    return "the bins of (theta_h, theta_d, phi_d) or the samples of the file itself"

@@ -12,7 +12,7 @@ from merlfit.fitting.assess.metrics import Errors, by_incidence, errors
 from merlfit.fitting.assess.published import assess_published
 from merlfit.fitting.assess.selection import ALIKE, SEEN, bic, least
 from merlfit.fitting.objective.weights import weighted_samples
-from merlfit.fitting.output import comparison
+from merlfit.fitting.output import comparison, metrics
 from merlfit.fitting.output.synthesis import from_published
 from merlfit.fitting.pipeline.comparison import FIT, Row, compare_file, config_of
 from merlfit.fitting.results.export import ResultError, versions, write_result
@@ -185,7 +185,7 @@ def test_channels_that_are_not_the_files_are_named(tmp_path):
     result = made()
     result.model.channels.append("X")
     with pytest.raises(ResultError, match=r"x\.json: has 4 channels, and .*x\.binary 3"):
-        comparison.assessed_result(tmp_path / "x.json", result, tmp_path / "x.binary")
+        metrics.assessed_result(tmp_path / "x.json", result, tmp_path / "x.binary")
 
 
 def test_tables_that_cannot_be_written_are_said_in_a_line(tmp_path, monkeypatch, capsys):

@@ -1,0 +1,119 @@
+"""`merlfit metrics`: errors of results against a file, as a table, as CSV, and over the light's angle."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from rich import box
+from rich.table import Table
+
+from ...merl_io import inputs
+from ...merl_io.atomic import write_text
+from ...merl_io.binary import Measurement
+from ...merl_io.grid import merl_grid
+from ...merl_io.inputs import is_scattered
+from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
+from ...model.reflectance import evaluate
+from ..assess import scattered
+from ..assess.metrics import by_incidence, errors
+from ..objective.residuals import predict_samples
+from ..objective.weights import THETA_MAX, weighted_samples
+from ..pictures.style import save
+from ..pipeline.comparison import Row, row_of
+from ..results.export import ResultError
+from ..results.schema import Model, Result
+from ..support.numbers import number
+from .comparison import FIGURES, WHAT, named
+from .synthesis import tabulate
+
+
+class Assessed(NamedTuple):
+    """Errors of one result against a file.
+
+    Attributes:
+        path: of the result. row: its errors there. incidence: middles of intervals of theta_i (rad); rmse: over them.
+    """
+
+    path: Path
+    row: Row
+    incidence: np.ndarray
+    rmse: np.ndarray
+
+
+def assessed_result(path: Path, result: Result, against: Path) -> Assessed:
+    """A result's prediction, as the apparatus would have measured it, beside a file.
+
+    Raises:
+        merlfit.merl_io.binary.MerlError: the file cannot be used. ResultError: the fit failed.
+    """
+    if (model := result.model) is None:
+        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
+    measurement = inputs.read(against, dims=result.source.dims)
+    count = 3 if isinstance(measurement, Measurement) else len(measurement.bands)
+    if len(model.channels) != count:
+        raise ResultError(f"{path}: has {len(model.channels)} channels, and {measurement.path} {count}")
+    if not isinstance(measurement, Measurement):
+        return _assessed_scattered(path, result, model, measurement)
+    values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
+    grid, valid = merl_grid(measurement.dims), measurement.valid
+    found = errors(measurement.values, values, valid, grid)
+    curve = by_incidence(measurement.values, values, valid, grid)
+    return Assessed(path, replace(row_of(result), errors=found), *curve)
+
+
+def _assessed_scattered(path: Path, result: Result, model: Model, measurement: ScatteredMeasurement) -> Assessed:
+    """On the samples themselves; there are too few of an incidence for a curve."""
+    samples = weighted_samples(measurement)
+    assert isinstance(samples, ScatteredSamples)
+    values = {name: jnp.asarray(x) for name, x in result.values().items()}
+    found = scattered.errors(samples, predict_samples(model.measured, values, samples))
+    return Assessed(path, replace(row_of(result), errors=found), np.zeros(0), np.zeros(0))
+
+
+def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
+    """What `merlfit metrics` prints."""
+    where = f"its {'samples' if is_scattered(against) else 'bins of (theta_h, theta_d, phi_d)'}"
+    table = Table(
+        title=f"errors against {against} over {where}, both directions at theta < {THETA_MAX:g} rad",
+        title_justify="left", box=box.SIMPLE_HEAD, caption=WHAT, caption_justify="left",
+    )  # fmt: skip
+    for head in ("result", "model", *FIGURES.values()):
+        table.add_column(head, justify="left" if head in ("result", "model") else "right", overflow="fold")
+    for each in found:
+        figures = (number(getattr(each.row.errors, name), 3) for name in FIGURES)
+        table.add_row(str(each.path), named(each.row), *figures)
+    return table
+
+
+def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
+    """``metrics.csv``, ``by_incidence.csv`` and ``by_incidence.png``."""
+    lines = [{"result": str(f.path), "model": f.row.model, "variant": f.row.variant,
+              **{name: getattr(f.row.errors, name) for name in FIGURES}} for f in found]  # fmt: skip
+    curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
+              for k, x in enumerate(found[0].incidence)]  # fmt: skip
+    written = [folder / name for name in ("metrics.csv", "by_incidence.csv", "by_incidence.png")]
+    for path, table in zip(written, (lines, curves), strict=False):
+        out = io.StringIO()
+        writer = csv.DictWriter(out, list(table[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in line.items()} for line in table)
+        write_text(path, out.getvalue())
+        if not curves:
+            return written[:1]
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axis = figure.subplots()
+    for each in found:
+        axis.plot(
+            np.degrees(each.incidence), each.rmse, "o-", markersize=3, label=f"{each.row.material}: {named(each.row)}"
+        )
+    axis.set(yscale="log", xlabel=r"$\theta_i$ (deg)", ylabel="RMSE (1/sr)")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
+    save(figure, written[2])
+    return written
