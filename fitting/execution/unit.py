@@ -94,8 +94,8 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
         return Ended(Kind.FAILED, error=str(error), said=place.said if place else "")
     except Stopped as stop:
         kept = None
-        if place is not None:
-            with suppress(ResultError):  # what stood there before may be no result
+        if place is not None and place.written:
+            with suppress(ResultError):  # it may have been taken away
                 kept = read_result(place.path)
         return Ended(Kind.STOPPED, kept, said=place.said if place else "", code=stop.code)
     except Exception as error:  # of any kind: said with its name, and the next file has its turn

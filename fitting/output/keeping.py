@@ -97,6 +97,20 @@ class Place:
 
     def __init__(self, folder: Path, name: str) -> None:
         self.folder, self.path, self.said = folder, folder / f"{name}.json", ""
+        self._before = _which(self.path)
+
+    @property
+    def written(self) -> bool:
+        """Whether a result was written here since; one that stood here before is none."""
+        return _which(self.path) not in (None, self._before)
+
+
+def _which(path: Path) -> tuple[int, int] | None:
+    """Tells one file of a name from the next; None where there is none."""
+    with suppress(OSError):
+        found = path.stat()
+        return found.st_ino, found.st_mtime_ns
+    return None
 
 
 @contextmanager

@@ -5,16 +5,16 @@ import math
 
 import numpy as np
 import pytest
-from merlfit.fitting import cli
 from merlfit.fitting.pictures import subject
+from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.chain import ChainError, read_chain
 from merlfit.fitting.results.export import ResultError, read_result, write_result
 from merlfit.fitting.results.schema import Source
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
-from typer.testing import CliRunner
 
+from tests.support.command import call
 from tests.support.made_results import made
 
 
@@ -99,7 +99,7 @@ def test_every_command_refuses_an_edited_result_and_writes_nothing(command, tmp_
     out = tmp_path / "a" / "b"
     out.mkdir(parents=True)
     options = {"inspect": ["-o", out], "sample": [], "synth": ["-o", out / "x.binary"]}[command]
-    shown = CliRunner().invoke(cli.app, [command, *map(str, [path, *options])])
+    shown = call(command, path, *options)
     assert shown.exit_code == BAD_INPUT
     assert "is not the name of a file" in shown.stderr
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "b", "edited.json"]
@@ -192,7 +192,7 @@ def test_a_chain_with_a_flipped_bit_is_damaged(tmp_path):
 def test_sampling_a_finished_posterior_whose_chain_is_gone_is_refused(tmp_path):
     """It would have begun anew, and replaced the intervals by those of a chain that may be too short."""
     write_result(tmp_path / "nickel.json", made(posterior=True))
-    shown = CliRunner().invoke(cli.app, ["sample", str(tmp_path / "nickel.json")])
+    shown = call("sample", tmp_path / "nickel.json")
     assert shown.exit_code == BAD_INPUT
     assert "its chain nickel.chain.npz is not beside it: put it back, or fit again" in shown.stderr
     assert read_result(tmp_path / "nickel.json") == made(posterior=True)
@@ -200,7 +200,17 @@ def test_sampling_a_finished_posterior_whose_chain_is_gone_is_refused(tmp_path):
 
 def test_settings_of_another_version_in_a_result_are_one_line(tmp_path):
     path = edited(tmp_path, lambda d: d["config"].update(colour=1))
-    shown = CliRunner().invoke(cli.app, ["sample", str(path)])
+    shown = call("sample", path)
     assert shown.exit_code == BAD_INPUT
     assert "unknown key 'colour'" in shown.stderr
     assert shown.exception is None or isinstance(shown.exception, SystemExit)
+
+
+def test_damaged_draws_are_said_in_a_line(tmp_path):
+    path = tmp_path / "x.chain.npz"
+    np.savez(path, draws_free=np.arange(999.0))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 255
+    path.write_bytes(data)
+    with pytest.raises(ChainError, match=r"x\.chain\.npz: its draws are damaged; delete it"):
+        sampling._drawn(path)

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from merlfit.fitting import cli
 from merlfit.fitting.assess import picture
 from merlfit.fitting.output.synthesis import tabulate
 from merlfit.fitting.results.export import read_result
@@ -12,7 +11,8 @@ from merlfit.merl_io.binary import write
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
-from typer.testing import CliRunner
+
+from tests.support.command import call
 
 DIMS = (30, 30, 60)
 TRUTH = {
@@ -25,10 +25,6 @@ def file(tmp_path_factory):
     target = tmp_path_factory.mktemp("dims") / "coarse.binary"
     write(target, tabulate(lambda g: evaluate(Measured(GGX()), TRUTH, g), DIMS), dims=DIMS)
     return target
-
-
-def call(*words):
-    return CliRunner().invoke(cli.app, [str(word) for word in words])
 
 
 def test_other_dims_are_refused_until_they_are_asked_for(file, tmp_path):

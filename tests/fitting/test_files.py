@@ -1,23 +1,16 @@
 """Batches of files and the folder that they are written to; fits are stood in for, none is compiled."""
 
 import json
-import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import typer
-from merlfit.fitting import cli, files
+from merlfit.fitting import files
 from merlfit.fitting.execution import here, journal, unit
-from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.output import keeping
-from merlfit.fitting.output.inspection import file_of
 from merlfit.fitting.output.keeping import Complete, completeness, place_of
 from merlfit.fitting.pipeline.run import chain_of, fit_file
-from merlfit.fitting.posterior import sampling
-from merlfit.fitting.posterior.chain import ChainError
-from merlfit.fitting.posterior.importance import Posterior
 from merlfit.fitting.results.export import read_result, write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.terminal import BAD_INPUT, FAILED_FIT, Stopped
@@ -26,18 +19,14 @@ from merlfit.merl_io.binary import DIMS, MerlError, write
 from merlfit.model.measured import Measured
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
-from typer.testing import CliRunner
 
-from tests.support.made_results import made
+from tests.support.command import call
+from tests.support.made_results import made, put_result
 
 
 def results_in(folder):
     """Names in there, but for what a run says of itself."""
     return sorted(p.name for p in folder.iterdir() if p.name not in (journal.NAME, "logs"))
-
-
-def call(*words):
-    return CliRunner().invoke(cli.app, [str(w) for w in words])
 
 
 @pytest.fixture
@@ -50,16 +39,6 @@ def stand_in(monkeypatch):
         monkeypatch.setattr(files, "executor_of", lambda units, jobs, where: (here.Here(), 1))
 
     return put
-
-
-def put_result(out, posterior=None, chain=None, name="nickel", **kind):
-    """A result as a fit leaves it; chain: what is in the file beside it."""
-    out.mkdir(exist_ok=True, parents=True)
-    result = made(name, posterior=posterior, **kind)
-    write_result(out / f"{name}.json", result)
-    if chain is not None:
-        chain_of(out / f"{name}.json").write_text(chain)
-    return result
 
 
 @pytest.mark.parametrize(
@@ -194,24 +173,6 @@ def test_a_file_that_may_not_be_read_does_not_stop_the_batch(tmp_path, stand_in,
     assert (tmp_path / "fits" / "b.json").is_file()
 
 
-def test_quantiles_stay_when_only_the_chain_cannot_be_written(tmp_path, monkeypatch):
-    layout = layout_of(TwoScale("none", "off"))
-    draws = np.zeros((4, layout.size))
-    none = np.zeros(4)
-    chain = SimpleNamespace(arrays=dict)
-    found = Posterior(chain, draws, none + 0.25, none, 0.1, None, none, True, "long enough")
-    monkeypatch.setattr(sampling, "draw", lambda *_: found)
-    monkeypatch.setattr(sampling, "physical", lambda layout, draws: (draws + 1, {}))
-    fitted = SimpleNamespace(layout=layout, solution=SimpleNamespace(z=np.zeros(layout.size)))
-    path = tmp_path / "missing" / "x.chain.npz"
-    sampled = sampling.sample(fitted, None, 10, 0, path)
-    assert sampled.posterior.sufficient
-    assert np.all(sampled.values == 1)
-    assert sampled.posterior.message == (
-        f"long enough; the chain is not kept: {path}: cannot be written (No such file or directory)"
-    )
-
-
 def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
     target = tmp_path / "mine.binary"
     target.write_bytes(b"measured")
@@ -237,79 +198,6 @@ def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monk
     assert seen == [TwoScale("none"), Measured(TwoScale("none"))]
     refused = call("synth", "nickel", "-o", tmp_path / "x.binary", "--with-grazing-loss")
     assert refused.exit_code == BAD_INPUT
-
-
-def test_inspect_finds_the_file_of_a_project_that_moved(tmp_path, monkeypatch):
-    """The path in a result is relative to where the fit ran."""
-    project = tmp_path / "project"
-    (project / "data").mkdir(parents=True)
-    write(project / "data" / "nickel.binary", np.ones((3, *DIMS)))
-    put_result(project / "fits", path="data/nickel.binary")
-    shutil.move(project, tmp_path / "moved")
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    shown = call("inspect", tmp_path / "moved" / "fits" / "nickel.json", "-o", elsewhere)
-    assert "is not the file that was fitted" in shown.stderr  # found, and refused: another SHA-1
-
-
-def test_inspect_draws_a_fit_without_its_file_and_says_what_is_missing(tmp_path, compiled_quickly):
-    put_result(tmp_path, path="nowhere/nickel.binary")
-    shown = call("inspect", tmp_path / "nickel.json", "--pictures", "peak,errors")
-    assert shown.exit_code == 0
-    assert "the file is not shown: nowhere/nickel.binary" in shown.stderr
-    assert "name the file with --file" in shown.stderr
-    assert "not drawn: errors (they need the file)" in shown.stderr
-    assert [p.name for p in tmp_path.glob("*.png")] == ["nickel.peak.png"]
-    named = call("inspect", tmp_path / "nickel.json", "--pictures", "peak", "--file", tmp_path / "gone.binary")
-    assert named.exit_code == BAD_INPUT
-
-
-def test_inspect_that_draws_nothing_says_so_and_fails(tmp_path):
-    put_result(tmp_path, path="nowhere/nickel.binary")
-    shown = call("inspect", tmp_path / "nickel.json", "--pictures", "errors")
-    assert shown.exit_code == BAD_INPUT
-    assert "nothing was drawn" in shown.stderr
-    assert not list(tmp_path.glob("*.png"))
-
-
-def test_inspect_refuses_pictures_and_formats_that_there_are_not(tmp_path):
-    put_result(tmp_path)
-    assert (
-        "no such picture; there are spheres, lobes"
-        in call("inspect", tmp_path / "nickel.json", "--pictures", "x").stderr
-    )
-    assert "should be png, pdf or svg" in call("inspect", tmp_path / "nickel.json", "--format", "bmp").stderr
-
-
-def test_text_that_looks_like_markup_is_printed_as_it_is(tmp_path):
-    result = made(material="[bold]x", path="[red]nowhere")
-    result.parameters[0].meaning = "a [/] b"
-    result.parameters[1].unit = r"\frac{"
-    result.fit.message = "[/] ended"
-    write_result(tmp_path / "x.json", result)
-    shown = call("inspect", tmp_path / "x.json", "--pictures", "errors")
-    assert shown.exit_code == BAD_INPUT  # there is no file to draw
-    for text in ("[bold]x", "[red]nowhere", "a [/] b", r"\frac{", "[/] ended"):
-        assert text in shown.stdout
-
-
-def test_a_picture_of_broken_text_is_said_to_be_impossible(tmp_path):
-    result = put_result(tmp_path, posterior=True)
-    result.parameters[0].symbol = r"\frac{"
-    write_result(tmp_path / "nickel.json", result)
-    rng, names = np.random.default_rng(0), [q.name for q in result.parameters]
-    np.savez(
-        tmp_path / "nickel.chain.npz",
-        names=names,
-        values=rng.normal(size=(200, len(names))),
-        weights=np.full(200, 5e-3),
-    )
-    shown = call("inspect", tmp_path / "nickel.json", "--pictures", "corner")
-    assert shown.exit_code == BAD_INPUT
-    assert "nickel.corner.png: cannot be drawn" in shown.stderr
-    assert "Traceback" not in shown.stderr
-    assert keeping.completeness(tmp_path / "nickel.json") == Complete.INTERVALS
 
 
 def test_a_second_run_into_a_folder_is_refused(tmp_path, stand_in):
@@ -353,31 +241,29 @@ def test_a_fit_of_another_model_does_not_take_the_place_of_one(tmp_path, stand_i
     assert read_result(out / "nickel.2" / "nickel.json").model.name == "ggx"
 
 
-def test_the_file_of_a_fit_is_found_from_where_it_ran(tmp_path):
-    """Its name is relative to a folder that is none of those above the result."""
-    data = tmp_path / "data"
-    data.mkdir()
-    (data / "nickel.binary").write_bytes(b"measured")
-    result = made()
-    assert file_of(tmp_path / "fits" / "nickel.json", result) == Path("nickel.binary")
-    result.run.folder = str(data)
-    assert file_of(tmp_path / "fits" / "nickel.json", result) == data / "nickel.binary"
-
-
-def test_a_path_of_other_people_is_no_error(tmp_path):
-    named = made(path="x" * 5000)
-    assert file_of(tmp_path / "nickel.json", named) == Path("x" * 5000)
-
-
-def test_stopping_beside_what_is_no_result_is_no_error(tmp_path, monkeypatch):
+@pytest.mark.parametrize("before", ["{}", "a failed fit"])
+def test_what_stood_there_before_is_no_result_of_a_fit_that_is_stopped(before, tmp_path, monkeypatch):
     def stop(*_):
         raise Stopped()
 
-    (tmp_path / "nickel.json").write_text("{}")
+    put_result(tmp_path, succeeded=False)
+    if before == "{}":
+        (tmp_path / "nickel.json").write_text(before)
     monkeypatch.setattr(unit, "fit_file", stop)
     ended = unit.fit_unit(unit.Unit(Path("nickel.binary"), tmp_path, Config()))
     assert ended.kind is unit.Kind.STOPPED
     assert ended.result is None
+
+
+def test_what_was_written_before_a_stop_is_the_result(tmp_path, monkeypatch):
+    def stop(path, folder, *_):
+        put_result(folder)
+        raise Stopped()
+
+    put_result(tmp_path, succeeded=False)
+    monkeypatch.setattr(unit, "fit_file", stop)
+    ended = unit.fit_unit(unit.Unit(Path("nickel.binary"), tmp_path, Config()))
+    assert ended.result == made()
 
 
 def test_a_unit_that_ends_while_a_run_is_stopped_is_booked(tmp_path, monkeypatch, capsys):
@@ -397,36 +283,3 @@ def test_a_unit_that_ends_while_a_run_is_stopped_is_booked(tmp_path, monkeypatch
     lines = [json.loads(line) for line in (tmp_path / journal.NAME).read_text().splitlines()]
     assert [line["file"] for line in lines if line["event"] == "file"] == [str(tmp_path / "b.binary")]
     assert "b.json holds" not in capsys.readouterr().err
-
-
-def test_a_sampler_that_fails_is_said_in_a_line(tmp_path, monkeypatch):
-    def fail(*_):
-        raise RuntimeError("the sampler: out of memory")
-
-    put_result(tmp_path)
-    before = (tmp_path / "nickel.json").read_bytes()
-    monkeypatch.setattr("merlfit.fitting.output.sampling.resample", fail)
-    shown = call("sample", tmp_path / "nickel.json")
-    assert shown.exit_code == FAILED_FIT
-    assert "the sampler: out of memory; " in shown.output.replace("\n", " ")
-    assert "Traceback" not in shown.output
-    assert (tmp_path / "nickel.json").read_bytes() == before
-
-
-def test_a_damaged_chain_is_said_in_a_line(tmp_path):
-    path = tmp_path / "x.chain.npz"
-    np.savez(path, draws_free=np.arange(999.0))
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 255
-    path.write_bytes(data)
-    with pytest.raises(ChainError, match=r"x\.chain\.npz: its draws are damaged; delete it"):
-        sampling._drawn(path)
-
-
-def test_draws_stay_while_their_chain_is_continued(tmp_path):
-    """The result names them until there are new ones."""
-    drawn = {name: np.ones(3) for name in (*sampling.DRAWN, "derived_f0")}
-    np.savez(tmp_path / "nickel.chain.npz", names=np.array(["beta"]), chain_free=np.zeros((5, 2, 1)), **drawn)
-    assert sampling._drawn(tmp_path / "nickel.chain.npz").keys() == drawn.keys()
-    np.savez(tmp_path / "unfinished.npz", names=np.array(["beta"]), chain_free=np.zeros((5, 2, 1)))
-    assert sampling._drawn(tmp_path / "unfinished.npz") == {}

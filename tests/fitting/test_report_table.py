@@ -3,7 +3,6 @@
 import csv
 from pathlib import Path
 
-from merlfit.fitting import cli
 from merlfit.fitting.execution.journal import NAME, Journal
 from merlfit.fitting.execution.unit import Ended, Kind, Unit
 from merlfit.fitting.report.simulated import reproducing
@@ -12,15 +11,11 @@ from merlfit.fitting.results.export import write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.rivals.ggx import GGX
-from typer.testing import CliRunner
 
+from tests.support.command import call
 from tests.support.made_results import made
 
 ROOT = Path(__file__).parents[2]
-
-
-def call(*words):
-    return CliRunner().invoke(cli.app, ["table", *map(str, words)])
 
 
 def table_in(path):
@@ -41,7 +36,7 @@ def test_a_row_a_result_with_its_parameters_and_intervals(tmp_path):
     write_result(tmp_path / "ggx" / "nickel.json", rival)
     (tmp_path / ".merlfit-half").mkdir()
     write_result(tmp_path / ".merlfit-half" / "gold.json", sampled)
-    done = call(tmp_path)
+    done = call("table", tmp_path)
     assert done.exit_code == 0
     assert done.stdout == f"wrote {tmp_path}/table.csv: 2 CONVERGED, 1 STEP_LIMIT\n"
     rows = table_in(tmp_path / "table.csv")
@@ -72,7 +67,7 @@ def test_files_without_a_result_are_there_with_their_error(tmp_path):
     ended(tmp_path, tmp_path / "steel.binary", Kind.FAILED, "steel.binary: the disk is full")
     ended(tmp_path, tmp_path / "steel.binary", Kind.FITTED)
     (tmp_path / "alum.json").write_text("{")
-    done = call(tmp_path, "-o", tmp_path / "all.csv")
+    done = call("table", tmp_path, "-o", tmp_path / "all.csv")
     rows = {r["material"]: r for r in table_in(tmp_path / "all.csv")}
     assert {name: r["status"] for name, r in rows.items()} == {
         "alum": "unreadable", "brass": "bad input", "gold": "lost", "nickel": "CONVERGED",
@@ -87,18 +82,18 @@ def test_files_without_a_result_are_there_with_their_error(tmp_path):
 def test_no_cell_is_a_formula(tmp_path):
     result = made("=cmd()", path="@SUM(A1)")
     write_result(tmp_path / "odd.json", result)
-    call(tmp_path)
+    call("table", tmp_path)
     row = table_in(tmp_path / "table.csv")[0]
     assert (row["material"], row["file"]) == ("'=cmd()", "'@SUM(A1)")
 
 
 def test_where_there_is_nothing_that_is_said(tmp_path):
-    done = call(tmp_path)
+    done = call("table", tmp_path)
     assert (done.exit_code, done.stdout) == (BAD_INPUT, "")
     assert done.stderr.startswith(f"merlfit: {tmp_path}: no results in there")
-    assert call(tmp_path / "gone").stderr == f"merlfit: {tmp_path}/gone: no such folder\n"
+    assert call("table", tmp_path / "gone").stderr == f"merlfit: {tmp_path}/gone: no such folder\n"
     write_result(tmp_path / "nickel.json", made())
-    assert "cannot be written" in call(tmp_path, "-o", tmp_path / "none" / "a.csv").stderr
+    assert "cannot be written" in call("table", tmp_path, "-o", tmp_path / "none" / "a.csv").stderr
 
 
 def test_all_columns_are_documented():

@@ -6,7 +6,6 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting import cli
 from merlfit.fitting.assess import scattered as assess
 from merlfit.fitting.objective.problem import Arrangement, make_problem
 from merlfit.fitting.objective.residuals import Objective, predict_samples
@@ -25,10 +24,10 @@ from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
-from typer.testing import CliRunner
 
 from tests import spectral
 from tests.support import rgl_files
+from tests.support.command import call
 
 FOUR = Bands(("420nm", "500nm", "600nm", "680nm"), (0.42, 0.5, 0.6, 0.68))
 GLOSSY = {
@@ -51,10 +50,6 @@ def file(tmp_path_factory):
     values = np.asarray(evaluate(model, GLOSSY, where, FOUR.wavelengths_um))
     spectral.write_csv(target, spectral.directions(120), values, FOUR.names)
     return target
-
-
-def call(*words):
-    return CliRunner().invoke(cli.app, [str(word) for word in words])
 
 
 def test_weights_are_the_share_times_that_of_the_value(file):

@@ -6,15 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from merlfit.fitting import scenes, spheres
-from merlfit.fitting.cli import app
 from merlfit.fitting.pictures.labelled import MARGIN, labelled
 from merlfit.fitting.pictures.style import save
 from merlfit.fitting.results.export import write_result
 from merlfit.scene import effects
 from merlfit.scene.images import read_map
 from PIL import Image
-from typer.testing import CliRunner
 
+from tests.support.command import call
 from tests.support.made_results import made
 
 ROOT = Path(__file__).parents[2]
@@ -42,10 +41,6 @@ def small(monkeypatch):
     monkeypatch.setattr(spheres, "STUDIO", studio.model_copy(update={"camera": camera, "samples": 4}))
 
 
-def run(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
 def scene(folder, material):
     path = folder / "scene.toml"
     path.write_text(SMALL + material)
@@ -60,7 +55,7 @@ def result(tmp_path):
 
 
 def test_a_scene_is_planned_rendered_and_compared(tmp_path):
-    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out")
+    found = call("render", scene(tmp_path, GGX), "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     report = json.loads((tmp_path / "out" / "render.json").read_text())
     assert report["within"] is True
@@ -71,14 +66,14 @@ def test_a_scene_is_planned_rendered_and_compared(tmp_path):
     assert np.asarray(Image.open(tmp_path / "out" / "picture.png")).max() > 100
     for name in ("all_effects.exr", "all_effects.png", "difference.exr", "difference.png"):
         assert (tmp_path / "out" / name).is_file()
-    again = run("render", scene(tmp_path, GGX), "-o", tmp_path / "again", "--no-check")
+    again = call("render", scene(tmp_path, GGX), "-o", tmp_path / "again", "--no-check")
     assert again.exit_code == 0
     np.testing.assert_array_equal(read_map(tmp_path / "again" / "picture.exr"), picture)
     assert not (tmp_path / "again" / "all_effects.exr").exists()
 
 
 def test_effects_of_a_result_in_a_scene(tmp_path, result):
-    found = run("effects", scene(tmp_path, f'result = "{result.name}"\nparameters = {{ sigma_s = 1e-6 }}\n'))
+    found = call("effects", scene(tmp_path, f'result = "{result.name}"\nparameters = {{ sigma_s = 1e-6 }}\n'))
     assert found.exit_code == 0, found.output
     rows = [line for line in found.output.splitlines() if "│ diffraction " in line]
     assert len(rows) == 1
@@ -86,11 +81,11 @@ def test_effects_of_a_result_in_a_scene(tmp_path, result):
 
 
 def test_a_result_is_a_sphere_and_a_grid_of_them(tmp_path, result):
-    found = run("render", result, "-o", tmp_path / "out")
+    found = call("render", result, "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     assert np.asarray(Image.open(tmp_path / "out" / "nickel.png")).shape == (12, 12, 3)
     assert "the fit alone" in found.output
-    found = run("render", result, "--vary", "sigma_s=0.5,1,2", "--vary", "b=0.5,2", "-o", tmp_path / "out")
+    found = call("render", result, "--vary", "sigma_s=0.5,1,2", "--vary", "b=0.5,2", "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     grid = np.asarray(Image.open(tmp_path / "out" / "nickel.sigma_s-b.png"))[MARGIN:, MARGIN:, :3]
     assert grid.shape == (24, 36, 3)
@@ -119,7 +114,7 @@ def test_words_beside_pictures_change_none_of_their_pixels(tmp_path):
     ],
 )
 def test_materials_that_cannot_be_used(tmp_path, material, said):
-    found = run("effects", scene(tmp_path, material))
+    found = call("effects", scene(tmp_path, material))
     assert found.exit_code == 2
     assert said in found.output
     assert "Traceback" not in found.output
@@ -127,7 +122,7 @@ def test_materials_that_cannot_be_used(tmp_path, material, said):
 
 @pytest.mark.parametrize("vary", ["sigma_s", "sigma_s=a", "sigma_s=-1,2", "sigma=1,2"])
 def test_what_cannot_be_varied(tmp_path, result, vary):
-    found = run("render", result, "--vary", vary, "-o", tmp_path)
+    found = call("render", result, "--vary", vary, "-o", tmp_path)
     assert found.exit_code == 2
     assert "--vary" in found.output or "no parameter sigma" in found.output
 
@@ -140,7 +135,7 @@ def test_the_scenes_that_are_shipped_can_be_read(name):
 
 @pytest.mark.parametrize("to", ["mitsuba", "json", "merl"])
 def test_exports(tmp_path, result, to):
-    found = run("export", result, "--to", to, "-o", tmp_path / "out")
+    found = call("export", result, "--to", to, "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     out = tmp_path / "out"
     if to == "mitsuba":
@@ -170,7 +165,7 @@ def test_a_spectral_material_is_exported_where_no_picture_is_needed(tmp_path, mo
     four.model.channels.append("700nm")
     for module in (exports, synthesis):
         monkeypatch.setattr(module, "read_result", lambda path: four)
-    found = run("export", "nickel.json", "--to", to, "-o", tmp_path)
+    found = call("export", "nickel.json", "--to", to, "-o", tmp_path)
     assert found.exit_code == (2 if said else 0)
     assert said in found.output
     assert (tmp_path / "nickel.material.json").is_file() == (to == "json")
@@ -198,13 +193,13 @@ def test_the_nearest_ggx_of_ggx_is_itself(tmp_path, monkeypatch):
     asset = json.loads(exports.to_gltf("gold", nearest, "GGX", tmp_path).read_text())
     assert asset["materials"][0]["extras"]["merlfit"]["error"] == nearest["error"]
     write(tmp_path / "gold.binary", values)
-    found = run("export", tmp_path / "gold.binary", "--to", "mitsuba", "-o", tmp_path / "measured")
+    found = call("export", tmp_path / "gold.binary", "--to", "mitsuba", "-o", tmp_path / "measured")
     assert found.exit_code == 0, found.output
 
 
 @pytest.mark.parametrize(("words", "said"), [(("--to", "blend"), "none of mitsuba"), (("--to", "json"), "fit it for")])
 def test_what_cannot_be_exported(tmp_path, words, said):
-    found = run("export", tmp_path / "x.binary", *words)
+    found = call("export", tmp_path / "x.binary", *words)
     assert found.exit_code == 2
     assert said in found.output
 
@@ -220,7 +215,7 @@ def test_a_fit_beside_its_file(tmp_path, monkeypatch):
     write(tmp_path / "nickel.binary", tabulate(lambda g: evaluate(model, values, g, whole.model.wavelengths_um)))
     sha1 = read(tmp_path / "nickel.binary").sha1
     write_result(tmp_path / "nickel.json", made(path=str(tmp_path / "nickel.binary"), sha1=sha1))
-    found = run("render", tmp_path / "nickel.json", "-o", tmp_path / "out")
+    found = call("render", tmp_path / "nickel.json", "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     picture = np.asarray(Image.open(tmp_path / "out" / "nickel.png"))[MARGIN:, :, :3]
     assert picture.shape == (12, 36, 3)
@@ -233,16 +228,16 @@ def test_a_fit_beside_its_file(tmp_path, monkeypatch):
 
 def test_a_picture_that_misses_the_tolerance_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(effects, "allowed", lambda tolerance: 1e9)  # a plan that drops everything
-    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out")
+    found = call("render", scene(tmp_path, GGX), "-o", tmp_path / "out")
     assert found.exit_code == 1
     assert "--all-effects" in found.output
-    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out", "--all-effects", "--seed", "3")
+    found = call("render", scene(tmp_path, GGX), "-o", tmp_path / "out", "--all-effects", "--seed", "3")
     assert found.exit_code == 0, found.output
 
 
 @pytest.mark.parametrize("words", [("--seed", 2**70), ("--samples", 10**9)])
 def test_numbers_out_of_range(tmp_path, words):
-    found = run("render", scene(tmp_path, GGX), "-o", tmp_path / "out", *words)
+    found = call("render", scene(tmp_path, GGX), "-o", tmp_path / "out", *words)
     assert found.exit_code == 2
     assert words[0] in found.output
 
@@ -250,6 +245,6 @@ def test_numbers_out_of_range(tmp_path, words):
 def test_a_camera_that_sees_nothing(tmp_path):
     path = scene(tmp_path, GGX)
     path.write_text(path.read_text().replace("position = [0, 0, 6]", "position = [0, 0, 6]\nlook_at = [0, 0, 12]"))
-    found = run("effects", path)
+    found = call("effects", path)
     assert found.exit_code == 2
     assert "no pixel sees a" in found.output

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.pipeline.run import chain_of
 from merlfit.fitting.results import export, schema
 from merlfit.fitting.settings.config import Config
 from merlfit.merl_io.bands import MERL
@@ -69,3 +70,13 @@ def posterior_part(layout, material, sufficient):
         coordinates=list(layout.coordinates), autocorrelation_steps=each, r_hat=each, bulk_size=each, tail_size=each,
         effective_size=each, contraction=each, chain_file=f"{material}.chain.npz",
     )  # fmt: skip
+
+
+def put_result(out, posterior=None, chain=None, name="nickel", **kind):
+    """A result as a fit leaves it; chain: what is in the file beside it."""
+    out.mkdir(exist_ok=True, parents=True)
+    result = made(name, posterior=posterior, **kind)
+    export.write_result(out / f"{name}.json", result)
+    if chain is not None:
+        chain_of(out / f"{name}.json").write_text(chain)
+    return result
