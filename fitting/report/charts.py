@@ -9,6 +9,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import count
 from typing import Any
 
 import vl_convert
@@ -20,6 +21,8 @@ Spec = dict[str, Any]
 SCALES = ("cube root", "logarithmic", "linear")
 SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
 WIDTH, HEIGHT = 620, 300
+PADDING = 12  # pixels between marks and the plot's edges
+NARROW = 8.0  # times its lower end, up to which a logarithmic axis has room for a word at each tick
 EXPOSED = "window.vegaEmbed = vegaEmbed;"
 
 
@@ -158,6 +161,7 @@ def sorted_errors(rows: Rows, figures: Mapping[str, str]) -> Spec:
             ranks[name, row["model"]] += 1
             common = {key: row[key] for key in ("material", "model", "page")}
             long.append({"figure": said, "rank": ranks[name, row["model"]], "value": row[name]} | common)
+    last = max(ranks.values())
     return _chart() | {
         "data": _data(long),
         "params": [{"name": "figure", "value": next(iter(figures.values())),
@@ -167,9 +171,9 @@ def sorted_errors(rows: Rows, figures: Mapping[str, str]) -> Spec:
         "mark": {"type": "point", "filled": True, "size": 26, "cursor": "pointer"},
         "encoding": {
             "x": {"field": "rank", "type": "quantitative", "title": "results, the best first",
-                  "axis": {"tickMinStep": 1}},
-            "y": {"field": "value", "type": "quantitative", "title": "error", "scale": {"type": "log"},
-                  "axis": {"format": ".2~g"}},
+                  "scale": {"domain": [0.5, last + 0.5], "nice": False},
+                  "axis": {"values": _ranks(last), "format": "d"}},
+            "y": {"field": "value"} | _log_axis("y", "figure"),
             "color": _by_model(rows), "href": {"field": "page"},
             "tooltip": [_tip("material", "material", None), _tip("model", "model", None), _tip("value", "error")],
         },
@@ -187,9 +191,9 @@ def time_against_error(rows: Rows, figures: Mapping[str, str]) -> Spec:
         "width": WIDTH // 2 - 40, "height": HEIGHT * 3 // 4,
         "mark": {"type": "point", "filled": True, "size": 26, "cursor": "pointer"},
         "encoding": {
-            "x": {"field": "seconds", "type": "quantitative", "title": "seconds a file", "scale": {"zero": False}},
-            "y": {"field": "value", "type": "quantitative", "title": "error", "scale": {"type": "log"},
-                  "axis": {"format": ".2~g"}},
+            "x": {"field": "seconds", "type": "quantitative", "title": "seconds a file",
+                  "scale": {"zero": False, "nice": False, "padding": PADDING}},
+            "y": {"field": "value"} | _log_axis("y", "figure"),
             "color": _by_model(rows), "href": {"field": "page"},
             "tooltip": [_tip("material", "material", None), _tip("model", "model", None), _tip("value", "error"),
                         _tip("seconds", "seconds")],
@@ -197,11 +201,12 @@ def time_against_error(rows: Rows, figures: Mapping[str, str]) -> Spec:
     }  # fmt: skip
 
 
-def parameters(rows: Rows, names: Sequence[str]) -> Spec:
+def parameters(rows: Rows, names: Sequence[str], units: Mapping[str, str]) -> Spec:
     """Two parameters of all results with their intervals; a click opens the page.
 
     Args:
         rows: ``material``, ``model``, ``page``, and ``NAME``, ``NAME_low``, ``NAME_high`` of the parameters it has.
+        units: by name, of the parameters that have one.
     """
     first, second = (*names, *names)[:2]
     transform: list[Spec] = []
@@ -209,11 +214,8 @@ def parameters(rows: Rows, names: Sequence[str]) -> Spec:
         for ending in ("", "_low", "_high"):
             transform.append({"calculate": f"datum[{axis}_name + '{ending}']", "as": f"{axis}{ending}"})
     transform.append({"filter": "isValid(datum.x) && isValid(datum.y) && datum.x > 0 && datum.y > 0"})
-    both = {
-        axis: {"field": axis, "type": "quantitative", "title": said, "scale": {"type": "log", "nice": False},
-               "axis": {"format": ".2~g"}}
-        for axis, said in (("x", "across"), ("y", "up"))
-    }  # fmt: skip
+    of = json.dumps({name: f" ({unit})" for name, unit in units.items()}, ensure_ascii=False)
+    both = {axis: {"field": axis} | _log_axis(axis, f"{axis}_name + ({of}[{axis}_name] || '')") for axis in "xy"}
 
     def interval(axis: str) -> Spec:
         low, high = f"{axis}_low", f"{axis}_high"
@@ -239,6 +241,25 @@ def parameters(rows: Rows, names: Sequence[str]) -> Spec:
             },
         }],
     }  # fmt: skip
+
+
+def _log_axis(axis: str, title: str) -> Spec:
+    """Logarithmic, with room at both ends; more than most of a decade has words at 1, 2 and 5 alone.
+
+    Args:
+        title: an expression.
+    """
+    first = "round(datum.value / pow(10, floor(log(datum.value) / LN10 + 1e-9)))"
+    narrow = f"domain('{axis}')[1] < {NARROW:g} * domain('{axis}')[0]"
+    words = f"{narrow} || indexof([1, 2, 5], {first}) >= 0 ? format(datum.value, '.3~g') : ''"
+    return {"type": "quantitative", "scale": {"type": "log", "nice": False, "padding": PADDING},
+            "axis": {"title": {"expr": title}, "labelExpr": words}}  # fmt: skip
+
+
+def _ranks(last: int) -> list[int]:
+    """Round whole numbers from 1 to the last, about eight."""
+    step = next(step for k in count() for m in (1, 2, 5) if last <= 8 * (step := m * 10**k))
+    return sorted({1, *range(step, last + 1, step)})
 
 
 def _chart() -> Spec:

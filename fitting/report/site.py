@@ -4,7 +4,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cache
@@ -19,11 +19,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ...merl_io.atomic import write_text
+from ...model.registry import models
 from ..assess.identifiability import in_words
 from ..execution.pool import jobs_for
 from ..output.comparison import group_of
 from ..output.inspection import file_of
 from ..output.report import accuracy_line, fitted_line, interval, number
+from ..pictures.corner import UNITS
 from ..pictures.prediction import PEAK_DIFFERENCE_DEG
 from ..pictures.subject import Subject, subject_of
 from ..results.export import read_result
@@ -241,7 +243,8 @@ def _index(folder: Path, rows: Sequence[Page]) -> str:
         known = {n: said for n, said in FIGURES.items() if any(row[n] is not None for row in charted)}
         specs = {"sorted": charts.sorted_errors(charted, known), "time": charts.time_against_error(charted, known)}
         if counts:
-            specs["parameters"] = charts.parameters(charted, [name for name, _ in counts.most_common()])
+            names = [name for name, _ in counts.most_common()]
+            specs["parameters"] = charts.parameters(charted, names, _units({row["model"] for row in charted}, names))
     return _templates().get_template("index.html").render(
         rows=rows, folder=folder.resolve().name, number=number, errors=FIGURES,
         kinds=Counter(str(row["data"]) for row in shown if row["data"]).most_common(),
@@ -251,6 +254,18 @@ def _index(folder: Path, rows: Sequence[Page]) -> str:
         **_embedded(specs),
         medians={n: _median([row[n] for row in shown]) for n in (*FIGURES, "seconds")},
     )  # fmt: skip
+
+
+def _units(known: Set[str], names: Sequence[str]) -> dict[str, str]:
+    """Of parameters, by their names in the table, where all models agree on one."""
+    found: dict[str, set[str]] = {}
+    for q in (q for name in known & models().keys() for model in models()[name].variants() for q in model.parameters):
+        found.setdefault(q.name, set()).add(q.unit)
+    own = {
+        name: max((q for q in found if name == q or name.startswith(f"{q}_")), key=len, default="") for name in names
+    }
+    agreed = {q: UNITS.get(*units, *units) for q, units in found.items() if len(units) == 1}
+    return {name: agreed[q] for name, q in own.items() if agreed.get(q)}
 
 
 def _median(values: Sequence[float | None]) -> float | None:

@@ -18,6 +18,7 @@ from merlfit.fitting.pictures.peak import half_width
 from merlfit.fitting.pictures.subject import Subject
 from merlfit.fitting.pipeline.run import chain_of
 from merlfit.fitting.report import charts, rows
+from merlfit.fitting.report.site import _units
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.merl_io.binary import read, write
@@ -182,6 +183,37 @@ def test_a_chart_is_drawn_without_a_browser():
     assert "seconds a file" in drawn
     assert 'id="clip' not in drawn
     assert "aria-label" not in drawn
+
+
+def test_axes_say_what_they_show_and_cut_nothing_off():
+    rows = [
+        {"material": name, "model": "two-scale", "page": "p", "seconds": 2.0, "rmse": rmse, "sigma_s": x, "p": x,
+         "sigma_s_low": x / 2, "sigma_s_high": 2 * x, "p_low": x / 2, "p_high": 2 * x}
+        for name, rmse, x in (("a", 0.1, 0.3), ("b", 0.2, 0.9))
+    ]  # fmt: skip
+    ranked = charts.svg(charts.sorted_errors(rows, {"rmse": "RMSE (1/sr)"}))
+    assert ">RMSE (1/sr)</text>" in ranked
+    assert ">1</text>" in ranked
+    assert not re.search(r">\d?\.5</text>", ranked)
+    names = ["sigma_s", "p", "n_R", "c_two"]
+    units = _units({"two-scale"}, names)
+    assert units == {"sigma_s": "µm"}
+    shown = charts.svg(charts.parameters(rows, names, units))
+    assert ">sigma_s (µm)</text>" in shown
+    assert ">p</text>" in shown
+    lines = [
+        float(x)
+        for x in re.findall(r'<line transform="translate\((\S+),\S+\)" x2="\S+" y2="0" stroke="#0072B2"', shown)
+    ]
+    assert len(lines) == 2
+    assert min(lines) > charts.PADDING - 1
+
+
+@pytest.mark.parametrize(
+    ("last", "ticks"), [(1, [1]), (2, [1, 2]), (9, [1, 2, 4, 6, 8]), (100, [1, 20, 40, 60, 80, 100])]
+)
+def test_ranks_are_whole_numbers(last, ticks):
+    assert charts._ranks(last) == ticks
 
 
 @pytest.fixture(scope="module")
