@@ -1,7 +1,7 @@
 """Corner plots of a posterior."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import corner as drawing
 import numpy as np
@@ -18,6 +18,10 @@ WATERMARK = "CHAIN TOO SHORT"
 UNITS = {"1": "", "um": "µm"}
 MARGIN = 0.56  # inches, left and below
 LINE = 1.25 * LETTERS / 72  # inches
+EDGE = 0.05  # inches, to the right
+GAP = 0.08  # between panels, of a panel
+APART = 1.1 * SMALL / 72  # inches from the middle of a tick's digits to the next one's
+MOST_TICKS = 3
 LETTER = 0.58 * SMALL / 72  # inches of a digit
 
 
@@ -48,7 +52,7 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
     ranges = [
         _range(low, high, q.value, scale) for q, (low, _, _, high), scale in zip(names, bounds, scales, strict=True)
     ]
-    heading = f"{subject.heading}\nred: fit; dashed, in brackets: 5 and 95 %{said}"
+    heading = f"{subject.heading}\norange: fit; dashed, in brackets: 5 and 95 %{said}"
     head = LINE * len(heading.splitlines()) + 0.06
     figure = new(width + head - 0.05, width, layout=None)
     figure.text(0.5, 1 - 0.03 / figure.get_figheight(), heading, ha="center", va="top")
@@ -64,16 +68,16 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
         line.set(markersize=2, linewidth=0.6)  # which corner takes no word of
     for k, (q, (_, low, high, _)) in enumerate(zip(names, bounds, strict=True)):
         axes[-1, k].set_xlabel(label(q))
-        axes[-1, k].xaxis.set_label_coords(0.5, -(MARGIN - 0.12) / _panel(width, len(names)))
+        axes[-1, k].xaxis.set_label_coords(0.5, -(MARGIN - 0.15) / _panel(width, len(names)))
         if k:
             axes[k, 0].set_ylabel(label(q))
-            axes[k, 0].yaxis.set_label_coords(-(MARGIN - 0.12) / _panel(width, len(names)), 0.5)
+            axes[k, 0].yaxis.set_label_coords(-(MARGIN - 0.15) / _panel(width, len(names)), 0.5)
         for x in (low, high):
             axes[k, k].axvline(x, color="black", linewidth=0.5, linestyle="--")
-        _ticks_of(axes, k, _ticks(*ranges[k], scales[k]))
+        _ticks_of(axes, k, _ticks(*ranges[k], scales[k], _panel(width, len(names))))
     high = figure.get_figheight()
     figure.subplots_adjust(
-        left=MARGIN / width, bottom=MARGIN / high, right=1 - 0.05 / width, top=1 - head / high, wspace=0.08, hspace=0.08
+        left=MARGIN / width, bottom=MARGIN / high, right=1 - EDGE / width, top=1 - head / high, wspace=GAP, hspace=GAP
     )
     _table(figure, names, bounds, 1 - head / high)
     posterior = subject.result.posterior
@@ -83,7 +87,8 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
 
 
 def _panel(width: float, count: int) -> float:
-    return (width - MARGIN) / count
+    """Its inches."""
+    return (width - MARGIN - EDGE) / (count + GAP * (count - 1))
 
 
 def _table(figure: Figure, names: Sequence[ParameterResult], bounds: Sequence, top: float) -> None:
@@ -133,23 +138,38 @@ def _range(low: float, high: float, value: float, scale: str) -> tuple[float, fl
     return float(back(a - margin)), float(back(b + margin))
 
 
-def _ticks(low: float, high: float, scale: str) -> list[float]:
-    """Two or three round numbers."""
+def _ticks(low: float, high: float, scale: str, panel: float) -> list[float]:
+    """Two or three round numbers, as far apart as letters need, the neighbour's included.
+
+    Args:
+        panel: inches.
+    """
+    forward = np.log if scale == "log" else np.asarray
+    first, last = forward(low), forward(high)
+    best: list[float] = []
+    for found in _round_numbers(low, high, scale):
+        places = {x: float((forward(x) - first) / (last - first)) * panel for x in found if low < x < high}
+        inside = [
+            x for x, place in places.items() if APART / 2 <= place + GAP * panel / 2 <= (1 + GAP) * panel - APART / 2
+        ]
+        for stride in range(1, max(len(inside), 1) + 1):
+            kept = inside[::stride]
+            if len(kept) <= MOST_TICKS and np.all(np.diff([places[x] for x in kept]) >= APART):
+                if len(kept) > 1:
+                    return kept
+                best = best or kept
+    return best or [float(np.sqrt(low * high)) if scale == "log" else (low + high) / 2]
+
+
+def _round_numbers(low: float, high: float, scale: str) -> Iterator[list[float]]:
+    """Series of them over an axis, the coarsest first."""
     if scale == "log" and high / low > WIDE_AXIS:
-        decades = range(int(np.ceil(np.log10(low))), int(np.floor(np.log10(high))) + 1)
-        found = [10.0**k for k in decades]
-        if len(found) < 2:
-            found = [x for k in range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high)))) for m in (1, 3)
-                     if low <= (x := m * 10.0**k) <= high]  # fmt: skip
-        return found[:: -(-len(found) // 3)] if found else [float(np.sqrt(low * high))]
-    inner = (high - low) / 20
-    found: list[float] = []
-    for count in range(2, 9):
+        decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+        for digits in ((1,), (1, 3), (1, 2, 5)):
+            yield [float(f"{m}e{k}") for k in decades for m in digits]
+    for count in range(2, 13):
         steps = MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
-        found = [float(np.round(x, 12)) for x in steps if low + inner < x < high - inner]
-        if len(found) > 1:
-            break
-    return found
+        yield [float(np.round(x, 12)) for x in steps]
 
 
 def _mark(axis: Axis, ticks: list[float], said: list[str]) -> None:

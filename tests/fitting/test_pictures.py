@@ -256,6 +256,19 @@ def test_the_corner_plot_has_units_scales_values_and_ticks(name, scale):
         assert all(float(text) == pytest.approx(tick, rel=1e-4) for text, tick in zip(said, ticks, strict=True))
 
 
+@pytest.mark.parametrize(("scale", "forward"), [("linear", np.asarray), ("log", np.log)])
+@pytest.mark.parametrize("panel", [0.24, 0.28, 0.4, 1.5])
+def test_ticks_of_neighbours_do_not_collide(panel, scale, forward):
+    rng = np.random.default_rng(1)
+    room = panel * (1 + corner.GAP)  # to where the next panel begins
+    for low, wide in zip(10 ** rng.uniform(-5, 2, 200), 10 ** rng.uniform(0.02, 4, 200), strict=True):
+        ticks = corner._ticks(low, low * wide, scale, panel)
+        places = (forward(ticks) - forward(low)) / (forward(low * wide) - forward(low)) * panel
+        assert 1 <= len(ticks) <= 3
+        assert np.all((places > 0) & (places < panel))
+        assert np.min(np.diff([*places, places[0] + room])) >= 0.99 * corner.APART or len(ticks) == 1
+
+
 @pytest.mark.parametrize("name", ["corner", "corner-all"])
 def test_no_letters_of_the_corner_plot_lie_on_a_panel(name, subject):
     figure = PICTURES[name].draw(subject)
