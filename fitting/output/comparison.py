@@ -181,7 +181,7 @@ def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data:
     write_text(written[0], _csv(rows))
     write_text(written[1], text)
     write_text(written[2], PAGE.format(title=escape(title), page=page))
-    save(sorted_errors(rows, title), written[3])
+    save(sorted_errors(rows, f"{title}\ndata: {data}"), written[3])
     return written
 
 

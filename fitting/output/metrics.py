@@ -21,13 +21,13 @@ from ...merl_io.inputs import is_scattered
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.reflectance import evaluate
 from ..assess import scattered
-from ..assess.metrics import by_incidence, errors
+from ..assess.metrics import Errors, by_incidence, errors
 from ..objective.residuals import predict_samples
 from ..objective.weights import THETA_MAX, weighted_samples
 from ..pictures.style import save
 from ..pipeline.comparison import Row, row_of
 from ..results.export import ResultError
-from ..results.schema import Model, Result
+from ..results.schema import UNSAID, Model, Result, genuine_words
 from ..support.numbers import number
 from .comparison import FIGURES, WHAT, named
 from .synthesis import tabulate
@@ -37,11 +37,14 @@ class Assessed(NamedTuple):
     """Errors of one result against a file.
 
     Attributes:
-        path: of the result. row: its errors there. incidence: middles of intervals of theta_i (rad); rmse: over them.
+        path: of the result. row: its errors there. against: the file; data: what that is, in words.
+        incidence: middles of intervals of theta_i (rad); rmse: over them.
     """
 
     path: Path
     row: Row
+    against: Path
+    data: str
     incidence: np.ndarray
     rmse: np.ndarray
 
@@ -58,22 +61,24 @@ def assessed_result(path: Path, result: Result, against: Path) -> Assessed:
     count = 3 if isinstance(measurement, Measurement) else len(measurement.bands)
     if len(model.channels) != count:
         raise ResultError(f"{path}: has {len(model.channels)} channels, and {measurement.path} {count}")
+    same = measurement.sha1 == result.source.sha1
+    data = result.data_words if same else genuine_words(measurement.genuine) if measurement.genuine else UNSAID
     if not isinstance(measurement, Measurement):
-        return _assessed_scattered(path, result, model, measurement)
+        found = _errors_scattered(result, model, measurement)
+        return Assessed(path, replace(row_of(result), errors=found), against, data, np.zeros(0), np.zeros(0))
     values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
     grid, valid = merl_grid(measurement.dims), measurement.valid
     found = errors(measurement.values, values, valid, grid)
     curve = by_incidence(measurement.values, values, valid, grid)
-    return Assessed(path, replace(row_of(result), errors=found), *curve)
+    return Assessed(path, replace(row_of(result), errors=found), against, data, *curve)
 
 
-def _assessed_scattered(path: Path, result: Result, model: Model, measurement: ScatteredMeasurement) -> Assessed:
+def _errors_scattered(result: Result, model: Model, measurement: ScatteredMeasurement) -> Errors:
     """On the samples themselves; there are too few of an incidence for a curve."""
     samples = weighted_samples(measurement)
     assert isinstance(samples, ScatteredSamples)
     values = {name: jnp.asarray(x) for name, x in result.values().items()}
-    found = scattered.errors(samples, predict_samples(model.measured, values, samples))
-    return Assessed(path, replace(row_of(result), errors=found), np.zeros(0), np.zeros(0))
+    return scattered.errors(samples, predict_samples(model.measured, values, samples))
 
 
 def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
@@ -93,7 +98,8 @@ def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
 
 def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
     """``metrics.csv``, ``by_incidence.csv`` and ``by_incidence.png``."""
-    lines = [{"result": str(f.path), "model": f.row.model, "variant": f.row.variant,
+    lines = [{"result": str(f.path), "against": str(f.against), "data": f.data, "model": f.row.model,
+              "variant": f.row.variant,
               **{name: getattr(f.row.errors, name) for name in FIGURES}} for f in found]  # fmt: skip
     curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
               for k, x in enumerate(found[0].incidence)]  # fmt: skip
@@ -115,5 +121,6 @@ def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
     axis.set(yscale="log", xlabel=r"$\theta_i$ (deg)", ylabel="RMSE (1/sr)")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
+    figure.suptitle(f"errors against {found[0].against.name} by the light's angle\ndata: {found[0].data}", fontsize=10)
     save(figure, written[2])
     return written

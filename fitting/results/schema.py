@@ -16,7 +16,7 @@ from .strict import Many, Strict
 __all__ = [
     "OLDER", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction", "Fit",
     "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result", "Run",
-    "Source", "Tried", "this_run",
+    "Source", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
 SCHEMA_VERSION = "2.2"
 OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1")  # versions that are read, too: `upgraded` makes them this one
@@ -86,7 +86,7 @@ class Result(Strict):
     def data_words(self) -> str:
         """What the file is, as far as that is known: by its SHA-1, or because the fit was told (``input.origin``)."""
         if self.source.genuine_merl:
-            return f"genuine MERL measurement {self.source.genuine_merl}"
+            return genuine_words(self.source.genuine_merl)
         section = self.config.get("input")
         origin = section.get("origin") if isinstance(section, dict) else None
         return f"{origin} (stated, not checked)" if origin else UNSAID
@@ -102,6 +102,11 @@ class Result(Strict):
             grouped.setdefault(q.parameter, []).append(q.value if flat is None else float(flat[k]))
         single = {q.parameter for q in self.parameters if q.channel is None}
         return {name: v[0] if name in single else np.array(v) for name, v in grouped.items()}
+
+
+def genuine_words(name: str) -> str:
+    """What a file is that has the SHA-1 of one of MERL's."""
+    return f"genuine MERL measurement {name}"
 
 
 def _expected_parameters(model: Model) -> list[tuple[str, str, str | None]]:

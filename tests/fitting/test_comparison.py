@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,6 +84,14 @@ def test_a_file_is_compared_and_gone_on_with(file, tmp_path, monkeypatch):
     curve = list(csv.reader((tmp_path / "m" / "by_incidence.csv").read_text().splitlines()))
     assert len(curve) == 15
     assert (tmp_path / "m" / "by_incidence.png").stat().st_size > 5000
+
+
+def test_metrics_say_what_the_file_is(tmp_path):
+    fit, around = Path("fits/nickel.json"), np.array([0.1, 0.2])
+    found = metrics.Assessed(fit, row(), Path("measured/nickel.binary"), "made (stated, not checked)", around, around)
+    assert [path.name for path in metrics.write_metrics([found], tmp_path)][2:] == ["by_incidence.png"]
+    (line,) = csv.DictReader((tmp_path / "metrics.csv").read_text().splitlines())
+    assert (line["against"], line["data"]) == ("measured/nickel.binary", "made (stated, not checked)")
 
 
 def test_rows_of_a_file_have_one_count_and_the_published_sets_beside_them(file, tmp_path):
