@@ -161,7 +161,7 @@ def write(rows, seconds):
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("share of directions with less error")
     axes[0].legend(fontsize=8)
-    figure.suptitle(f"Tiers of the diffraction lobe, {WHAT} (time: whole MERL grid, 3 channels)", fontsize=10)
+    figure.suptitle(f"Tiers of the diffraction lobe (time: whole MERL grid, 3 channels)\n{WHAT}", fontsize=10)
     figure.savefig(RESULTS / "tiers.png", dpi=110)
 
 
