@@ -108,6 +108,7 @@ def picture(shown):
         axis.set_xlabel(r"$\theta_h$ (deg), as MERL's rows")
     bar = figure.colorbar(drawn, ax=panels[:, :2], ticks=[-2, -1, 0, 1, 2], extend="both", location="bottom", aspect=60)
     bar.ax.set_xticklabels(["1/4", "1/2", "1", "2", "4"])
+    figure.suptitle("neural reconstructions of MERL, not measurements")
     bar.set_label("fit over file, geometric mean over azimuths and channels")
     return figure
 
