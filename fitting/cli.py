@@ -417,6 +417,7 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),
+    force: Annotated[bool, typer.Option("--force", help="--to merl: overwrite a .binary file.")] = False,
 ) -> None:
     """Write a fitted material for another program.
 
@@ -424,7 +425,7 @@ def export(
     """
     from .exports import export as write_export
 
-    write_export(result, to, out)
+    write_export(result, to, out, force)
 
 
 @app.command(epilog="Example: merlfit cost -o cost")

@@ -24,10 +24,11 @@ from .assess.picture import difference
 from .output.synthesis import from_result, tabulate
 from .pipeline.run import fit_file
 from .results.export import ResultError, read_result
-from .results.schema import Result
+from .results.schema import UNSAID, Result
 from .scenes import of_result
 from .settings.config import AcquisitionSection, load
 from .support.compilation import use_persistent_cache
+from .support.numbers import number
 from .support.terminal import console, fail, progress_display, reporter, writable_folder
 
 To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
@@ -64,11 +65,14 @@ MATERIALX = """<?xml version="1.0"?>
 """
 
 
-def export(path: Path, to: str, out: Path) -> None:
+def export(path: Path, to: str, out: Path, force: bool = False) -> None:
     """`merlfit export`: write what another program reads; exits with 2 after bad input."""
     use_persistent_cache()
     if to not in get_args(To):
         raise fail(f"--to {to!r} is none of {', '.join(get_args(To))}")
+    target = out / f"{path.stem}.binary"
+    if to == "merl" and target.exists() and not force:
+        raise fail(f"{target}: is there already, and may be a measurement; --force overwrites it")
     writable_folder(out)
     try:
         with progress_display() as progress:
@@ -83,11 +87,16 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> lis
     if path.suffix == ".binary":
         if to != "mitsuba":
             raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
-        return to_mitsuba(f"{path.stem}.measured", measurement(*folded(read(path))), f"Measured: {path.name}", out)
+        file = read(path)
+        said = f"{path.name}, {f'genuine MERL measurement {file.genuine}' if file.genuine else UNSAID}"
+        return to_mitsuba(f"{path.stem}.measured", measurement(*folded(file)), said, out)
     result = read_result(path)
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
-    said = f"{result.model.name} fit of {result.source.material} by merlfit"
+    said = (
+        f"{result.model.name} fit of {result.source.material} ({result.data_words}) by merlfit "
+        f"{result.versions.get('merlfit', '')}, RMSE {number(result.metrics.rmse, 3)}/sr, colours as in that file"
+    )
     match to:
         case "mitsuba":
             say("tables")
@@ -111,7 +120,7 @@ def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path
     """Tables and a scene that renders at once: a sphere under a lamp in an even room."""
     tables = out / f"{name}.mitsuba.npz"
     write_tables(tables, material)
-    text = SCENE.format(said=_comment(said), tables=quoteattr(str(tables.resolve())))
+    text = SCENE.format(said=_comment(said), tables=quoteattr(tables.name))
     return [tables, _write_text(out / f"{name}.xml", text)]
 
 
@@ -120,14 +129,16 @@ def parameters_of(result: Result) -> dict[str, Any]:
     assert result.model is not None
     m = result.model
     return {
-        "format": "merlfit-material 1", "material": result.source.material, "model": m.name,
+        "format": "merlfit-material 1", "material": result.source.material, "data": result.data_words,
+        "source_sha1": result.source.sha1, "versions": result.versions, "rmse_per_sr": result.metrics.rmse,
+        "model": m.name,
         "citation": models()[m.name].citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
         "channels": m.channels, "wavelengths_um": m.wavelengths_um,
         "parameters": {
             q.name: {"value": q.value, "unit": q.unit, "meaning": q.meaning, "standard_error": q.standard_error}
             for q in result.parameters if not q.parameter.startswith("grazing_")
         },
-        "note": "BRDF in 1/sr, linear RGB; the apparatus's loss of light at grazing angles is left out",
+        "note": "BRDF in 1/sr, linear RGB of MERL, as stored; without the apparatus's loss of light at grazing angles",
     }  # fmt: skip
 
 

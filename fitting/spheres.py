@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from ..merl_io.binary import Measurement, MerlError
 from ..merl_io.samples import folded
 from ..merl_io.source import is_regular
-from ..model.parameters import WAVELENGTHS_UM
+from ..model.parameters import WAVELENGTHS_UM, Parameter
 from ..scene import images
 from ..scene.colour import difference, displayed
 from ..scene.description import Camera, Environment, Scene, SceneError, Source, Sphere
@@ -49,7 +49,7 @@ def beside(measured: np.ndarray, fitted: np.ndarray, data: str) -> Figure:
     what the file lacks, and not what the fit misses.
 
     Args:
-        data: what the file is.
+        data: of which material the file is, and what it is.
     """
     away = grey(difference(measured, fitted) / LARGEST_SHOWN)
     pixels = np.concatenate([displayed(measured), displayed(fitted), away], 1)
@@ -81,23 +81,26 @@ def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: S
         raise SceneError("--vary is given at most twice: across and down")
     axes = [factors_of(each) for each in vary]
     (across, columns), (down, rows) = axes[0], axes[1] if len(axes) > 1 else ("", [1.0])
-    values, made_of = result.values(), []
-    for name in (name for name in (across, down) if name):
-        if name not in values:
-            raise SceneError(f"{path}: has no parameter {name}; it has {', '.join(values)}")
+    if len({across, down}) < len(axes):
+        raise SceneError(f"--vary names {across} twice")
+    whole = of_result(path.stem, result, path)
+    assert whole.model is not None
+    declared, values, made_of = {q.name: q for q in whole.model.parameters}, result.values(), []
+    for name, factors in axes:
+        if name not in declared:
+            why = " for a picture of the material, without the apparatus" if name in values else ""
+            raise SceneError(f"{path}: has no parameter {name}{why}; it has {', '.join(declared)}")
+        for factor in factors:
+            _tell_if_outside(declared[name], np.asarray(values[name]) * factor, factor)
     for row in rows:
         line = []
         for column in columns:
             factors = {across: column, **({down: row} if down else {})}
-            if len({across, down}) < len(axes):
-                raise SceneError(f"--vary names {across} twice")
             changed = {name: np.asarray(values[name]) * factor for name, factor in factors.items()}
             say(", ".join(f"{name} x {factor:g}" for name, factor in factors.items()))
             given = of_result(path.stem, result, path, changed)
             line.append(displayed(sphere_of(given, scene)))
         made_of.append(np.concatenate(line, 1))
-    assert result.model is not None  # else there were no spheres
-    declared = {q.name: q for q in result.model.material.parameters}
 
     def words(name: str, factor: float) -> str:
         value = np.asarray(values[name]) * factor
@@ -107,10 +110,21 @@ def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: S
         unit = declared[name].unit
         return f"{name}: {declared[name].meaning}" + ("" if unit == "1" else f" ({unit})")
 
+    title = f"fit of {result.source.material} ({result.data_words}), without the grazing loss. Across: {axis(across)}"
     return labelled(
         np.concatenate(made_of), [words(across, factor) for factor in columns],
-        [words(down, factor) for factor in rows] if down else (), axis(across), axis(down) if down else "",
+        [words(down, factor) for factor in rows] if down else (), title, axis(down) if down else "",
     )  # fmt: skip
+
+
+def _tell_if_outside(kind: Parameter, value: np.ndarray, factor: float) -> None:
+    """Say what is outside the bounds of fits, where nothing is known of the accuracy; the impossible is refused."""
+    if np.any((value < kind.lower) | (value > kind.upper)) and factor != 1:
+        shown = ", ".join(f"{x:.3g}" for x in np.ravel(value))
+        note(
+            f"--vary {kind.name}: \u00d7 {factor:g} makes it {shown}, outside the bounds of fits "
+            f"({kind.lower:g} to {kind.upper:g}): the picture may be wrong"
+        )
 
 
 def render_results(
@@ -162,5 +176,5 @@ def _render_result(path: Path, out: Path, vary: Sequence[str], scene: Scene, say
         images.write_png(target, fitted)
         return target
     measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(read_again)))
-    save(beside(sphere_of(measured, scene), fitted, result.data_words), target)
+    save(beside(sphere_of(measured, scene), fitted, f"{result.source.material}, {result.data_words}"), target)
     return target

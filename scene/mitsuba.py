@@ -43,7 +43,7 @@ def make() -> type:
 
         def __init__(self, props: Any) -> None:  # noqa: ANN401 - of Mitsuba
             mi.BSDF.__init__(self, props)
-            self.path = props["filename"]
+            self.path = str(mi.file_resolver().resolve(props["filename"]))  # beside the scene
             with np.load(self.path) as arrays:
                 brdf, share, below = (arrays[name] for name in ("brdf", "share", "below"))
             linear, nearest = dr.FilterMode.Linear, dr.FilterMode.Nearest

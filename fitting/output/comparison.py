@@ -101,7 +101,7 @@ def table_of(rows: Sequence[Row]) -> Table:
     several = len({row.material for row in rows}) > 1
     table = Table(
         title=f"{'medians over the materials' if several else rows[0].material} (dE: mean CIELAB distance of spheres; "
-        "peak: fitted over measured highlight; best: materials with the lowest RMSE, dE)",
+        f"peak: fitted over measured highlight{'; best: materials with the lowest RMSE, dE' if several else ''})",
         title_justify="left", box=box.SIMPLE_HEAD,
     )  # fmt: skip
     for head in ("model", "numbers", "RMSE", "sMAPE", "dE", "peak", "BIC", "s", *(["best"] if several else [])):
@@ -135,22 +135,28 @@ def verdict(rows: Sequence[Row]) -> str:
     seen = np.isfinite(chosen.errors.picture)  # scattered directions make no picture
     nearest = min(fitted, key=lambda r: r.errors.picture) if seen else chosen
     lowest = min(fitted, key=lambda r: r.bic)
+
+    def loses(row: Row) -> str:
+        """Why another is chosen, if that is why."""
+        peak = row.errors.highlight
+        one = lost(peak) and not lost(chosen.errors.highlight)
+        return f"but it loses the highlight, which is {number(peak, 2)} times the file's" if one else ""
+
     said = (
         f"{chosen.material}: the least model that explains it is {named(chosen)}, with {chosen.numbers} numbers: "
         + (f"its spheres differ from the file's by {number(chosen.errors.picture, 2)} (CIELAB), " if seen else "")
         + f"its RMSE is {number(chosen.errors.rmse, 3)}/sr."
     )
     if chosen is not nearest:
-        alike = chosen.errors.picture <= nearest.errors.picture + SEEN
-        why = f": less than {SEEN:g} nearer, which is just noticeable" if alike else ", but it loses the highlight"
+        why = ", " + loses(nearest) if loses(nearest) else f": less than {SEEN:g} nearer, which is just noticeable"
         said += f" The nearest picture is that of {named(nearest)}, off by {number(nearest.errors.picture, 2)} with "
         said += f"{nearest.numbers} numbers{why}."
     if chosen is not lowest:
         less = chosen.bic - lowest.bic
-        if less <= ALIKE:
+        if loses(lowest):
+            why = loses(lowest)
+        elif less <= ALIKE and lowest.numbers >= chosen.numbers:
             why = f"less than {ALIKE:g} is no strong evidence"
-        elif lost(lowest.errors.highlight):
-            why = "but it loses the highlight"
         else:
             why = f"but its picture is off by {number(lowest.errors.picture, 2)}"
         said += f" The lowest BIC is that of {named(lowest)}, {number(less, 2)} lower: {why}."

@@ -1,5 +1,6 @@
 """Rendered pixels as they are, with words above their columns and beside their rows."""
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,8 @@ from .style import LETTERS, printable
 
 DPI = 100
 MARGIN = 40  # pixels, for two lines of words
+LINE, LETTER = 14, 6.5  # pixels: from line to line, and of a letter on average
+SHORTEST = 30  # letters of a line
 
 
 @printable
@@ -21,21 +24,25 @@ def labelled(
         columns, rows: words for each. across, down: what differs from column to column, from row to row.
     """
     height, width, _ = pixels.shape
-    left = MARGIN if rows else 0
-    across_pixels, down_pixels = width + left, height + MARGIN
+    said, beside = (
+        textwrap.wrap(words, max(int(room / LETTER), SHORTEST)) for words, room in ((across, width), (down, height))
+    )
+    left, top = (MARGIN + LINE * max(len(lines) - 1, 0) for lines in (beside, said))
+    left = left if rows else 0
+    across_pixels, down_pixels = width + left, height + top
     figure = Figure(figsize=(across_pixels / DPI, down_pixels / DPI), dpi=DPI)
     axes = figure.add_axes((left / across_pixels, 0, width / across_pixels, height / down_pixels))
     axes.imshow(pixels, interpolation="none", aspect="auto")
     axes.set_axis_off()
     for place, words in enumerate(columns):
         x = left + (place + 0.5) * width / len(columns)
-        figure.text(x / across_pixels, 1 - 0.9 * MARGIN / down_pixels, words, ha="center", va="bottom", size=LETTERS)
+        figure.text(x / across_pixels, 1 - (top - 4) / down_pixels, words, ha="center", va="bottom", size=LETTERS)
     for place, words in enumerate(rows):
         y = (len(rows) - place - 0.5) * height / len(rows)
         figure.text(
-            0.9 * MARGIN / across_pixels, y / down_pixels, words, ha="right", va="center", rotation=90, size=LETTERS
+            (left - 4) / across_pixels, y / down_pixels, words, ha="right", va="center", rotation=90, size=LETTERS
         )
     middle = (left + width / 2) / across_pixels, height / 2 / down_pixels
-    figure.text(middle[0], 1 - 0.1 * MARGIN / down_pixels, across, ha="center", va="top", size=LETTERS)
-    figure.text(0.1 * MARGIN / across_pixels, middle[1], down, ha="left", va="center", rotation=90, size=LETTERS)
+    figure.text(middle[0], 1 - 4 / down_pixels, "\n".join(said), ha="center", va="top", size=LETTERS)
+    figure.text(4 / across_pixels, middle[1], "\n".join(beside), ha="left", va="center", rotation=90, size=LETTERS)
     return figure

@@ -175,6 +175,11 @@ def test_what_speaks_for_another_model_is_said():
     assert "but its picture is off by 4" in comparison.verdict([row(numbers=16), low])
     assert "it loses the highlight" in comparison.verdict([row(numbers=16), row("b", bic=-30.0, highlight=0.2)])
     assert "no strong evidence" in comparison.verdict([row(), row("b", numbers=9, bic=-12.0)])
+    nearer = row("b", numbers=7, bic=-14.0, picture=0.3, highlight=0.3)  # and has fewer numbers, and the lower BIC
+    said = comparison.verdict([row(picture=0.5), nearer])
+    assert said.count("but it loses the highlight, which is 0.3 times the file's") == 2
+    assert "noticeable" not in said
+    assert "no strong evidence" not in said
     assert "try `merlfit fit --weights adaptive`" in comparison.verdict([row(highlight=0.3)])
 
 

@@ -9,6 +9,8 @@ from merlfit.fitting import scenes, spheres
 from merlfit.fitting.pictures.labelled import MARGIN, labelled
 from merlfit.fitting.pictures.style import save
 from merlfit.fitting.results.export import write_result
+from merlfit.fitting.results.schema import UNSAID
+from merlfit.merl_io.binary import DIMS
 from merlfit.scene import effects
 from merlfit.scene.images import read_map
 from PIL import Image
@@ -87,8 +89,7 @@ def test_a_result_is_a_sphere_and_a_grid_of_them(tmp_path, result):
     assert "the fit alone" in found.output
     found = call("render", result, "--vary", "sigma_s=0.5,1,2", "--vary", "b=0.5,2", "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
-    grid = np.asarray(Image.open(tmp_path / "out" / "nickel.sigma_s-b.png"))[MARGIN:, MARGIN:, :3]
-    assert grid.shape == (24, 36, 3)
+    grid = np.asarray(Image.open(tmp_path / "out" / "nickel.sigma_s-b.png"))[-24:, -36:, :3]
     assert not np.array_equal(grid[:12, :12], grid[:12, 12:24])
 
 
@@ -120,11 +121,49 @@ def test_materials_that_cannot_be_used(tmp_path, material, said):
     assert "Traceback" not in found.output
 
 
-@pytest.mark.parametrize("vary", ["sigma_s", "sigma_s=a", "sigma_s=-1,2", "sigma=1,2"])
-def test_what_cannot_be_varied(tmp_path, result, vary):
+@pytest.mark.parametrize(
+    ("vary", "said"),
+    [
+        ("sigma_s", "--vary"),
+        ("sigma_s=a", "--vary"),
+        ("sigma_s=-1,2", "--vary"),
+        ("sigma=1,2", "no parameter sigma; it has beta"),
+        ("grazing_exponent=1,2", "without the apparatus; it has beta"),
+    ],
+)
+def test_what_cannot_be_varied(tmp_path, result, vary, said):
     found = call("render", result, "--vary", vary, "-o", tmp_path)
     assert found.exit_code == 2
-    assert "--vary" in found.output or "no parameter sigma" in found.output
+    assert said in " ".join(found.output.split())
+
+
+def test_what_is_outside_the_bounds_of_fits_is_said(tmp_path, result):
+    found = call("render", result, "--vary", "beta=1,1e4", "-o", tmp_path)
+    assert found.exit_code == 0
+    assert "beta: \u00d7 10000 makes it" in found.output
+    assert "outside the bounds of fits (0.001 to 1)" in " ".join(found.output.split())
+
+
+def test_a_long_title_is_on_several_lines(tmp_path):
+    pixels = np.zeros((50, 300, 3), np.uint8)
+    save(labelled(pixels, ["a"], across="many words " * 12), tmp_path / "grid.png")
+    saved = np.asarray(Image.open(tmp_path / "grid.png"))
+    assert saved.shape[1] == 300
+    assert saved.shape[0] > 50 + MARGIN
+    assert np.all(saved[:, :3, :3][:-50] == 255)  # nothing is cut at the edge
+
+
+def test_an_exported_merl_file_takes_the_place_of_none(tmp_path, result, monkeypatch):
+    monkeypatch.setattr("merlfit.fitting.exports.from_result", lambda path: (np.ones((3, *DIMS)), ""))
+    mine = tmp_path / "mine" / "nickel.binary"
+    mine.parent.mkdir()
+    mine.write_bytes(b"measured")
+    found = call("export", result, "--to", "merl", "-o", mine.parent)
+    assert found.exit_code == 2
+    assert "may be a measurement; --force overwrites it" in " ".join(found.output.split())
+    assert mine.read_bytes() == b"measured"
+    assert call("export", result, "--to", "merl", "-o", mine.parent, "--force").exit_code == 0
+    assert mine.stat().st_size > 10**6
 
 
 @pytest.mark.parametrize("name", ["matte", "metal", "paint"])
@@ -140,12 +179,14 @@ def test_exports(tmp_path, result, to):
     out = tmp_path / "out"
     if to == "mitsuba":
         scene_file = (out / "nickel.xml").read_text()
-        assert str(out / "nickel.mitsuba.npz") in scene_file
+        assert 'value="nickel.mitsuba.npz"' in scene_file  # beside it, wherever both are moved
+        assert UNSAID in scene_file
         with np.load(out / "nickel.mitsuba.npz") as arrays:
             assert np.all(np.isfinite(arrays["brdf"]))
     elif to == "json":
         written = json.loads((out / "nickel.material.json").read_text())
         assert written["model"] == "two-scale"
+        assert (written["data"], written["source_sha1"]) == (UNSAID, "0" * 40)
         assert {"beta", "n_R"} <= written["parameters"].keys()
         assert not any(name.startswith("grazing") for name in written["parameters"])
     else:
@@ -217,7 +258,7 @@ def test_a_fit_beside_its_file(tmp_path, monkeypatch):
     write_result(tmp_path / "nickel.json", made(path=str(tmp_path / "nickel.binary"), sha1=sha1))
     found = call("render", tmp_path / "nickel.json", "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
-    picture = np.asarray(Image.open(tmp_path / "out" / "nickel.png"))[MARGIN:, :, :3]
+    picture = np.asarray(Image.open(tmp_path / "out" / "nickel.png"))[-12:, :, :3]
     assert picture.shape == (12, 36, 3)
     inside = np.s_[3:9, 3:9]
     measured, fitted, away = (picture[:, k : k + 12][inside].astype(int) for k in (0, 12, 24))

@@ -65,6 +65,16 @@ def test_values_are_those_of_the_model(variant, file):
     assert max(worst) < 3e-2
 
 
+def test_tables_are_found_beside_their_scene(file, tmp_path, monkeypatch):
+    mi.set_variant("scalar_rgb")
+    plugin.register()
+    (tmp_path / "moved.npz").write_bytes(file.read_bytes())
+    bsdf = '<bsdf type="merlfit"><string name="filename" value="moved.npz"/></bsdf>'
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0"><shape type="sphere">{bsdf}</shape></scene>')
+    monkeypatch.chdir("/")
+    assert str(tmp_path / "moved.npz") in str(mi.load_file(str(tmp_path / "a.xml")))
+
+
 @pytest.mark.parametrize("angle", [5, 50, 80])
 def test_mitsubas_own_chi_square(file, angle):
     if "DRJIT_LIBLLVM_PATH" not in os.environ:
