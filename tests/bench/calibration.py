@@ -19,7 +19,7 @@ from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter1d
 from scipy.stats import chisquare
 
 from .record import Record, Target
@@ -35,10 +35,12 @@ TOLD = 10  # materials after which the table is written anew
 
 
 def noise(rng, shape, reach):
-    """Correlated along the angles and over the channels; of variance 1 on average, more where the grid ends."""
-    drawn = rng.standard_normal((4, *shape[1:]))
-    fields = np.array([gaussian_filter(each, REACHES[reach], mode=("reflect", "reflect", "wrap")) for each in drawn])
-    fields /= fields.std((1, 2, 3), keepdims=True)
+    """Correlated along the angles and over the channels; of variance 1 everywhere."""
+    fields = rng.standard_normal((4, *shape[1:]))
+    for axis, deviation in enumerate(REACHES[reach], 1):
+        fields = gaussian_filter1d(fields, deviation, axis, mode="reflect")
+        answers = gaussian_filter1d(np.eye(fields.shape[axis]), deviation, 0, mode="reflect")
+        fields /= np.expand_dims(np.linalg.norm(answers, axis=1), tuple({0, 1, 2, 3} - {axis}))
     return np.sqrt(ALIKE) * fields[3] + np.sqrt(1 - ALIKE) * fields[:3]
 
 
@@ -86,10 +88,9 @@ def run(folder, out, every):
         "synthetic: drawn from the priors of the fit, noise of the stated kind",
         ["Parameters are drawn from the prior (bodies none and lambert in turn). The noise is Gaussian, alike by "
          f"{ALIKE} in all channels, and blurred: {' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} "
-         "(standard deviations by theta_h, theta_d, phi_d; the same parameters and the same white noise for both). Its "
-         "variance is in proportion to 1/w within the grid. Towards the ends of theta_h and theta_d, where the blur "
-         "reflects, it grows, for the long kind to 2.8 times as much at theta_h = theta_d = 0; in phi_d the blur takes "
-         f"the folded azimuths 0 and 90 degrees for neighbours. Its cost is log-uniform in {COST} of the energy. "
+         "(standard deviations by theta_h, theta_d, phi_d, reflected where the grid ends; the same parameters and the "
+         f"same white noise for both). Its variance is 1/w times a number for which its cost is log-uniform in {COST} "
+         "of the energy. "
          "Fitted and sampled as `merlfit fit` does it. Ranks: of the truth among the "
          "weighted draws, how many in each tenth; p: of a chi-square test that they are uniform; coverage: of the "
          "90 % intervals.",
