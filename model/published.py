@@ -62,11 +62,15 @@ def _table(source: str) -> dict[str, dict[str, list]]:
 
 
 def _known(lack: str, name: str, names: tuple[str, ...]) -> None:
-    """Raise KeyError, saying what is lacking and the nearest known name, unless ``name`` is known."""
+    """Raise KeyError, saying what is lacking and who has it, or a name like it, unless ``name`` is known."""
     if name in names:
         return
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
-    raise KeyError(f"{lack} {name!r}; the nearest is {near[0]!r}")
+    if having := [source for source in SOURCES if name in _table(source)]:
+        raise KeyError(f"{lack} {name!r}; of the other tables {', '.join(having)} {'have' if having[1:] else 'has'} it")
+    if near := difflib.get_close_matches(name, names, n=1):
+        raise KeyError(f"{lack} {name!r}; the nearest is {near[0]!r}")
+    known = f"there are {', '.join(names)}" if len(names) <= len(SOURCES) else "nor one of a name like it"
+    raise KeyError(f"{lack} {name!r}; {known}")
 
 
 def materials(source: str = "sgd") -> tuple[str, ...]:

@@ -76,6 +76,12 @@ def test_unknown_names_are_answered_with_the_nearest():
         published("nickel", "smoth")
     with pytest.raises(KeyError, match="nearest is 'smooth'"):
         materials("smoth")
+    with pytest.raises(KeyError, match="parameters 'foo'; there are sgd, smooth, "):
+        materials("foo")
+    with pytest.raises(KeyError, match="'sgd' has no material 'zzz'; nor one of a name like it"):
+        published("zzz")
+    with pytest.raises(KeyError, match="of the other tables sgd, smooth, abc_microfacet, cook_torrance have it"):
+        published("white-marble", "he")
     with pytest.raises(KeyError, match="nearest is 'nickel'"):
         evaluate("nikel", "he", Geometry.from_half_difference(0.1, 0.1, 0.1))
 
