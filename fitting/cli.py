@@ -90,6 +90,18 @@ Jobs = Annotated[
 ]
 
 
+Pages = Annotated[
+    int | None,
+    typer.Option(
+        "-j",
+        "--jobs",
+        min=1,
+        help="Pages to make at once \\[default: as cores and memory allow].",
+        show_default=False,
+    ),
+]
+
+
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
 def check(files: Files, dims: Dims = None) -> None:
     """Print what files hold: bins or samples, bad numbers, largest values, and whether they are genuine MERL files."""
@@ -345,7 +357,7 @@ def report(
     origin: Annotated[
         str | None, typer.Option(help="What the files are, in words, if the fits were not told.", show_default=False)
     ] = None,
-    jobs: Jobs = None,
+    jobs: Pages = None,
 ) -> None:
     """Write pages that open from disk: an index of all results with pictures, and a page for each one.
 

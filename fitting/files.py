@@ -1,6 +1,7 @@
 """Fits of files, as the commands `merlfit fit` and `merlfit demo` make them."""
 
 import hashlib
+import shlex
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -215,7 +216,7 @@ class _Run:
             if result.accuracy is not None:
                 console.print(f"{label}: {accuracy_line(result.accuracy)}", soft_wrap=True)
         else:
-            fail(ended.error)
+            fail(_with_command(self.units[k].path, ended.error))
         if ended.said:
             note(ended.said)
         if k in self.tasks:
@@ -227,6 +228,13 @@ class _Run:
     def _count(self) -> None:
         words = f"{self.done} of {len(self.left)} files"
         self.progress.update(self.batch, completed=self.done, description=words)
+
+
+def _with_command(path: Path, error: str) -> str:
+    """What is wrong with a file; of a folder, how the files in it are fitted."""
+    if not path.is_dir() or not any(path.glob("*.binary")):
+        return error
+    return f"{path}: is a folder; name its files: merlfit fit {shlex.quote(str(path))}/*.binary"
 
 
 def _say_stopped(stop: Stopped, run: _Run, outcomes: list[Outcome]) -> None:

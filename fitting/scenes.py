@@ -265,6 +265,8 @@ def grey(share: np.ndarray) -> np.ndarray:
 
 def plan_scene(path: Path) -> None:
     """`merlfit effects`: print what a scene calls for; exits with 2 after bad input."""
+    if path.suffix == ".json":
+        raise fail(f"{path}: is no scene (SCENE.toml: docs/scenes.md); of a result there is `merlfit render {path}`")
     use_persistent_cache()
     try:
         with progress_display() as progress:

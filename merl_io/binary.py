@@ -205,6 +205,8 @@ def _dims_in(path: Path, head: bytes, size: int, allowed: tuple[Dims, ...]) -> D
     for magic, what in MAGIC.items():
         if head.startswith(magic):
             raise MerlError(f"{path}: is {what}, not a MERL .binary file")
+    if 0 < size < HEADER.size:
+        raise MerlError(f"{path}: not a MERL .binary file: it has {size} bytes, of which the header alone takes 12")
     if len(head) < HEADER.size:
         raise MerlError(f"{path}: truncated: {size} of {file_bytes(DIMS)} bytes; download or copy it again")
     dims = HEADER.unpack(head)

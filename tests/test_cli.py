@@ -243,6 +243,31 @@ def test_bad_results_are_one_line_errors(tmp_path, text):
     assert "Traceback" not in shown.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("inspect", "a.binary"), "a.binary: is a measured file, not a result: fit it first, merlfit fit"),
+        (("render", "a.binary"), "a.binary: is a measured file, not a result: fit it first, merlfit fit"),
+        (
+            ("effects", "a.json"),
+            "a.json: is no scene (SCENE.toml: docs/scenes.md); of a result there is `merlfit render",
+        ),
+    ],
+)
+def test_the_wrong_kind_of_file_is_answered_with_the_right_command(words, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.binary", "a.json"):
+        (tmp_path / name).write_bytes(b"\0" * 100)
+    shown = call(*words)
+    assert shown.exit_code == 2
+    assert said in " ".join(shown.stderr.split())
+
+
+def test_pages_are_not_fits():
+    assert "Pages to make at once" in call("report", "--help").stdout
+    assert "dask" not in call("report", "--help").stdout
+
+
 def test_writing_is_atomic(tmp_path):
     def fail(file):
         file.write(b"half")

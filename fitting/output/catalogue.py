@@ -9,9 +9,9 @@ from ...model.registry import models
 def models_table() -> Table:
     """What `merlfit models` prints."""
     table = Table(
-        title="reflectance models; RGB: one value per channel; numbers: over three channels. `merlfit fit` fits the "
-        "two-scale model, in the variants that --body and --index name, or another one by --model NAME; `merlfit "
-        "compare` fits several",
+        title="reflectance models; RGB: one value per channel; numbers: over three channels, without the "
+        "grazing exponents. `merlfit fit` fits the two-scale model, in the variants that --body and --index name, or "
+        "another one by --model NAME; `merlfit compare` fits several",
         title_justify="left", box=box.SIMPLE_HEAD,
     )  # fmt: skip
     for head in ("model", "parameter", "unit", "meaning"):

@@ -39,7 +39,7 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
         table.add_column(head, justify=justify, overflow="fold", min_width=least)
     for o in outcomes:
         if o.result is None:
-            table.add_row(o.path.stem, "-", f"failed: {o.error}", *"------")
+            table.add_row(o.path.stem, "-", "bad input" if o.bad_input else "failed", *"------")  # why: on stderr
             continue
         r = o.result
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]

@@ -31,6 +31,7 @@ from .upgrade import upgraded
 
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
+MEASURED = (".binary", ".bsdf", ".csv", ".npz")  # endings of files that are fitted
 LARGEST = 2**26  # bytes of a result: one of a hundred channels has a thirtieth of that
 
 
@@ -92,6 +93,8 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     except OSError as error:
         raise ResultError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValidationError as error:
+        if path.suffix.lower() in MEASURED:
+            raise ResultError(f"{path}: is a measured file, not a result: fit it first, merlfit fit {path}") from None
         raise ResultError(f"{path}: is not a merlfit result: {_in_words(error)}") from None
     if "run" not in result.model_fields_set:  # of an older version: it is not known, and not that of this process
         result.run = None

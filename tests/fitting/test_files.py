@@ -129,6 +129,18 @@ def test_a_failed_fit_does_not_take_the_place_of_one_that_succeeded(tmp_path):
     assert "no fit that succeeded" in place.said
 
 
+def test_bad_input_is_said_once_and_a_folder_with_the_command_that_fits_it(tmp_path):
+    folder = tmp_path / "my files"
+    folder.mkdir()
+    assert "is a directory" in call("fit", folder, "-o", tmp_path / "fits").stderr
+    (folder / "a.binary").touch()
+    shown = call("fit", folder, "-o", tmp_path / "fits")
+    assert shown.exit_code == BAD_INPUT
+    assert f"my files: is a folder; name its files: merlfit fit '{folder}'/*.binary" in " ".join(shown.stderr.split())
+    assert "bad input" in shown.stdout
+    assert "is a folder" not in shown.stdout
+
+
 def test_nothing_is_left_of_a_fit_that_wrote_nothing(tmp_path, stand_in):
     out = tmp_path / "fits"
     before = put_result(out)

@@ -102,6 +102,8 @@ def broken(name, tmp_path, path):
             target.write_bytes(b"\x89PNG\r\n\x1a\n" + raw[8:1000])
         case "text":
             target.write_bytes(b"theta_h theta_d\n" * 10)
+        case "short text":
+            target.write_bytes(b"hello\n")
         case "all invalid":
             target.write_bytes(raw[:12] + np.full(3 * np.prod(DIMS), -1.0).tobytes())
     return target
@@ -113,7 +115,8 @@ def broken(name, tmp_path, path):
         ("missing", "no such file"), ("directory", "is a directory"), ("empty", "truncated"),
         ("truncated", "truncated"),
         ("too long", "too long"), ("dims", "90x90x360"), ("big-endian", "big-endian"), ("picture", "PNG picture"),
-        ("text", "not a MERL"), ("all invalid", "no valid bin"),
+        ("text", "not a MERL"), ("short text", "not a MERL .binary file: it has 6 bytes"),
+        ("all invalid", "no valid bin"),
     ],
 )  # fmt: skip
 def test_bad_files_get_one_line_that_names_them(name, words, tmp_path, path):
