@@ -121,6 +121,7 @@ def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
     axis.set(yscale="log", xlabel=r"$\theta_i$ (deg)", ylabel="RMSE (1/sr)")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
-    figure.suptitle(f"errors against {found[0].against.name} by the light's angle\ndata: {found[0].data}", fontsize=10)
+    data = next((f.data for f in found if f.data != UNSAID), UNSAID)  # told by the fit of this very file
+    figure.suptitle(f"errors against {found[0].against.name} by the light's angle\ndata: {data}", fontsize=10)
     save(figure, written[2])
     return written
