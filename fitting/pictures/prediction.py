@@ -83,7 +83,7 @@ class Fitted:
 
     @classmethod
     def tabled(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
-        """Tables do for all directions, to 1e-5 and better of what they would compute (`reflectance.prepared`)."""
+        """Tables do for all directions, 99 in 100 to 1e-5 of what they would compute (`reflectance.prepared`)."""
         given = model.measured.generalised(values)
         return cls(model, _prepared(model.measured.general, given, tuple(model.wavelengths_um)))
 
