@@ -24,7 +24,7 @@ def evaluate(values: Real, x: Real) -> Real:
     to_coefficients[0] /= 2
     coefficients = jnp.tensordot(jnp.asarray(to_coefficients, values.dtype), values, 1)
     x = jnp.clip(2 * x - 1, -1.01, 1.01)
-    later = last = jnp.zeros(())
+    later = last = jnp.zeros((), coefficients.dtype)
     for each in coefficients[:0:-1]:
         later, last = last, 2 * x * last - later + each
     return x * last - later + coefficients[0]

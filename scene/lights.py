@@ -78,7 +78,7 @@ class Environment(eqx.Module):
         top, left = jnp.clip(jnp.floor(y).astype(jnp.int32), 0, rows - 2), jnp.floor(x).astype(jnp.int32)
         down, across = y - top, x - left
         flat = self.radiance.reshape(-1, 3)
-        found = jnp.zeros(())
+        found = jnp.zeros((), flat.dtype)
         for i, by_row in ((top, 1 - down), (top + 1, down)):
             for j, by_column in ((left, 1 - across), (left + 1, across)):
                 found = found + (by_row * by_column)[..., None] * flat[i * columns + j % columns]

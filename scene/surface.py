@@ -57,7 +57,7 @@ class Measurement(eqx.Module):
         quarter = jnp.pi / 2
         shape = self.valid.shape
         scaled = (jnp.sqrt(jnp.maximum(g.theta_h, 0.0) / quarter), g.theta_d / quarter, phi_d / quarter)
-        total, weight = jnp.zeros(()), jnp.zeros(())
+        total, weight = jnp.zeros((), self.values.dtype), jnp.zeros((), self.valid.dtype)
         places = [jnp.clip(x * n - 0.5, 0.0, n - 1.0) for x, n in zip(scaled, shape, strict=True)]
         cells = [jnp.clip(x.astype(jnp.int32), 0, n - 2) for x, n in zip(places, shape, strict=True)]
         shares = [x - cell for x, cell in zip(places, cells, strict=True)]

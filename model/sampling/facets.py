@@ -18,7 +18,7 @@ from ..numerics import Scalar
 QUANTILES = 513  # nodes of the quantile's logarithm
 LEAST, MOST = -30.0, 3.6  # of log(-log(1 - u)): from u = 1e-13 to the last number below 1
 SMALLEST_LOG = -300.0  # of what the quantile may be
-NOTHING = jnp.array([0.0, 0.0, -1.0])
+NOTHING = (0.0, 0.0, -1.0)  # straight down
 
 
 @runtime_checkable
@@ -107,7 +107,7 @@ def log_gamma_quantile(shape: Scalar) -> Array:
 def mirrored(given: Array, facet: Array) -> Array:
     """Where a facet of normal ``facet`` sends light; :data:`NOTHING` from its back."""
     dot = jnp.sum(given * facet, -1, keepdims=True)
-    return jnp.where(dot > 0, 2 * dot * facet - given, NOTHING)
+    return jnp.where(dot > 0, 2 * dot * facet - given, jnp.asarray(NOTHING, facet.dtype))
 
 
 class Facets(eqx.Module):

@@ -18,3 +18,9 @@ def test_a_smooth_function_is_met_between_its_nodes():
     x = np.linspace(0, 1, 57)
     values = jnp.exp(jnp.asarray(chebyshev.nodes(16)))
     np.testing.assert_allclose(chebyshev.evaluate(values, jnp.asarray(x)), np.exp(x), rtol=1e-13)
+
+
+def test_single_precision_is_kept():
+    values, x = (jnp.asarray(chebyshev.nodes(9), jnp.float32) for _ in range(2))
+    assert chebyshev.evaluate(values, x).dtype == jnp.float32
+    assert chebyshev.weights(x, 9).dtype == jnp.float32

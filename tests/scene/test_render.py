@@ -1,18 +1,20 @@
 """Pictures against integrals and geometry that know nothing of the renderer."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.model.geometry import Geometry
 from merlfit.model.reflectance import evaluate
 from merlfit.model.registry import models
+from merlfit.model.sampling.visible import Visible
 from merlfit.model.two_scale import TwoScale
 from merlfit.scene import lights
 from merlfit.scene.colour import cielab, displayed
 from merlfit.scene.colour import difference as distance
 from merlfit.scene.description import Scene
-from merlfit.scene.render import Film, pictures, stage
-from merlfit.scene.surface import drawn, measurement, surface
+from merlfit.scene.render import Film, lit, pictures, radiance, stage
+from merlfit.scene.surface import PRECISION, drawn, measurement, surface
 
 RGB = (0.645, 0.526, 0.444)
 PLASTIC = {
@@ -163,3 +165,17 @@ def test_colours():
     np.testing.assert_allclose(cielab(np.ones(3)), [100, 0, 0], atol=0.02)
     assert distance(np.full(3, 2.0), np.full(3, 9.0)) == 0  # both white on a screen
     np.testing.assert_array_equal(displayed(np.array([0.0, 0.2158605, 1.0, 7.0])), [0, 128, 255, 255])
+
+
+def test_all_of_a_picture_is_in_single_precision():
+    """Drawn by visible facets, under an environment and a lamp, of a model and of a measurement."""
+    made = scene(environment={"kind": "studio"}, lamp=[{"towards": (0, 1, 1), "irradiance": 1, "radius_deg": 1}])
+    film, pixel = Film(made, stage(made), 2), jnp.asarray([120], jnp.int32)
+    material = drawn(ggx({**GGX, "alpha": 0.05}))
+    assert isinstance(material.sampler, Visible)
+    rays = jax.jit(lambda u: lit(film.stage, material.sampler, jnp.asarray(0), pixel, u))(film.numbers.of(pixel))
+    assert {x.dtype for x in rays} == {jnp.dtype(PRECISION)}
+    assert material.sampler.density(rays.o, rays.i).dtype == PRECISION
+    table = measurement(np.ones((3, 90, 90, 90)), np.ones((90, 90, 90), bool))
+    for each in (material.material, table):
+        assert jax.jit(lambda rays, each=each: radiance(each, rays))(rays).dtype == PRECISION
