@@ -157,13 +157,15 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dim
 
     Args:
         fitted_sha1: of the file that was fitted, if it must be that one.
-        dims: other numbers of bins than MERL's, which the file may have, too.
+        dims: other numbers of bins than MERL's, which the file may have, too; as :func:`dims_of` has them.
 
     Raises:
-        MerlError: missing, a directory, no permission, truncated, too long, other dims, another format, no valid bin,
+        MerlError: such dims are not read, or the file is missing, a directory, no permission, truncated, too long, other dims, another format, no valid bin,
             not the one that was fitted.
     """
     path = Path(path)
+    if dims is not None and not _usable(dims):
+        raise MerlError(f"{path}: dims {said(dims)} are not read: {FEWEST} to {MOST} bins an axis, phi_d even")
     with opened(path) as (file, size):
         return _read(path, file, size, fitted_sha1, (DIMS, dims or DIMS))
 
@@ -251,6 +253,8 @@ def write(path: str | os.PathLike[str], values: np.ndarray, valid: np.ndarray | 
     path = Path(path)
     if values.shape != (CHANNELS, *dims):
         raise MerlError(f"{path}: a MERL file holds values of shape {(CHANNELS, *dims)}, not {values.shape}")
+    if valid is not None and valid.shape != dims:
+        raise MerlError(f"{path}: which bins are valid has the shape {dims}, not {valid.shape}")
     kept = np.isfinite(values).all(0) & (np.nan_to_num(values, nan=-1.0) >= 0).all(0)
     if valid is not None:
         kept &= valid

@@ -69,8 +69,11 @@ def _cotangent(cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
 def merl_grid(dims: Dims = DIMS) -> MerlGrid:
     """The grid, made once a process (0.2 s).
 
-    Weights: median error 2e-4, worst 1e-2 where both cosines exceed 0.1, their sum 1e-4; slivers of bins cut by the
-    horizon, which weigh next to nothing, may be off by half (``tests/merl_io/test_binary.py``).
+    Weights where both cosines exceed 0.1: median error 2e-4, sum of all 1e-4, one bin in nine hundred off by more than
+    1e-2: 560 at theta_i of 60 to 85 degrees, by 2.8 % at the most; 200 at 5 to 20 degrees, by 1.2 %, and a few below,
+    by 1.8 %; and of the 2383 within 1 degree of theta_i = 0, where 1/sin_i has its pole inside a bin, 360, single ones
+    by half to nine tenths. Slivers of bins cut by the horizon, which weigh next to nothing, may be off by half
+    (``tests/merl_io/test_binary.py``).
     """
     return _grid(dims)
 

@@ -8,6 +8,7 @@ dims what is sharp, each lobe as its width has it, and leaves the body as it is 
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import ClassVar, get_args
 
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ class Measured(Reflectance):
             raise ValueError(f"{self.material} is measured already")
         if unknown := [lobe for lobe in self.material.lobes if lobe not in LOSSES]:
             raise ValueError(f"{self.material} has lobes without an exponent in `LOSSES`: {', '.join(unknown)}")
-        number = type(self.grazing_loss) in (int, float)
+        number = isinstance(self.grazing_loss, Real) and not isinstance(self.grazing_loss, bool)
         if not (0 <= float(self.grazing_loss) <= 1 if number else self.grazing_loss in get_args(GrazingLoss)):
             raise ValueError(f"grazing_loss {self.grazing_loss!r} is neither off, free, derived nor a number in [0, 1]")
         if self.apparatus != APPARATUS and self.grazing_loss != "derived":

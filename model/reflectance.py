@@ -185,7 +185,8 @@ class Reflectance(ABC):
         """A sharp lobe over theta_h at ``acquisition.RINGS_RAD``, at theta_d = 0 and of any unit: its width matters.
 
         In the middle channel, whose lobe stands for all. Masking and foreshortening are left out, which vary little
-        over a lobe that is narrow, and so are derivatives by parameters per channel.
+        over a lobe that is narrow, and so are derivatives by parameters per channel; the masking of V-grooves stays in
+        where it is part of the model's ``sharp``.
         """
         zero, one = jnp.zeros((1, 1)), jnp.ones((1, 1))
         s = setting(Geometry(jnp.asarray(RINGS_RAD)[:, None], zero, one, one), self, wavelengths_um)
@@ -339,7 +340,7 @@ def evaluate(
 
     Raises:
         KeyError: a parameter of the model is missing from ``params``, or one there is unknown.
-        ValueError: a parameter has values for another number of channels.
+        ValueError: a parameter has values for another number of channels, or several where all channels share it.
     """
     s = setting(geometry, model, wavelengths_um)
     return assembled(shaped(params, s), s)
@@ -396,8 +397,10 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
         raise KeyError(f"{model} has no parameter {', '.join(sorted(unknown))}")
     channels = s.wavelength_um.shape[0]
     for q in model.parameters:
-        if q.per_channel and np.size(params[q.name]) not in (1, channels):
-            raise ValueError(f"{model} needs {channels} values of {q.name}, not {np.size(params[q.name])}")
+        wanted, count = channels if q.per_channel else 1, np.size(params[q.name])
+        if count not in (1, wanted):
+            needed = f"{wanted} values" if q.per_channel else "one value"
+            raise ValueError(f"{model} needs {needed} of {q.name}, not {count}")
     precision = jnp.result_type(s.geometry.theta_h)
     given = {name: jnp.asarray(params[name]) for name in extra if name in params}
     given = {name: x if name in model.switches else x.astype(precision) for name, x in given.items()}

@@ -41,18 +41,21 @@ def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
         nearest = f"; the nearest is {near[0]!r}" if near else ""
         raise ValueError(f"there is no {name!r}{nearest} (`merlfit models` lists the models)")
     declared, hints = [field.name for field in fields(known[name])], get_type_hints(known[name])  # pyright: ignore[reportArgumentType] - models are dataclasses
+    given = {}
     for key, value in settings.items():
         if key not in declared:
             said = f"its settings are {', '.join(declared)}" if declared else "it has no settings"
             raise ValueError(f"{name} has no setting {key!r}: {said}")
-        _check(f"{name}: {key}", value, hints[key])
-    return known[name](**settings)
+        given[key] = _checked(f"{name}: {key}", value, hints[key])
+    return known[name](**given)
 
 
-def _check(where: str, value: object, kind: Any) -> None:  # noqa: ANN401 - a type, or a form of several
-    """Refuse a value that is none of a setting's choices, or of another type."""
+def _checked(where: str, value: object, kind: Any) -> object:  # noqa: ANN401 - a type, or a form of several
+    """The value, refused if it is none of a setting's choices, or of another type; a choice "2" may be the number 2."""
     if get_origin(kind) is Literal:
+        value = str(value) if type(value) is int else value
         if value not in get_args(kind):
             raise ValueError(f"{where} {value!r} is none of {', '.join(map(str, get_args(kind)))}")
     elif not (type(value) is kind or (kind is float and type(value) is int)):
         raise ValueError(f"{where} {value!r} should be of type {getattr(kind, '__name__', kind)}")
+    return value

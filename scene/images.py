@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import IO
+from zipfile import BadZipFile
 
 import numpy as np
 from PIL import Image
@@ -9,6 +10,8 @@ from PIL import Image
 from ..merl_io.atomic import write_atomically
 from .colour import displayed
 from .description import SceneError
+
+BRIGHTEST = float(np.finfo(np.float32).max)  # of a map: pictures are made in single precision
 
 
 def write_exr(path: Path, radiance: np.ndarray) -> None:
@@ -48,9 +51,10 @@ def read_map(path: Path) -> np.ndarray:
         SceneError: it cannot be read, or is no map.
     """
     try:
-        if path.suffix == ".npy":
-            found = np.load(path, allow_pickle=False)
-        elif path.suffix == ".exr":
+        if path.suffix.lower() == ".npy":
+            with path.open("rb") as file:  # np.load leaves a file open that is no archive
+                found = np.load(file, allow_pickle=False)
+        elif path.suffix.lower() == ".exr":
             import OpenEXR
 
             path.stat()  # its own error says nothing of the file
@@ -60,13 +64,17 @@ def read_map(path: Path) -> np.ndarray:
                 found = one.pixels[..., :3] if one else np.stack([channels[k].pixels for k in "RGB"], -1)
         else:
             raise SceneError(f"{path}: a map is an .exr or .npy file")
+        if np.iscomplexobj(found):
+            raise SceneError(f"{path}: a map's radiance is real, not complex")
         found = np.asarray(found, float)
     except SceneError:
         raise
-    except (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError) as error:
+    except (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError, BadZipFile) as error:
         raise SceneError(f"{path}: cannot be read as a map ({error})") from None
     if found.ndim != 3 or found.shape[2] != 3 or min(found.shape[:2]) < 2:
         raise SceneError(f"{path}: a map has the shape (height, width, 3), not {found.shape}")
     if not np.all(np.isfinite(found)) or found.min() < 0 or found.max() == 0:
         raise SceneError(f"{path}: a map's radiance is finite and not negative, and not 0 everywhere")
+    if found.max() > BRIGHTEST:
+        raise SceneError(f"{path}: a map's radiance is at most {BRIGHTEST:g}, not {found.max():g}")
     return found

@@ -70,6 +70,13 @@ def test_what_would_have_no_effect_is_refused(given, words):
         Measured(*given)
 
 
+def test_a_loss_may_be_a_number_of_any_kind():
+    assert Measured(GGX(), np.float64(0.5)) == Measured(GGX(), 0.5)
+    for wrong in (True, 1.5, np.float64(np.nan)):
+        with pytest.raises((ValueError, TypeCheckError), match="grazing_loss"):
+            Measured(GGX(), wrong)
+
+
 def test_exponents_stand_between_shared_parameters_and_those_of_channels():
     names = [q.name for q in Measured(TwoScale("lambert")).parameters]
     assert names[4:] == ["sigma_s", "grazing_exponent", "grazing_exponent_diffracted", "eta", "albedo"]

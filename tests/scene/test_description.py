@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from merlfit.merl_io.atomic import WriteError
 from merlfit.scene.description import SceneError, load
-from merlfit.scene.images import write_exr, write_png
+from merlfit.scene.images import read_map, write_exr, write_png
 
 GOOD = """
 [camera]
@@ -83,3 +83,30 @@ def test_a_full_disk_leaves_no_half_picture(tmp_path, monkeypatch):
         with pytest.raises(WriteError, match=rf"{name}: cannot be written .*No space left"):
             write(tmp_path / name, np.zeros((2, 2, 3)))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"PK\x03\x04 and no archive", "cannot be read as a map"), (np.ones((2, 4, 3)) + 1j, "real, not complex"),
+        (np.full((2, 4, 3), 1e39), r"at most 3\.4\d*e\+38, not 1e\+39"), (np.full((2, 4, 3), np.nan), "finite"),
+        (np.ones((2, 4)), "has the shape"),
+    ],
+)  # fmt: skip
+def test_a_map_that_is_none_is_named(content, said, tmp_path):
+    path = tmp_path / "map.npy"
+    path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
+    with pytest.raises(SceneError, match=said) as error:
+        read_map(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["map.NPY", "map.EXR"])
+def test_capitals_in_a_maps_name_do_not_matter(name, tmp_path):
+    if name.endswith("EXR"):
+        write_exr(tmp_path / name, np.ones((2, 4, 3)))
+    else:
+        with (tmp_path / name).open("wb") as file:
+            np.save(file, np.ones((2, 4, 3)))
+    np.testing.assert_array_equal(read_map(tmp_path / name), 1.0)
