@@ -160,8 +160,8 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dim
         dims: other numbers of bins than MERL's, which the file may have, too; as :func:`dims_of` has them.
 
     Raises:
-        MerlError: such dims are not read, or the file is missing, a directory, no permission, truncated, too long, other dims, another format, no valid bin,
-            not the one that was fitted.
+        MerlError: such dims are not read, or the file is missing, a directory, no permission, truncated, too long, of
+            other dims, of another format, without a valid bin, not the one that was fitted.
     """
     path = Path(path)
     if dims is not None and not _usable(dims):

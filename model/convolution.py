@@ -300,7 +300,7 @@ def from_surface(table: Real, theta_h: Real, B: Real, sharpest: Scalar) -> Real:
     """(S * D) looked up, by cubic polynomials both ways.
 
     Accuracy against :func:`convolve` of the same order (HP17 Eq. 33), 60 random lobes of beta in [3e-3, 0.6], p in
-    [0.25, 4], c in [1.05, 5], b in [0.1, 30] um, where the lobe is above 1e-6 of its peak: median 2e-7 of the lobe, 99 %
+    [0.25, 4], c in [1.05, 5], b in [0.1, 30] um, where the lobe is above 1e-6 of its peak: median 2e-7 of it, 99 %
     within 1e-5, all within 7e-4, at theta_h of 80 to 89.5 degrees within 1e-5, beyond within 7e-3; everywhere within
     2e-4 of the peak (``tests/model/test_convolution.py`` holds six to these numbers). Gradient: finite, 0 by theta_h
     past `LAST_HALF`.

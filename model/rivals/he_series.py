@@ -85,10 +85,6 @@ def _sums(g: Array, e: Array) -> Sums:
     zero = jnp.zeros_like(g * e)
     # the most that one of them takes
     count = jnp.ceil(jnp.max((largest + ABOVE * width - first) / step)).astype(int) + 1
-    zero = jnp.zeros_like(g * e)
-    count = (
-        jnp.ceil(jnp.max((largest + ABOVE * width - first) / step)).astype(int) + 1
-    )  # the most that one of them takes
     sums = jax.lax.fori_loop(0, jnp.clip(count, LEAST_TERMS, TERMS), add, (zero, zero, zero))
     value, moment, shrunk = (step * x for x in sums)
     for m in map(float, range(1, STIRLING)):  # whose factorials Stirling's series does not give to ten digits

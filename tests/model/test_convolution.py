@@ -122,7 +122,7 @@ def test_grid_table_is_as_good_as_its_quadrature(order, median, largest):
 
 @pytest.fixture(scope="module", params=range(6))
 def looked_up(request):
-    """A random lobe from its table at all theta_h, at 80 to 89.5 degrees and beyond: (found, expected, peak) of each."""
+    """A random lobe from its table at all theta_h, at 80 to 89.5 degrees and beyond: found, expected, peak of each."""
     rng = np.random.default_rng(request.param)
     low, high = np.log([3e-3, 0.25, 0.05, 0.1]), np.log([0.6, 4.0, 4.0, 30.0])
     beta, p, c, b = (jnp.asarray(x) for x in np.exp(rng.uniform(low, high)))

@@ -42,5 +42,5 @@ def test_several_values_of_a_parameter_that_channels_share_are_refused():
 def test_a_choice_that_is_a_number_may_be_given_as_one():
     assert made("gtr", {"gamma": 2}) == made("gtr", {"gamma": "2"}) == GTR(gamma="2")
     for wrong in (3, True, 2.0, "two"):
-        with pytest.raises(ValueError, match="gtr: gamma .* is none of free, 1, 2"):
+        with pytest.raises(ValueError, match=r"gtr: gamma .* is none of free, 1, 2"):
             made("gtr", {"gamma": wrong})
