@@ -191,12 +191,13 @@ def surface_albedo(v: Values, s: Setting) -> Array:
 def conservation(v: Values, s: Setting) -> Array:
     """What the lobes are multiplied by (0) and what the body is multiplied by (1), stacked: see `energy`."""
     table = v["surface_albedo"] if "surface_albedo" in v else surface_albedo(v, s)
-    lit, seen = (energy.at_incidence(table, v["beta"], theta) for theta in (s.geometry.theta_i, s.geometry.theta_o))
+    g, masked = s.geometry, _effects(s).masking != "none"
+    lit, seen = (energy.at_incidence(table, v["beta"], theta, masked) for theta in (g.theta_i, g.theta_o))
     kept = 1 / (jnp.maximum(lit, 1.0) * jnp.maximum(seen, 1.0))
     if _effects(s).body == "none":
         return kept[None]
     through = jnp.maximum(1 - lit, 0.0) * jnp.maximum(1 - seen, 0.0)
-    mean = energy.mean_transmittance(table, v["beta"]).reshape((-1,) + (1,) * (through.ndim - 1))
+    mean = energy.mean_transmittance(table, v["beta"], masked).reshape((-1,) + (1,) * (through.ndim - 1))
     return jnp.stack([kept, safe_divide(through, mean)])
 
 

@@ -69,6 +69,14 @@ def test_conserving_split_gives_back_no_more_than_it_receives(effects):
         assert albedo(effects, values).max() <= 1 + 1e-3
 
 
+@pytest.mark.parametrize("eta", [1.5, 3.0])
+def test_a_surface_without_masking_gives_back_no_more_at_the_horizon(eta):
+    """Beyond the last node of its albedo, 89.976 degrees here, where E rises as 1/cos; 1.24 as long as E did not."""
+    values = {"beta": 1.0, "p": 0.4, "b": 3.0, "c": 1.8, "sigma_s": 0.04, "eta": np.array([eta]), "albedo": np.ones(1)}
+    found = albedo(under("lambert", masking="none"), values, (89.0, 89.95, 89.98, 89.985), radii=48)
+    assert found.max() <= 1 + 1e-3
+
+
 @pytest.mark.slow
 def test_a_ringing_lobe_gives_back_no_more_than_it_receives():
     """Order 100 where 2000 would be needed, before a mirror: the printed split has the negative values of the sum."""
@@ -107,7 +115,7 @@ def test_surface_albedo_between_its_nodes():
 
     @jax.jit
     def table(v):
-        return energy.at_incidence(surface_albedo(v, at_wavelength), v["beta"], jnp.radians(degrees))
+        return energy.at_incidence(surface_albedo(v, at_wavelength), v["beta"], jnp.radians(degrees), masked=True)
 
     @jax.jit
     def integrated(v, geometry, measure):
