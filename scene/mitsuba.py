@@ -30,7 +30,8 @@ import mitsuba  # noqa: E402
 dr: Any = drjit  # types of values depend on the variant
 mi: Any = mitsuba
 
-CELLS, LINEAR, STEEPEST = 256, 2e-4, 1e3  # as in `model.sampling.visible`, without JAX (tests/scene/test_mitsuba.py)
+# as in `model.sampling.visible`, without JAX (tests/scene/test_mitsuba.py), but for SMALLEST: here it is of float32
+CELLS, LINEAR, STEEPEST = 256, 2e-4, 1e3
 GRAZING, INCIDENCES, NEWTON, SMALLEST = np.radians(89.9), 48, 5, 1e-6
 LONGEST = float(np.arcsinh(STEEPEST / LINEAR))
 
@@ -177,9 +178,15 @@ def main() -> None:
     parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba; scalar_rgb needs no LLVM")
     parser.add_argument("--samples", type=int, default=0, help="of each pixel, if not as the scene says")
     asked = parser.parse_args()
+    if asked.variant not in mi.variants():
+        parser.error(f"there is no variant {asked.variant!r} of Mitsuba; there are {', '.join(mi.variants())}")
     mi.set_variant(asked.variant)
     register()
-    mi.util.write_bitmap(asked.out, mi.render(mi.load_file(asked.scene), spp=asked.samples))
+    try:
+        scene = mi.load_file(asked.scene)
+    except (RuntimeError, OSError) as error:  # of a file that is missing, no scene, or of what it names
+        parser.error(f"{asked.scene}: cannot be read as a scene ({' '.join(str(error).split())})")
+    mi.util.write_bitmap(asked.out, mi.render(scene, spp=asked.samples))
     print(f"wrote {asked.out}")
 
 

@@ -9,7 +9,7 @@ LARGEST = 26.0  # of the argument: beyond it nothing is masked, to the last digi
 
 
 def G1(cos: Real, roughness: Scalar) -> Real:
-    """Smith's masking of one direction whose cosine with the normal is ``cos`` > 0 (Heitz 2014, Eq. 72, 83).
+    """Smith's masking of one direction whose cosine with the normal is ``cos`` > 0 (Smith 1967; Heitz 2014).
 
     1 / (1 + Lambda), Lambda = exp(-a^2) / (2 a sqrt(pi)) - erfc(a) / 2, a = cot(theta) / m.
     """

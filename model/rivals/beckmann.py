@@ -15,7 +15,7 @@ from .microfacets import Microfacets
 
 @dataclass(frozen=True)
 class Beckmann(Microfacets):
-    """:class:`.microfacets.Microfacets` with D = exp(-tan^2 / m^2) / (pi m^2 cos^4), G1 of Heitz 2014 Eq. 72, 83.
+    """:class:`.microfacets.Microfacets` with D = exp(-tan^2 / m^2) / (pi m^2 cos^4), Smith's G1 (Heitz 2014).
 
     Accuracy: 4e-8 against an independent oracle (``tests/rivals/test_microfacets.py``).
     """

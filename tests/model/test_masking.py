@@ -51,6 +51,14 @@ def test_masking_table_to_1e_9(beta, p):
     assert float(jnp.max(jnp.abs(slopes[0] - slopes[1]) * jnp.array([beta, p]))) < 5e-8
 
 
+@pytest.mark.parametrize(("p", "low", "high"), [(5.2, 5e-5, 7e-5), (8.0, 9e-4, 1e-3), (0.11, 3e-3, 4e-3)])
+def test_the_table_ends_with_the_exponents_of_fits(p, low, high):
+    """As the docstrings say: beyond them it is no better than this."""
+    cos = jnp.cos(jnp.linspace(0, np.pi / 2, 2001))
+    off = np.abs(smith.masking(cos, *j(0.05, p)) - smith.masking_direct(cos, *j(0.05, p)))
+    assert low < off.max() < high
+
+
 @pytest.mark.parametrize("tau", [1, np.int32(1), np.array([1, 1])])
 def test_whole_slopes_give_the_same_masking(tau):
     expected = smith.smith_lambda(jnp.asarray(1.0), jnp.asarray(1.0))

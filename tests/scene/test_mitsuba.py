@@ -45,6 +45,23 @@ def test_constants_are_those_of_the_sampler():
         assert getattr(plugin, name) == getattr(ours, name), name
 
 
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (["none.xml", "--variant", "scalar_rgb"], "none.xml: cannot be read as a scene"),
+        (["none.xml", "--variant", "scalar_rbg"], "no variant 'scalar_rbg' of Mitsuba; there are scalar_rgb"),
+    ],
+)
+def test_what_cannot_be_rendered_is_named(asked, said, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["mitsuba", *asked])
+    with pytest.raises(SystemExit) as ended:
+        plugin.main()
+    assert ended.value.code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "error: " in last
+    assert said in last
+
+
 def test_values_are_those_of_the_model(variant, file):
     from merlfit.model.geometry import Geometry
     from merlfit.model.reflectance import evaluate
