@@ -24,7 +24,7 @@ from .assess.picture import difference
 from .output.synthesis import from_result, tabulate
 from .pipeline.run import fit_file
 from .results.export import ResultError, read_result
-from .results.schema import UNSAID, Result
+from .results.schema import UNSAID, Result, genuine_words
 from .scenes import of_result
 from .settings.config import AcquisitionSection, load
 from .support.compilation import use_persistent_cache
@@ -88,7 +88,7 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> lis
         if to != "mitsuba":
             raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
         file = read(path)
-        said = f"{path.name}, {f'genuine MERL measurement {file.genuine}' if file.genuine else UNSAID}"
+        said = f"{path.name}, {genuine_words(file.genuine) if file.genuine else UNSAID}"
         return to_mitsuba(f"{path.stem}.measured", measurement(*folded(file)), said, out)
     result = read_result(path)
     if result.model is None:
