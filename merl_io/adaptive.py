@@ -10,8 +10,17 @@ their projected area, bilinear between the nodes of their tables over u(m) and u
 as Mitsuba's plugin `measured` has it, which returns the left side (pbrt-v4's `MeasuredBxDF` divides by the cosine).
 These find s by the inverse warp and interpolate S; here every node goes forwards.
 
-A node stands for its part of HP17 Eq. 56, d omega_o cos theta_i d theta_i: the solid angle of the cell around it, times
-the integral of the cosine half-way to the incidences beside its own.
+S is bilinear between the nodes, so that the light that a file reflects from i is a sum over them,
+
+    int f cos theta_o d omega_o = sum_k W_k S(s_k),    W_k = int h_k(s) D / (4 sigma) |d omega_o / ds| ds,
+
+with h_k the bilinear hat of node k: Gauss points in every cell of the square, and the warp's own Jacobian. A node's
+part of HP17 Eq. 56, d omega_o cos theta_i d theta_i, is W_k over its own D / (4 sigma): the solid angle around it, in
+which D may fall off from where the node is; times the integral of the cosine half-way to the incidences beside its own.
+Between measured nodes and others, below the horizon, the measured ones stand for all. (Solid angles of cells alone give
+the centre of a mirror-like lobe its peak over the whole of the first cell, along which D falls to nothing: 28 times the
+light of a glossy film.) All nodes at theta_m = 0 are one direction, of which S has many values: they are one sample,
+their mean by W.
 """
 
 from collections.abc import Iterator, Mapping
@@ -21,25 +30,39 @@ import numpy as np
 
 from .warp import warped
 
+GRAZING = np.radians(
+    89.99
+)  # light from beyond is none: 90 degrees may be stored a little less, and no file measures it
+GAUSS = 6  # points along either side of a cell: albedos of RGL's files are within 0.5 % of those by 16
+
 
 @dataclass(frozen=True)
 class Slice:
     """Samples of one incidence.
 
     Attributes:
-        azimuth, incidence: which of the file's. node: which nodes are samples, (n, n). theta_i, theta_o, phi: of
-            them, as of `scattered.ScatteredMeasurement`, (k,).
+        azimuth, incidence: which of the file's. node: which nodes are samples, (n, n), one of those at theta_m = 0.
+        normal: weights of these in their mean, (n,). theta_i, theta_o, phi: of the samples, as of
+            `scattered.ScatteredMeasurement`, (k,).
         factor: BRDF (1/sr) over S, (k,). share: of Eq. 56, (k,).
     """
 
     azimuth: int
     incidence: int
     node: np.ndarray
+    normal: np.ndarray
     theta_i: np.ndarray
     theta_o: np.ndarray
     phi: np.ndarray
     factor: np.ndarray
     share: np.ndarray
+
+    def values(self, stored: np.ndarray) -> np.ndarray:
+        """BRDF (1/sr) of the samples, (k,), of the S of all nodes, (n, n)."""
+        whole, counted = stored.astype(float), self.normal > 0
+        if counted.any():
+            whole[:, 0] = np.average(whole[counted, 0], weights=self.normal[counted])
+        return whole[self.node] * self.factor
 
 
 def slices(parts: Mapping[str, np.ndarray]) -> Iterator[Slice]:
@@ -53,7 +76,7 @@ def slices(parts: Mapping[str, np.ndarray]) -> Iterator[Slice]:
     edges = np.concatenate([[0.0], (theta[1:] + theta[:-1]) / 2, [np.pi / 2]])
     cosine = np.diff(np.sin(np.minimum(edges, np.pi / 2)))  # its integral
     for azimuth, phi in enumerate(parts["phi_i"].astype(float)):
-        for incidence in np.flatnonzero(theta < np.pi / 2):
+        for incidence in np.flatnonzero(theta < GRAZING):
             yield _slice(parts, azimuth, int(incidence), phi, float(theta[incidence]), float(cosine[incidence]))
 
 
@@ -62,21 +85,59 @@ def _slice(
 ) -> Slice:
     density = parts["vndf"][azimuth, incidence].astype(float)
     luminance = parts["luminance"][azimuth, incidence]
+    sigma = float(_bilinear(parts["sigma"], np.sqrt(2 * theta_i / np.pi), (phi_i + np.pi) / (2 * np.pi)))
     steps = np.linspace(0, 1, len(luminance))
     u = warped(density, steps, steps)
     o, reaches = mirrored(u, theta_i)
-    d = _bilinear(parts["ndf"], u[0], u[1][:, None])
-    sigma = _bilinear(
-        parts["sigma"], np.asarray(np.sqrt(2 * theta_i / np.pi)), np.asarray((phi_i + np.pi) / (2 * np.pi))
-    )
-    used = reaches & (o[..., 2] > 0) & (luminance > 0) & (d > 0) & (sigma > 0)
-    o, d = o[used], d[used]
-    shape = d / (4 * sigma) if parts["jacobian"][0] else np.ones(len(o))
-    between = np.concatenate([[0.0], (steps[1:] + steps[:-1]) / 2, [1.0]])
-    corners, _ = mirrored(warped(density, between, between), theta_i)
+    scale = _scale(parts, u, sigma)
+    used = reaches & (o[..., 2] > 0) & (luminance != 0) & (scale > 0)
+    reflected = _weights(parts, density, theta_i, sigma, used)
+    solid = np.divide(reflected, scale, out=np.zeros_like(scale), where=used)
+    normal = reflected[:, 0]
+    solid[:, 0] = solid[:, 0].sum()
+    used[:, 0] = (normal > 0) & (np.arange(len(used)) == np.argmax(normal > 0))
+    o = o[used]
     theta_o, phi = np.arctan2(np.hypot(o[:, 0], o[:, 1]), o[:, 2]), np.arctan2(o[:, 1], o[:, 0])
-    share = cosine * solid_angles(corners)[used] / len(parts["phi_i"])
-    return Slice(azimuth, incidence, used, np.full(len(o), theta_i), theta_o, phi, shape / o[:, 2], share)
+    share = cosine * solid[used] / len(parts["phi_i"])
+    factor = scale[used] / o[:, 2]
+    return Slice(azimuth, incidence, used, normal, np.full(len(o), theta_i), theta_o, phi, factor, share)
+
+
+def _scale(parts: Mapping[str, np.ndarray], u: tuple[np.ndarray, np.ndarray], sigma: float) -> np.ndarray:
+    """f cos theta_o over S, (m, n), at u: 0 where there is no normal, or none is seen."""
+    if not parts["jacobian"][0]:
+        return (_bilinear(parts["ndf"], u[0], u[1][:, None]) > 0) * 1.0
+    return _bilinear(parts["ndf"], u[0], u[1][:, None]) / (4 * sigma) if sigma > 0 else np.zeros_like(u[0])
+
+
+def _weights(
+    parts: Mapping[str, np.ndarray], density: np.ndarray, theta_i: float, sigma: float, used: np.ndarray
+) -> np.ndarray:
+    """W of all nodes, (n, n): how much light is reflected above the horizon of a node's S; 0 where not used."""
+    nodes = len(used)
+    x, weight = np.polynomial.legendre.leggauss(GAUSS)
+    inside = np.tile((x + 1) / 2, nodes - 1)
+    cell = np.repeat(np.arange(nodes - 1), GAUSS)
+    points = (cell + inside) / (nodes - 1)
+    hats = np.zeros((len(points), nodes))
+    hats[np.arange(len(points)), cell], hats[np.arange(len(points)), cell + 1] = 1 - inside, inside
+    u = warped(density, points, points)
+    o, reaches = mirrored(u, theta_i)
+    measured = hats @ used @ hats.T
+    part = np.tile(weight / (2 * (nodes - 1)), nodes - 1)
+    spread = _scale(parts, u, sigma) * _solid_angle(density, u, theta_i) * part * part[:, None]
+    whole = np.where(reaches & (o[..., 2] > 0) & (measured > 0), spread, 0.0) / np.where(measured > 0, measured, 1.0)
+    return used * (hats.T @ whole @ hats)
+
+
+def _solid_angle(density: np.ndarray, u: tuple[np.ndarray, np.ndarray], theta_i: float) -> np.ndarray:
+    """|d omega_o / ds|, (m, n), at u: of mirrored light, of normals by u, of u by the warp."""
+    theta, phi = u[0] ** 2 * np.pi / 2, (2 * u[1][:, None] - 1) * np.pi
+    cosine = np.sin(theta) * np.cos(phi) * np.sin(theta_i) + np.cos(theta) * np.cos(theta_i)
+    whole = np.mean((density[1:, 1:] + density[1:, :-1] + density[:-1, 1:] + density[:-1, :-1]) / 4)
+    here = _bilinear(density, u[0], u[1][:, None]) / whole
+    normals = 2 * np.pi**2 * u[0] * np.sin(theta)
+    return np.divide(4 * np.maximum(cosine, 0.0) * normals, here, out=np.zeros_like(here), where=here > 0)
 
 
 def mirrored(u: tuple[np.ndarray, np.ndarray], theta_i: float) -> tuple[np.ndarray, np.ndarray]:
@@ -91,29 +152,12 @@ def mirrored(u: tuple[np.ndarray, np.ndarray], theta_i: float) -> tuple[np.ndarr
     return 2 * cosine[..., None] * m - i, cosine > 0
 
 
-def solid_angles(corners: np.ndarray) -> np.ndarray:
-    """Of cells (sr), (m, n), by unit vectors to their corners (m + 1, n + 1, 3): what is above the horizon of them.
-
-    Two triangles each (Van Oosterom & Strackee 1983, doi:10.1109/TBME.1983.325207); a corner below the horizon is moved
-    straight up to it.
-    """
-    up = corners.copy()
-    up[..., 2] = np.maximum(up[..., 2], 0.0)
-    up /= np.maximum(np.linalg.norm(up, axis=-1, keepdims=True), 1e-300)
-    a, b, c, d = up[:-1, :-1], up[1:, :-1], up[1:, 1:], up[:-1, 1:]
-    return _triangle(a, b, c) + _triangle(a, c, d)
-
-
-def _triangle(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    ab, bc, ca = (np.sum(x * y, -1) for x, y in ((a, b), (b, c), (c, a)))
-    return 2 * np.arctan2(np.abs(np.sum(a * np.cross(b, c), -1)), 1 + ab + bc + ca)
-
-
-def _bilinear(table: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _bilinear(table: np.ndarray, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
     """A table (H, W) over the unit square, x along its columns."""
-    x, y = (np.clip(v, 0.0, 1.0) * (n - 1) for v, n in ((x, table.shape[1]), (y, table.shape[0])))
-    column, row = (np.minimum(v.astype(int), n - 2) for v, n in ((x, table.shape[1]), (y, table.shape[0])))
-    right, down = x - column, y - row
+    at_x, at_y = (np.clip(v, 0.0, 1.0) * (n - 1) for v, n in ((x, table.shape[1]), (y, table.shape[0])))
+    column = np.minimum(np.asarray(at_x, int), table.shape[1] - 2)
+    row = np.minimum(np.asarray(at_y, int), table.shape[0] - 2)
+    right, down = at_x - column, at_y - row
     upper = table[row, column] * (1 - right) + table[row, column + 1] * right
     lower = table[row + 1, column] * (1 - right) + table[row + 1, column + 1] * right
     return np.asarray(upper * (1 - down) + lower * down)

@@ -1,7 +1,8 @@
 """RGL's ``.bsdf`` files: isotropic materials measured by Dupuy & Jakob 2018 (doi:10.1145/3272127.3275059).
 
 Every node of the file that lies above the horizon and was measured is a sample with its own direction and value
-(`adaptive`); nothing is interpolated. Where the luminance is 0 nothing was measured: RGL's own viewer marks it so.
+(`adaptive`); nothing is interpolated. Negative values, which the conversion to RGB makes of saturated colours, are
+data. Where the luminance is 0 nothing was measured: RGL's own viewer marks it so; `valid` is inverted in some files.
 """
 
 from pathlib import Path
@@ -27,7 +28,7 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
     Args:
         most: wavelengths that are read, evenly over those of the file, the first and the last among them.
 
-    Memory: three times the file in RGL's layout.
+    Memory: three times the file in RGL's layout, and a few MiB.
 
     Raises:
         merlfit.merl_io.binary.MerlError: it cannot be read, is no such file, or is anisotropic.
@@ -43,10 +44,10 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
         rows = slice(at, at := at + len(each.phi))
         for plane, k in zip(values, chosen, strict=True):
             with np.errstate(over="ignore", invalid="ignore"):  # no data, below
-                value = spectra[each.azimuth, each.incidence, k][each.node] * each.factor
-                plane[rows] = np.where((value >= 0) & (value < BRIGHTEST), value, np.nan)
+                value = each.values(spectra[each.azimuth, each.incidence, k])
+                plane[rows] = np.where(np.abs(value) < BRIGHTEST, value, np.nan)
     if not any(np.isfinite(plane).any() for plane in values):
-        raise MerlError(f"{path}: holds no datum: every value is negative, not finite, or below the horizon")
+        raise MerlError(f"{path}: holds no datum: every value is not finite, or below the horizon")
     theta_i, theta_o, phi, share = (
         np.concatenate([getattr(each, name) for each in found]) for name in ("theta_i", "theta_o", "phi", "share")
     )
