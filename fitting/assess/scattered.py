@@ -1,7 +1,8 @@
 """How far a prediction is from scattered samples, and how many independent samples the difference is worth.
 
 Every mean is over samples, each with the share of the measure that it stands for. There is no grid to render a sphere
-from: the error of pictures is not a number.
+from: the error of pictures is not a number. Negative values count as they are in RMSE and sMAPE; to the eye (cube roots
+and logarithms) they are black.
 """
 
 import numpy as np
@@ -18,9 +19,9 @@ def errors(samples: ScatteredSamples, predicted: np.ndarray) -> Errors:
     RMSE is weighted with cos_i, as HP17 Table 2 has it beside the measure of Eq. 56; the highlight is that of the
     brightest sample at theta_d < 60 degrees, channels summed.
     """
-    used, m, p = samples.weight > 0, samples.value, np.maximum(predicted, 0.0)
+    used, m = samples.weight > 0, samples.value
     share = np.where(used, samples.share, 0.0)
-    seen, drawn = m * samples.cos_i, p * samples.cos_i
+    seen, drawn = (np.maximum(x, 0.0) * samples.cos_i for x in (m, predicted))
     total = np.abs(m) + np.abs(predicted)
     return Errors(
         rmse=np.sqrt(_mean((m - predicted) ** 2, share * samples.cos_i)),
@@ -35,8 +36,8 @@ def errors(samples: ScatteredSamples, predicted: np.ndarray) -> Errors:
 def cube_root_error(samples: ScatteredSamples, predicted: np.ndarray) -> float:
     """That of `errors` alone."""
     share = np.where(samples.weight > 0, samples.share, 0.0)
-    cos, drawn = np.cbrt(samples.cos_i), np.cbrt(np.maximum(predicted, 0.0))
-    return float(np.sqrt(_mean(((np.cbrt(samples.value) - drawn) * cos) ** 2, share)))
+    seen, drawn = (np.cbrt(np.maximum(x, 0.0) * samples.cos_i) for x in (samples.value, predicted))
+    return float(np.sqrt(_mean((seen - drawn) ** 2, share)))
 
 
 def _mean(x: np.ndarray, weight: np.ndarray) -> float:

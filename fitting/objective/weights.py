@@ -23,6 +23,7 @@ from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples, scatter
 from ..support.threads import side_by_side
 
 THETA_MAX = 1.4  # rad: HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
+TOLD, HALF_NORMAL = 5.0, 0.6745  # standard deviations of noise; the median of what is below zero, in one of them
 BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
 Bend = float | Literal["log"]
 Weights = Literal["compressive", "log", "none", "adaptive"]
@@ -43,6 +44,16 @@ def compressive_weight(value: np.ndarray, median: np.ndarray, bend: float = BEND
     """
     x = np.maximum(value / median, 1e-12)
     return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** bend
+
+
+def noise_floor(value: np.ndarray) -> float:
+    """Values below it are not told from zero by their noise, as which negative ones show: they weigh alike.
+
+    A weight that falls with the noise of its own value counts what is by chance too dark for more than what is by
+    chance too bright, and so makes the fit too dark.
+    """
+    negative = value[value < 0]
+    return TOLD * float(np.median(-negative)) / HALF_NORMAL if negative.size else 0.0
 
 
 def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:
@@ -111,8 +122,9 @@ Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def _compressive(bend: float) -> Weigh:
     def weigh(value: np.ndarray, cos_i: np.ndarray) -> np.ndarray:
-        median = max(cos_weighted_median(value, cos_i), 1e-9)
-        return compressive_weight(value, np.asarray(median), bend)
+        floor = noise_floor(value)
+        scale = max(cos_weighted_median(value, cos_i), floor, 1e-9)  # where most values are negative, the median is
+        return compressive_weight(np.maximum(value, floor), np.asarray(scale), bend)
 
     return weigh
 

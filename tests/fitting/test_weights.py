@@ -8,6 +8,7 @@ import pytest
 from merlfit.fitting.objective.weights import (
     RUNGS,
     THETA_MAX,
+    _compressive,
     compressive_weight,
     cos_weighted_median,
     weighted_samples,
@@ -182,3 +183,25 @@ def test_a_file_without_bins_or_without_light_has_weights(bend):
     assert np.all(np.isfinite(weighted_samples(replace(made(20.0), valid=away), bend).weight))
     past = grid.above & ~within(grid, 1.4)
     assert not np.any(weighted_samples(replace(made(20.0), valid=past), bend).weight)
+
+
+def test_noise_below_the_floor_does_not_weigh(tmp_path):
+    """What is by chance too dark counts as what is by chance too bright: the weighted mean is the mean."""
+    rng = np.random.default_rng(0)
+    value, cos_i = 1e-3 * (1 + rng.standard_normal(4000)), np.full(4000, 0.7)
+    weight = _compressive(1.4)(value, cos_i)
+    assert np.average(value, weights=weight) == pytest.approx(1e-3, rel=0.05)
+    bare = compressive_weight(value, np.asarray(1e-3))
+    assert np.average(value, weights=bare) < 0.75e-3
+    bright = np.abs(value)
+    np.testing.assert_array_equal(
+        _compressive(1.4)(bright, cos_i), compressive_weight(bright, np.asarray(cos_weighted_median(bright, cos_i)))
+    )
+
+
+def test_a_channel_whose_values_are_mostly_negative_still_weighs():
+    """As blue does of a yellow film in RGB: its median is no unit, and its highlight still counts."""
+    value = np.concatenate([np.full(800, -0.01), np.full(150, 0.02), np.full(50, 30.0)])
+    weight = _compressive(1.4)(value, np.full(1000, 0.7))
+    np.testing.assert_allclose(weight[:950], 1 / (2 * np.log(2)) ** 1.4, rtol=1e-12)
+    assert 1e-4 < weight[-1] < 1e-2
