@@ -1,32 +1,25 @@
 """Materials for other programs: Mitsuba, MERL files, plain parameters, and the nearest GGX of glTF and OpenPBR."""
 
 import json
-import math
 import re
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, get_args
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
-
 from ..merl_io.atomic import write_text
 from ..merl_io.binary import MerlError, read, write
 from ..merl_io.samples import folded
-from ..model.reflectance import evaluate
 from ..model.registry import models
 from ..scene.description import SceneError
 from ..scene.surface import Material, measurement
 from ..scene.tables import write_tables
-from .assess.picture import difference
-from .output.synthesis import from_result, tabulate
-from .pipeline.run import fit_file
+from .output.formats import nearest
+from .output.synthesis import from_result
 from .results.export import ResultError, read_result
 from .results.schema import UNSAID, Result, genuine_words
 from .scenes import of_result
-from .settings.config import AcquisitionSection, load
 from .support.compilation import use_persistent_cache
 from .support.numbers import number
 from .support.terminal import console, fail, progress_display, reporter, writable_folder
@@ -40,7 +33,7 @@ SCENE = """<?xml version="1.0" encoding="utf-8"?>
         <float name="fov" value="20"/>
         <transform name="to_world"><lookat origin="0, 0, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
         <film type="hdrfilm"><integer name="width" value="256"/><integer name="height" value="256"/></film>
-        <sampler type="multijitter"><integer name="sample_count" value="256"/></sampler>
+        <sampler type="multijitter"><integer name="sample_count" value="32"/></sampler>
     </sensor>
     <emitter type="constant"><rgb name="radiance" value="0.3"/></emitter>
     <emitter type="directional">
@@ -111,9 +104,8 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> lis
             return [_write_json(out / f"{path.stem}.material.json", parameters_of(result))]
         case _:
             say("nearest GGX")
-            nearest = nearest_ggx(path)
             write_ = to_gltf if to == "gltf" else to_openpbr
-            return [write_(path.stem, nearest, said, out)]
+            return [write_(path.stem, nearest_of(path, result, to), said, out)]
 
 
 def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path]:
@@ -142,70 +134,34 @@ def parameters_of(result: Result) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def nearest_ggx(path: Path) -> dict[str, Any]:
-    """What metallic-roughness materials can say of a fit: GGX facets refitted to it, and how far off they are.
+def nearest_of(path: Path, result: Result, to: str) -> dict[str, Any]:
+    """What metallic-roughness materials can say of a fit, and how far off they are: `output.formats.nearest`.
 
-    Fitted to the material's BRDF on MERL's grid with the weights of all fits. Then it becomes a metal or a dielectric,
-    as these formats know no other, whichever is nearer; ``cielab`` is the mean distance of rendered spheres from the
-    fit, conversion included.
+    A fit with a conductor's index is a metal there, too; of the others it is whichever is nearer.
     """
-    values, _ = from_result(path)
-    config = load(None, model=["ggx"], posterior=False)
-    config = config.model_copy(update={"acquisition": AcquisitionSection(grazing_loss="off")})
-    with tempfile.TemporaryDirectory(prefix="merlfit-") as scratch:
-        file = Path(scratch) / f"{path.stem}.binary"
-        write(file, values)
-        found = fit_file(file, scratch, config)
-        measured = read(file)
-    if found.model is None:
-        raise ResultError(f"{path}: GGX could not be fitted to it ({found.fit.status})")
-    v = found.values()
-    ours, valid = folded(measured)
-    kinds = [_converted(v, metal, ours, valid) for metal in (True, False)]
-    return {
-        **min(kinds, key=lambda kind: kind["error"]["cielab"]), "alpha": float(v["alpha"]),
-        "roughness": min(math.sqrt(float(v["alpha"])), 1.0),
-        "ggx": {"rmse": found.metrics.rmse, "smape": found.metrics.smape},
-    }  # fmt: skip
+    assert result.model is not None
+    return nearest(from_result(path)[0], to, metal=result.model.settings.get("index") == "complex")
 
 
-def _converted(v: dict[str, Any], metal: bool, ours: np.ndarray, valid: np.ndarray) -> dict[str, Any]:
-    """GGX facets as a metal, or as a dielectric over a body, and how far that is from folded values."""
-    base = np.clip(v["F0"] if metal else v["albedo"], 0, 1)
-    facet = base if metal else np.full(3, min(float(np.mean(v["F0"])), 0.9))
-    given = {"alpha": v["alpha"], "F0": facet, "albedo": np.zeros(3) if metal else base}
-    ggx = models()["ggx"]()
-    converted = tabulate(lambda g: evaluate(ggx, given, g))
-    theirs = (converted[..., :90] + converted[..., :89:-1]) / 2
-    root = math.sqrt(float(facet.mean()))
-    return {
-        "base_color": [float(x) for x in base], "metallic": float(metal),
-        "ior": 1.5 if metal else (1 + root) / (1 - root),
-        "error": {"cielab": difference(ours, np.nan_to_num(theirs), valid)},
-    }  # fmt: skip
-
-
-def in_words(nearest: dict[str, Any]) -> str:
+def in_words(found: dict[str, Any], to: str) -> str:
     """What the file holds, and how far off it is."""
     return (
-        "the nearest GGX material, without diffraction: rendered spheres differ from the fit by a mean CIELAB distance "
-        f"of {nearest['error']['cielab']:.2f}"
+        f"the nearest GGX material of this format, without diffraction: spheres drawn by the formulas of {to} differ "
+        f"from the fit by a mean CIELAB distance of {found['error']['cielab']:.2f}"
     )
 
 
-def to_gltf(name: str, nearest: dict[str, Any], said: str, out: Path) -> Path:
+def to_gltf(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
     """A glTF 2.0 asset of one material."""
     material = {
         "name": name,
         "pbrMetallicRoughness": {
-            "baseColorFactor": [*nearest["base_color"], 1.0], "metallicFactor": nearest["metallic"],
-            "roughnessFactor": nearest["roughness"],
+            "baseColorFactor": [*found["base_color"], 1.0], "metallicFactor": found["metallic"],
+            "roughnessFactor": found["roughness"],
         },
-        "extensions": {"KHR_materials_ior": {"ior": nearest["ior"]}},
+        "extensions": {"KHR_materials_ior": {"ior": found["ior"]}},
         "extras": {
-            "merlfit": {
-                "source": said, "what": in_words(nearest), "error": nearest["error"], "ggx": nearest["ggx"],
-            }
+            "merlfit": {"source": said, "what": in_words(found, "glTF 2.0, Appendix B"), "error": found["error"]}
         },
     }  # fmt: skip
     asset = {
@@ -215,12 +171,12 @@ def to_gltf(name: str, nearest: dict[str, Any], said: str, out: Path) -> Path:
     return _write_json(out / f"{name}.gltf", asset)
 
 
-def to_openpbr(name: str, nearest: dict[str, Any], said: str, out: Path) -> Path:
+def to_openpbr(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
     """A MaterialX document of one OpenPBR surface."""
     plain = "".join(c if c.isalnum() else "_" for c in name)
     text = MATERIALX.format(
-        said=_comment(f"{said}: {in_words(nearest)}"), name=f"m_{plain}", metal=nearest["metallic"],
-        base=", ".join(f"{x:.6g}" for x in nearest["base_color"]), roughness=nearest["roughness"], ior=nearest["ior"],
+        said=_comment(f"{said}: {in_words(found, 'OpenPBR')}"), name=f"m_{plain}", metal=found["metallic"],
+        base=", ".join(f"{x:.6g}" for x in found["base_color"]), roughness=found["roughness"], ior=found["ior"],
     )  # fmt: skip
     return _write_text(out / f"{name}.mtlx", text)
 

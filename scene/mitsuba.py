@@ -9,6 +9,8 @@ variants need LLVM's library: Debian's libllvm19, found here, or ``DRJIT_LIBLLVM
 
 import argparse
 import os
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,7 @@ mi: Any = mitsuba
 CELLS, LINEAR, STEEPEST = 256, 2e-4, 1e3
 GRAZING, INCIDENCES, NEWTON, SMALLEST = np.radians(89.9), 48, 5, 1e-6
 LONGEST = float(np.arcsinh(STEEPEST / LINEAR))
+PASS = 4  # samples of a pixel, between two words of a scalar variant
 
 
 def make() -> type:
@@ -170,6 +173,19 @@ def register() -> None:
     mi.register_bsdf("merlfit", lambda props: kind(props))
 
 
+def rendered(scene: Any, samples: int) -> Any:  # noqa: ANN401 - of Mitsuba
+    """A picture, the scalar variants' in passes, after each of which what is done is said: they take minutes."""
+    step = min(PASS, samples) if mi.variant().startswith("scalar") else samples
+    total, start = 0.0, time.perf_counter()
+    for done in range(0, samples, step):
+        count = min(step, samples - done)
+        total = total + count * np.array(mi.render(scene, spp=count, seed=done))
+        if step < samples:
+            seconds = time.perf_counter() - start
+            print(f"{done + count} of {samples} samples, {seconds:.0f} s", file=sys.stderr, flush=True)
+    return mi.TensorXf(total / samples)
+
+
 def main() -> None:
     """Render a scene file."""
     parser = argparse.ArgumentParser(prog="python -m merlfit.scene.mitsuba", description="Render a scene by Mitsuba 3.")
@@ -186,7 +202,7 @@ def main() -> None:
         scene = mi.load_file(asked.scene)
     except (RuntimeError, OSError) as error:  # of a file that is missing, no scene, or of what it names
         parser.error(f"{asked.scene}: cannot be read as a scene ({' '.join(str(error).split())})")
-    mi.util.write_bitmap(asked.out, mi.render(scene, spp=asked.samples))
+    mi.util.write_bitmap(asked.out, rendered(scene, asked.samples or scene.sensors()[0].sampler().sample_count()))
     print(f"wrote {asked.out}")
 
 

@@ -5,12 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.fitting import scenes, spheres
+from merlfit.fitting import exports, scenes, spheres
+from merlfit.fitting.output import formats, synthesis
+from merlfit.fitting.output.synthesis import tabulate
 from merlfit.fitting.pictures.labelled import MARGIN, labelled
 from merlfit.fitting.pictures.style import save
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.results.schema import UNSAID
-from merlfit.merl_io.binary import DIMS
+from merlfit.merl_io.binary import DIMS, read, write
+from merlfit.model.reflectance import evaluate
+from merlfit.model.registry import models
 from merlfit.scene import effects
 from merlfit.scene.images import read_map
 from PIL import Image
@@ -190,8 +194,6 @@ def test_exports(tmp_path, result, to):
         assert {"beta", "n_R"} <= written["parameters"].keys()
         assert not any(name.startswith("grazing") for name in written["parameters"])
     else:
-        from merlfit.merl_io.binary import read
-
         assert read(out / "nickel.binary").valid.any()
 
 
@@ -199,9 +201,6 @@ def test_exports(tmp_path, result, to):
     ("to", "said"), [("json", ""), ("mitsuba", "a picture needs R, G and B"), ("merl", "4 channels")]
 )
 def test_a_spectral_material_is_exported_where_no_picture_is_needed(tmp_path, monkeypatch, to, said):
-    from merlfit.fitting import exports
-    from merlfit.fitting.output import synthesis
-
     four = made()
     four.model.channels.append("700nm")
     for module in (exports, synthesis):
@@ -212,28 +211,42 @@ def test_a_spectral_material_is_exported_where_no_picture_is_needed(tmp_path, mo
     assert (tmp_path / "nickel.material.json").is_file() == (to == "json")
 
 
-def test_the_nearest_ggx_of_ggx_is_itself(tmp_path, monkeypatch):
-    """A metal of GGX facets: glTF and OpenPBR can say all of it but the colour of F0's mean."""
-    from merlfit.fitting import exports
-    from merlfit.fitting.output.synthesis import tabulate
-    from merlfit.merl_io.binary import write
-    from merlfit.model.reflectance import evaluate
-    from merlfit.model.registry import models
+def ggx(**given):
+    return tabulate(lambda g: evaluate(models()["ggx"](), given, g))
 
-    given = {"alpha": 0.2, "F0": np.array([0.9, 0.7, 0.4]), "albedo": np.full(3, 1e-4)}
-    values = tabulate(lambda g: evaluate(models()["ggx"](), given, g))
-    monkeypatch.setattr(exports, "from_result", lambda path: (values, "GGX"))
-    nearest = exports.nearest_ggx(tmp_path / "gold.json")
-    assert nearest["metallic"] == 1
-    np.testing.assert_allclose(nearest["base_color"], given["F0"], rtol=5e-3)
-    assert nearest["roughness"] == pytest.approx(np.sqrt(0.2), rel=5e-3)
-    assert nearest["error"]["cielab"] < 0.1
-    text = exports.to_openpbr("gold", nearest, "GGX", tmp_path).read_text()
-    assert "base_metalness" in text
-    assert "CIELAB distance of 0.0" in text
-    asset = json.loads(exports.to_gltf("gold", nearest, "GGX", tmp_path).read_text())
-    assert asset["materials"][0]["extras"]["merlfit"]["error"] == nearest["error"]
-    write(tmp_path / "gold.binary", values)
+
+GOLD = {"alpha": 0.2, "F0": np.array([0.9, 0.7, 0.4]), "albedo": np.full(3, 1e-4)}
+
+
+@pytest.mark.parametrize("to", ["gltf", "openpbr"])
+def test_a_fit_is_exported_as_the_nearest_material_of_a_format(tmp_path, result, to, monkeypatch):
+    """A metal of GGX facets is itself; of a fit with a conductor's index a metal is made whatever is nearer."""
+    asked = []
+
+    def nearest(values, to, metal):
+        asked.append(metal)
+        return formats.nearest(values, to, metal=True)
+
+    monkeypatch.setattr(exports, "nearest", nearest)
+    monkeypatch.setattr(exports, "from_result", lambda path: (ggx(**GOLD), "GGX"))
+    found = call("export", result, "--to", to, "-o", tmp_path)
+    assert found.exit_code == 0, found.output
+    assert asked == [True]  # the result is two-scale, complex over none
+    if to == "openpbr":
+        text = (tmp_path / "nickel.mtlx").read_text()
+        assert 'name="base_metalness" type="float" value="1"' in text
+        assert "drawn by the formulas of OpenPBR differ from the fit by a mean CIELAB distance of 0.0" in text
+        return
+    (material,) = json.loads((tmp_path / "nickel.gltf").read_text())["materials"]
+    surface = material["pbrMetallicRoughness"]
+    assert surface["metallicFactor"] == 1
+    np.testing.assert_allclose(surface["baseColorFactor"], [*GOLD["F0"], 1], rtol=5e-3)
+    assert surface["roughnessFactor"] == pytest.approx(np.sqrt(0.2), rel=5e-3)
+    assert material["extras"]["merlfit"]["error"]["cielab"] < 0.1
+
+
+def test_a_measured_file_is_exported_to_mitsuba(tmp_path):
+    write(tmp_path / "gold.binary", ggx(**GOLD))
     found = call("export", tmp_path / "gold.binary", "--to", "mitsuba", "-o", tmp_path / "measured")
     assert found.exit_code == 0, found.output
 

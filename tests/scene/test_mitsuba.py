@@ -92,6 +92,18 @@ def test_tables_are_found_beside_their_scene(file, tmp_path, monkeypatch):
     assert str(tmp_path / "moved.npz") in str(mi.load_file(str(tmp_path / "a.xml")))
 
 
+def test_the_scalar_variant_says_how_far_it_is(capsys):
+    mi.set_variant("scalar_rgb")
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    scene = mi.load_dict({
+        "type": "scene", "integrator": {"type": "path"}, "sensor": {"type": "perspective", "film": film},
+        "light": {"type": "constant", "radiance": 0.3},
+    })  # fmt: skip
+    np.testing.assert_allclose(np.array(plugin.rendered(scene, 10))[..., :3], 0.3, rtol=1e-6)
+    said = capsys.readouterr().err.splitlines()
+    assert [line.split(",")[0] for line in said] == ["4 of 10 samples", "8 of 10 samples", "10 of 10 samples"]
+
+
 @pytest.mark.parametrize("angle", [5, 50, 80])
 def test_mitsubas_own_chi_square(file, angle):
     if "DRJIT_LIBLLVM_PATH" not in os.environ:
