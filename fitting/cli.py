@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from .support.terminal import (
+    Commands,
     console,
     fail,
     run,
@@ -17,7 +18,7 @@ from .support.terminal import (
 
 # the commands import what they need: `merlfit --help` does not wait for JAX
 app = typer.Typer(
-    name="merlfit", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    name="merlfit", cls=Commands, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
     help="Fit reflectance models to measured BRDFs, with error bars: MERL files, tables, RGL's files.",
 )  # fmt: skip
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from ..merl_io.atomic import WriteError, write_bytes
 from .output.inspection import file_of
@@ -24,6 +23,7 @@ from .results.export import ResultError, write_result
 from .results.schema import Model, ParameterResult, Result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
+from .support.terminal import PLAIN, Screen
 
 if TYPE_CHECKING:
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
@@ -222,10 +222,10 @@ class Fit:
         return self.result.model
 
     def __str__(self) -> str:
-        console = Console(width=WIDTH, color_system=None, markup=False, highlight=False)
+        console = Screen(width=WIDTH, color_system=None, highlight=False)
         with console.capture() as capture:
             print_result(console, self.result)
         return capture.get()
 
     def __repr__(self) -> str:
-        return f"<Fit of {self.result.source.material}: {self.result.fit.status}, {self.path}>"
+        return f"<Fit of {self.result.source.material}: {self.result.fit.status}, {self.path}>".translate(PLAIN)

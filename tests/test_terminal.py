@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import typer.main
 from merlfit.fitting import cli
+from merlfit.fitting.fitted import Fit
 from merlfit.fitting.output.checked import check_table
 from merlfit.fitting.output.report import Outcome, print_result, summary_table
 from merlfit.fitting.support import compilation, terminal
@@ -17,7 +18,9 @@ from merlfit.fitting.support.clock import Stage
 from merlfit.fitting.support.terminal import Screen
 from merlfit.merl_io.check import FileReport
 from rich.console import Console
+from rich.panel import Panel
 from rich.table import Table
+from rich.text import Text
 from typer.testing import CliRunner
 
 from tests.support.made_results import made
@@ -26,7 +29,7 @@ runner = CliRunner()
 
 
 def screen(width=80):
-    return Screen(markup=False, width=width, file=io.StringIO())
+    return Screen(width=width, file=io.StringIO())
 
 
 def shown(*objects):
@@ -128,9 +131,9 @@ def test_the_shell_completes_commands(tmp_path):
 def test_errors_stand_clear_of_the_progress_display(monkeypatch):
     """Both on one terminal: the display is taken away, the line printed, the display shown again."""
     both = io.StringIO()
-    on_screen = Screen(markup=False, file=both, force_terminal=True, width=80)
+    on_screen = Screen(file=both, force_terminal=True, width=80)
     monkeypatch.setattr(terminal, "console", on_screen)
-    monkeypatch.setattr(terminal, "errors", Screen(markup=False, file=both, width=80))
+    monkeypatch.setattr(terminal, "errors", Screen(file=both, width=80))
     with terminal.progress_display() as progress:
         progress.add_task("fitting nickel")
         progress.refresh()
@@ -190,7 +193,7 @@ jax.jit(lambda x: jnp.sin(x) @ x)(jnp.ones((8, 8)))
 def test_progress_says_how_much_is_done_and_how_long_it_will_take(monkeypatch):
     """At 80 columns, with the longest name; nothing is squeezed."""
     clock = iter(range(0, 10_000, 1))
-    shown = terminal.Screen(markup=False, force_terminal=True, width=80, color_system=None, file=io.StringIO())
+    shown = terminal.Screen(force_terminal=True, width=80, color_system=None, file=io.StringIO())
     monkeypatch.setattr(terminal, "console", shown)
     with terminal.progress_display() as progress:
         monkeypatch.setattr(progress, "get_time", lambda: float(next(clock)))
@@ -212,3 +215,68 @@ def test_progress_says_how_much_is_done_and_how_long_it_will_take(monkeypatch):
         assert progress.tasks[0].completed == 0.01
         report("writing")
         assert progress.tasks[0].total is None
+
+
+HOSTILE = "a\x1b]52;c;cm0gLXJm\x07b\x9b2J\r\x7f\u202egnp\u2066:smiley:[red]"
+
+
+def harmless(text):
+    """Without the styles that are rich's own; what is left may hold no code that a terminal obeys."""
+    left = re.sub(r"\x1b\[[0-9;]*m", "", text)
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]", left)
+    return left
+
+
+def cell(words):
+    table = Table("name", "b", title=words)
+    table.add_row(words, Text(words))
+    return table
+
+
+@pytest.mark.parametrize("made", [str, Text, cell, Panel])
+def test_no_text_steers_the_terminal(made):
+    """Where it stands as a string, as a text of rich's, in a table, in its title: all is seen, nothing obeyed."""
+    on = Screen(file=io.StringIO(), force_terminal=True, width=150)
+    on.print(made(HOSTILE))
+    assert "a␛]52;c;cm0gLXJm" in harmless(on.file.getvalue())
+    assert "gnp" in on.file.getvalue()
+    assert ":smiley:[red]" in harmless(on.file.getvalue())
+
+
+def test_an_error_is_one_line_whatever_it_names(monkeypatch):
+    monkeypatch.setattr(terminal, "errors", Screen(file=io.StringIO(), force_terminal=True, width=80))
+    terminal.note(f"{HOSTILE}\nmerlfit: 100 of 100 succeeded: no such file", style="red")
+    (line,) = harmless(terminal.errors.file.getvalue()).splitlines()
+    assert line.startswith("merlfit: a␛]52;c;cm0gLXJm␇b")
+    assert line.endswith(" merlfit: 100 of 100 succeeded: no such file")
+
+
+def test_progress_names_files_harmlessly(monkeypatch):
+    on = Screen(file=io.StringIO(), force_terminal=True, width=80)
+    monkeypatch.setattr(terminal, "console", on)
+    with terminal.progress_display() as progress:
+        progress.add_task(HOSTILE)
+        progress.refresh()
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]|\r", "", on.file.getvalue())
+    assert "a␛]52;c;cm0gLXJm" in harmless(text)
+
+
+@pytest.mark.parametrize("words", [[HOSTILE], [f"--{HOSTILE}"], ["check", f"--{HOSTILE}"], ["synth", "x", "-o"]])
+def test_what_typer_says_of_a_word_is_harmless(words):
+    found = runner.invoke(cli.app, words)
+    assert found.exit_code == 2
+    assert "Error" in harmless(found.stderr)
+
+
+def test_a_fit_from_anywhere_is_printed_harmlessly():
+    result = made(material=HOSTILE, posterior=False)
+    result = result.model_copy(
+        update={
+            "source": result.source.model_copy(update={"origin": HOSTILE, "path": HOSTILE}),
+            "fit": result.fit.model_copy(update={"status": HOSTILE, "message": HOSTILE}),
+            "parameters": [p.model_copy(update={"name": HOSTILE, "meaning": HOSTILE}) for p in result.parameters],
+        }
+    )
+    fitted = Fit(result, Path(HOSTILE))
+    assert "␛]52" in harmless(str(fitted))
+    assert "␛]52" in harmless(repr(fitted))

@@ -5,15 +5,16 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.measure import Measurement
 from rich.progress import (
     BarColumn,
@@ -25,14 +26,22 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.segment import Segment
 from rich.table import Column, Table
 from rich.text import Text
+from typer.core import TyperGroup
 
 from .clock import Stage
 
 BAD_INPUT, FAILED_FIT = 2, 1  # exit codes
 BAR = 6  # columns of a progress bar: beside it there is room for the longest name of MERL
 WORDS = 28  # columns that are left to running text in a table before it gets a table of its own
+BIDI = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))  # and separators of lines
+PLAIN = {
+    **{code: 0x2400 + code for code in range(0x20) if chr(code) not in "\t\n"}, 0x7F: 0x2421,  # their own pictures
+    **dict.fromkeys((*range(0x80, 0xA0), *BIDI), 0xFFFD),
+}  # fmt: skip
+"""For ``str.translate``: what would steer a terminal or turn a line around (C0, C1, bidi), as one visible letter."""
 STOPS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 
 
@@ -71,15 +80,29 @@ def stoppable() -> Iterator[None]:
 
 
 class Screen(Console):
-    """A console without markup, to which tables fit, and which no reader can stop from working.
+    """A console without markup, to which tables fit, which no text can steer and no reader can stop from working.
 
-    A pipe that was closed (``| head``) or a full disk ends what is printed, not what is computed.
+    Names of files, messages and keys of JSON come from anywhere: their escape sequences are shown, not obeyed, and
+    ``:name:`` is no picture. A pipe that was closed (``| head``) or a full disk ends what is printed, not what is
+    computed.
 
     Attributes:
         lost: why nothing more is printed, if so.
     """
 
     lost: OSError | None = None
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - rich's own options, handed on
+        super().__init__(markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401 - rich's own options, handed on
+        """As rich does, harmless before it is measured for a column."""
+        return super().render_str(text.translate(PLAIN), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """As rich does, and whatever came as a text of its own is harmless, too."""
+        for each in super().render(renderable, options):
+            yield each if each.control else Segment(each.text.translate(PLAIN), each.style)
 
     def print(self, *objects: object, **options: object) -> None:
         """As rich prints, but tables that are too wide are divided."""
@@ -136,11 +159,33 @@ def _divided(table: Table, console: Console) -> list[Table]:
     return made
 
 
-console = Screen(markup=False)
+console = Screen()
 if not console.is_terminal:
-    console = Screen(markup=False, width=140)  # tables in logs and pipes are not squeezed to 80 columns
-errors = Screen(markup=False, stderr=True, force_jupyter=False)  # in a notebook, too, it is no output of a cell
+    console = Screen(width=140)  # tables in logs and pipes are not squeezed to 80 columns
+errors = Screen(stderr=True, force_jupyter=False)  # in a notebook, too, it is no output of a cell
 _shown: list[Progress] = []  # the display that is on the terminal now
+
+
+class Commands(TyperGroup):
+    """The commands; what typer says about a word that was typed repeats it as :class:`Screen` would."""
+
+    def make_context(self, *words: Any, **named: Any) -> Any:  # noqa: ANN401, D102 - as typer's
+        with _plain_errors():
+            return super().make_context(*words, **named)
+
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401, D102 - as typer's
+        with _plain_errors():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _plain_errors() -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        if isinstance(message := getattr(error, "message", None), str):
+            error.message = message.translate(PLAIN)  # pyright: ignore[reportAttributeAccessIssue] - it has one
+        raise
 
 
 def fail(message: str) -> typer.Exit:
@@ -153,7 +198,8 @@ def note(message: str, style: str | None = None) -> None:
     """Print one line where errors go, clear of the progress display."""
     for progress in _shown:
         progress.stop()
-    errors.print(f"merlfit: {message}", style=style, highlight=False, soft_wrap=True)
+    line = " ".join(message.split("\n"))  # a name cannot add a line of its own
+    errors.print(f"merlfit: {line}", style=style, highlight=False, soft_wrap=True)
     for progress in _shown:
         progress.start()
 
