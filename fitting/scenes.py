@@ -13,6 +13,7 @@ import typer
 from pydantic import ValidationError
 from rich.table import Table
 
+from ..merl_io.atomic import write_text
 from ..merl_io.binary import MerlError, read
 from ..merl_io.samples import folded
 from ..model.parameters import WAVELENGTHS_UM
@@ -249,7 +250,7 @@ def render(
         images.write_exr(out / "difference.exr", np.repeat(away[..., None], 3, -1))
     within = not found or found[f"{100 * SHARE:g} % of pixels"] <= found["tolerance"]
     report = {"seconds": seconds, "difference": found, "within": within, "plan": as_json(plans or ())}
-    (out / "render.json").write_text(json.dumps(report, indent=2) + "\n")
+    write_text(out / "render.json", json.dumps(report, indent=2) + "\n")
     return Rendered(seconds, found, within)
 
 

@@ -1,12 +1,15 @@
 """Files that appear under their name only when they are whole and on disk."""
 
+import hashlib
 import os
-import tempfile
+import secrets
+import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
 UNFINISHED = ".merlfit-"  # what names of files and folders begin with that are not whole
+DIGITS = 16  # of what is drawn for such a name, and of what follows from that
 
 
 class WriteError(OSError):
@@ -47,23 +50,56 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def umask() -> int:
-    """Permissions that new files and folders of this process do not get."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def append(path: Path, data: bytes) -> None:
+    """Add to the end of a regular file, which is made if needed, and wait until it is on disk.
+
+    Raises:
+        WriteError: it cannot be written, or the name is that of a link, which might lead to somebody's file.
+    """
+    try:
+        _append(path, data)
+    except OSError as error:
+        why = "it is a symbolic link" if path.is_symlink() else error.strerror or error
+        raise WriteError(f"{path}: cannot be written ({why})") from None
+
+
+def _append(path: Path, data: bytes) -> None:
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"):  # as far as the system has them; a pipe is not waited for
+        flags |= getattr(os, name, 0)
+    with open(os.open(path, flags, 0o666), "ab") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError("it is no regular file")
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def unfinished(folder: Path) -> Path:
+    """A new name for what is not whole yet, which nobody else gives: one half of it follows from the other."""
+    drawn = secrets.token_hex(DIGITS // 2)
+    return folder / f"{UNFINISHED}{drawn}-{_follows(drawn)}"
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether this name was made by :func:`unfinished`: only then may a later run clear it away."""
+    drawn, _, follows = path.stem.removeprefix(UNFINISHED).partition("-")
+    return path.name.startswith(UNFINISHED) and follows == _follows(drawn)
+
+
+def _follows(drawn: str) -> str:
+    return hashlib.sha256(f"merlfit, not whole: {drawn}".encode()).hexdigest()[:DIGITS]
 
 
 def _write(path: Path, write: Callable[[IO[bytes]], None]) -> None:
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=UNFINISHED)  # of any length, the name may be as long
-    os.close(handle)
+    temporary = unfinished(path.parent)  # of any length, the name may be as long
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))  # with what the system's umask leaves
     try:
         with open(temporary, "wb") as file:  # by its name, which some libraries want
             write(file)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~umask())
         os.replace(temporary, path)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise

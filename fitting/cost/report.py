@@ -8,6 +8,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from ...merl_io.atomic import write_text
 from ..settings.choice import Choice, default_choice
 from ..support.numbers import number
 from .frontier import Frontier, Percentiles, Point, pareto
@@ -131,8 +132,9 @@ def write_markdown(frontier: Frontier, path: Path) -> None:
         "reading to the metrics, all five kinds of material, once compiled and without posterior; the estimate of the "
         "error, for `--accuracy` and `--time`, comes on top.", markup=False, soft_wrap=True,
     )  # fmt: skip
-    path.write_text(
+    write_text(
+        path,
         "# What accuracy costs in time\n\n"
         + "\n".join(line.rstrip() for line in text.getvalue().strip().splitlines())
-        + "\n"
+        + "\n",
     )

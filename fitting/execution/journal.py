@@ -5,7 +5,6 @@ nothing that was written is lost with the process that writes it. A last line th
 """
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -14,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from ...merl_io.atomic import WriteError
+from ...merl_io.atomic import append
 from ..results.export import versions
 from ..results.run import this_run
 from ..results.strict import Text
@@ -78,7 +77,7 @@ class Journal:
         self.path = out / NAME
         with suppress(OSError):
             if self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
-                self._append("\n")  # the end of a line that was torn
+                append(self.path, b"\n")  # the end of a line that was torn
 
     def began(self, config: Config, files: int, jobs: int | Literal["one a worker"], executor: str) -> None:
         """A run begins."""
@@ -106,16 +105,7 @@ class Journal:
         self._write(RunEnded(at=_now(), stopped=stopped, seconds=round(seconds, 1)))
 
     def _write(self, line: Began | FileEnded | RunEnded) -> None:
-        self._append(json.dumps(line.model_dump(mode="json"), ensure_ascii=True) + "\n")
-
-    def _append(self, text: str) -> None:
-        try:
-            with open(self.path, "ab") as file:
-                file.write(text.encode())
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise WriteError(f"{self.path}: cannot be written ({error.strerror or error})") from None
+        append(self.path, (json.dumps(line.model_dump(mode="json"), ensure_ascii=True) + "\n").encode())
 
 
 def lines(out: Path) -> Iterator[Began | FileEnded | RunEnded]:

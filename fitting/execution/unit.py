@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from ...merl_io.atomic import WriteError
+from ...merl_io.atomic import WriteError, append
 from ...merl_io.binary import MerlError
 from ..output.keeping import place_of
 from ..pipeline.run import Finish, fit_file
@@ -106,11 +106,12 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
 
 
 def log(unit: Unit, text: str) -> None:
-    """A line for the unit's log, if that can be written."""
+    """A line for the unit's log, if that can be written into the folder of results itself."""
     with suppress(OSError):
         unit.log.parent.mkdir(exist_ok=True)  # not the folder for results: one that goes away is not to come back empty
-        with open(unit.log, "a", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n")
+        if not unit.log.parent.is_symlink():
+            line = f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n"
+            append(unit.log, line.encode(errors="backslashreplace"))
 
 
 def _logged(unit: Unit, report: Report) -> Report:
