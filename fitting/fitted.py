@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ..merl_io.atomic import WriteError, write_bytes
 from .output.inspection import file_of
-from .output.keeping import claimed
+from .output.keeping import claimed, place_of
 from .output.report import print_result
 from .pictures import style
 from .pictures.all import PICTURES
@@ -196,25 +196,39 @@ class Fit:
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write result and chain into a folder, as `merlfit fit` does; the path of the result, which is the fit's then.
 
+        Where a result stands there that is of another file or model, or more complete, it stays, and a warning says
+        in which folder beside it this one is.
+
         Raises:
-            merlfit.WriteError: it cannot be written.
+            merlfit.WriteError: it cannot be written, or a command is writing there.
         """
-        target = Path(folder) / f"{self.result.source.material}.json"
+        folder, name, posterior = Path(folder), self.result.source.material, self.result.posterior
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise WriteError(f"{target.parent}: cannot be made ({error.strerror or error})") from None
-        posterior, chain = self.result.posterior, chain_of(target)
-        if posterior is not None:
-            own = self.path.parent / posterior.chain_file
-            if own.is_file() and own.resolve() != chain.resolve():
+            raise WriteError(f"{folder}: cannot be made ({error.strerror or error})") from None
+        if folder.resolve() == self.path.parent.resolve() and self.path.stem == name:
+            return self._saved(self.path)
+        with claimed(folder, alone=False), place_of(folder, name) as place:
+            own, chain = chain_of(self.path), chain_of(place.path)
+            if posterior is not None and (named := self.path.parent / posterior.chain_file).is_file():
+                own = named
+            if own.is_file():
                 write_bytes(chain, own.read_bytes())
-            self.result = self.result.model_copy(
-                update={"posterior": posterior.model_copy(update={"chain_file": chain.name})}
-            )
-        write_result(target, self.result)
-        self.path = target
-        return target
+            else:
+                chain.unlink(missing_ok=True)
+            self._saved(place.path)
+        self.path = place.path
+        if place.said:
+            warnings.warn(place.said, stacklevel=2)
+        return self.path
+
+    def _saved(self, path: Path) -> Path:
+        if (posterior := self.result.posterior) is not None:
+            posterior = posterior.model_copy(update={"chain_file": chain_of(path).name})
+            self.result = self.result.model_copy(update={"posterior": posterior})
+        write_result(path, self.result)
+        return path
 
     def _model(self) -> Model:
         if self.result.model is None:

@@ -1,13 +1,13 @@
 """What ``merlfit demo`` fits: a synthetic material whose parameters are known, and how near the fit comes to them."""
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from rich import box
 from rich.table import Table
 from scipy.ndimage import gaussian_filter
 
+from ...merl_io.atomic import unfinished
 from ...merl_io.bands import MERL
 from ...merl_io.binary import write
 from ...model.two_scale import TwoScale, two_scale
@@ -65,12 +65,14 @@ def make(folder: Path, force: bool = False) -> Path:
         Occupied: another file has its name. merlfit.merl_io.binary.MerlError: it cannot be written.
     """
     path = folder / f"{NAME}.binary"
-    with TemporaryDirectory(dir=folder, prefix=".merlfit-") as beside:
-        made = Path(beside) / path.name
+    made = unfinished(folder).with_suffix(path.suffix)
+    try:
         write(made, values())
         if path.exists() and not force and path.read_bytes() != made.read_bytes():
             raise Occupied(f"{path}: is there already and was not made by this demo; --force overwrites it")
         made.replace(path)
+    finally:
+        made.unlink(missing_ok=True)
     return path
 
 

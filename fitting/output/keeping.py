@@ -3,15 +3,15 @@
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum
 from itertools import count
 from pathlib import Path
 
-from ...merl_io.atomic import UNFINISHED, WriteError, umask
+from ...merl_io.atomic import UNFINISHED, WriteError, is_unfinished, unfinished
 from ..pipeline.run import chain_of
+from ..support.terminal import note
 
 
 class Complete(IntEnum):
@@ -57,6 +57,8 @@ class Taken(WriteError):
 def claimed(out: Path, alone: bool = True) -> Iterator[None]:
     """Claim a folder for as long as this lasts, and clear away what a run that was killed left unfinished in it.
 
+    A result that it had finished, but not moved to its place, is moved there first.
+
     Args:
         alone: if not, others that are content with that may write there, too; then nothing is cleared away.
 
@@ -87,9 +89,16 @@ def claimed(out: Path, alone: bool = True) -> Iterator[None]:
 
 def _clear(out: Path) -> None:
     """Files and folders that were not whole when the process that wrote them was killed."""
-    for left in out.glob(f"{UNFINISHED}*"):
+    for left in filter(is_unfinished, sorted(out.glob(f"{UNFINISHED}*"))):
         with suppress(OSError):
-            shutil.rmtree(left) if left.is_dir() else left.unlink()
+            for path in sorted(left.glob("*.json")):
+                if completeness(path) > Complete.NOTHING:
+                    place = _settled(Place(out, path.stem), Place(left, path.stem))
+                    note(place.said or f"{place.path} is of a run that was killed before it had put it there")
+            if left.is_dir():
+                shutil.rmtree(left)
+            else:
+                left.unlink()
 
 
 class Place:
@@ -118,39 +127,57 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
     """Where to write the result ``name`` of ``out``.
 
     Where one stands already, the new one is written into a folder beside it, and moved to its place in the end, however
-    that comes, if it is of the same model and at least as complete. Otherwise both stay where they are.
+    that comes, if it is of the same file and model and at least as complete. Otherwise both stay where they are.
     """
     target = Place(out, name)
     if completeness(target.path) == Complete.NOTHING:
         yield target
         return
-    beside = Path(tempfile.mkdtemp(dir=out, prefix=UNFINISHED))
+    beside = unfinished(out)
+    beside.mkdir()
     new = Place(beside, name)
     try:
         yield new
     finally:
-        before, after = completeness(target.path), completeness(new.path)
-        models = [_model(place.path) for place in (target, new)]
-        other = after > Complete.NOTHING and models[0] != models[1]  # a fit of another model says other things
-        if not other and after >= before and not after == before == Complete.CHAIN:  # whose chain is the longer?
-            _move(new.path, target.path)
-            new.path = target.path
-        elif new.path.exists():
-            named = next(folder for k in count(2) if not (folder := out / f"{name}.{k}").exists())
-            beside.chmod(0o777 & ~umask())
-            new.path = beside.rename(named) / new.path.name
-            of_model, of_new = (f" of the {model} model" if other else "" for model in models)
-            new.said = f"{target.path} stays as it was, with {before.words}{of_model}; "
-            new.said += f"{new.path} is the new one, {after.words}{of_new}"
+        settled = _settled(target, new)
+        new.path, new.said = settled.path, settled.said
         with suppress(OSError):  # not empty
             beside.rmdir()
 
 
-def _model(path: Path) -> str | None:
-    """Name of the model of a result; None if there is none."""
-    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-        return str(json.loads(path.read_bytes())["model"]["name"])
+def _settled(target: Place, new: Place) -> Place:
+    """Where a result is in the end that was written beside that of its name: in its place, or in its own folder."""
+    before, after = completeness(target.path), completeness(new.path)
+    of_old, of_new = (_of(place.path) for place in (target, new))
+    other = Complete.NOTHING not in (before, after) and of_old != of_new  # it says other things
+    longer = before != Complete.CHAIN or after != Complete.CHAIN  # of two unfinished chains nobody knows which
+    if not other and after >= before and longer:
+        _move(new.path, target.path)
+        return target
+    if not new.path.exists():
+        return new
+    named = next(path for k in count(2) if not (path := target.folder / f"{target.path.stem}.{k}").exists())
+    moved = Place(new.folder.rename(named), target.path.stem)
+    words = _apart(of_old, of_new) if other else ("", "")
+    moved.said = f"{target.path} stays as it was, with {before.words}{words[0]}; "
+    moved.said += f"{moved.path} is the new one, {after.words}{words[1]}"
+    return moved
+
+
+def _of(path: Path) -> tuple[str, str] | None:
+    """What a result is of: SHA-1 of the file, and name of the model; None if there is none."""
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        found = json.loads(path.read_bytes())
+        return str(found["source"]["sha1"]), str(found["model"].get("name", "two-scale"))  # the only one before 2.0
     return None
+
+
+def _apart(old: tuple[str, str] | None, new: tuple[str, str] | None) -> list[str]:
+    """In words for each of two what it is of that the other is not."""
+    (sha1, model), (sha1_new, model_new) = old or ("", ""), new or ("", "")
+    files = [f" of another file (SHA-1 {sha1[:8]})", f" of the file with SHA-1 {sha1_new[:8]}"]
+    models = [f" of the {model} model", f" of the {model_new} model"]
+    return [(models[k] if model != model_new else "") + (files[k] if sha1 != sha1_new else "") for k in range(2)]
 
 
 def _move(new: Path, target: Path) -> None:

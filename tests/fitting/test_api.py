@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from merlfit.fitting import api
 from merlfit.fitting.pictures.subject import chain_file
+from merlfit.fitting.pipeline.run import chain_of
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.results.export import read_result
+
+from tests.support.made_results import put_result
 
 QUICK = {
     "effects": {"body": "none", "diffraction": "off"}, "fit": {"starts": 1, "grid": "coarse"},
@@ -113,6 +116,21 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     assert read_result(tmp_path / "kept.json") == fit.result
     assert merlfit.load(tmp_path / "kept.json").result == fit.result
     assert f'"material": "{file.stem}"' in text
+
+
+def test_saving_replaces_no_better_result_and_leaves_no_chain_of_another(tmp_path):
+    put_result(tmp_path / "old", posterior=True, chain="the old chain")
+    put_result(tmp_path / "new")
+    fit = merlfit.load(tmp_path / "new" / "nickel.json")
+    with pytest.warns(UserWarning, match="stays as it was"):
+        assert fit.save(tmp_path / "old") == tmp_path / "old" / "nickel.2" / "nickel.json"
+    assert chain_of(tmp_path / "old" / "nickel.json").read_text() == "the old chain"
+    put_result(tmp_path / "failed", succeeded=False, chain="the old chain")
+    assert fit.save(tmp_path / "failed") == fit.path == tmp_path / "failed" / "nickel.json"
+    assert [path.name for path in (tmp_path / "failed").iterdir()] == ["nickel.json"]
+    before = fit.path.read_bytes()
+    assert fit.save(tmp_path / "failed") == fit.path
+    assert fit.path.read_bytes() == before
 
 
 def test_a_result_without_a_folder_goes_with_its_fit(file):

@@ -14,7 +14,7 @@ from merlfit.fitting.pipeline.run import chain_of, fit_file
 from merlfit.fitting.results.export import read_result, write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.terminal import BAD_INPUT, FAILED_FIT, Stopped
-from merlfit.merl_io.atomic import WriteError
+from merlfit.merl_io.atomic import WriteError, unfinished
 from merlfit.merl_io.binary import DIMS, MerlError, write
 from merlfit.model.measured import Measured
 from merlfit.model.rivals.ggx import GGX
@@ -225,13 +225,69 @@ def test_a_second_run_into_a_folder_is_refused(tmp_path, stand_in):
 
 
 def test_python_may_write_to_a_folder_from_several_places_but_not_beside_a_command(tmp_path):
-    (tmp_path / ".merlfit-half").touch()
+    half = unfinished(tmp_path)
+    half.touch()
     with keeping.claimed(tmp_path, alone=False), keeping.claimed(tmp_path, alone=False):
-        assert (tmp_path / ".merlfit-half").exists()
+        assert half.exists()
         with pytest.raises(keeping.Taken), keeping.claimed(tmp_path):
             pass
     with keeping.claimed(tmp_path):
-        assert not (tmp_path / ".merlfit-half").exists()
+        assert not half.exists()
+
+
+def test_what_is_not_of_a_run_is_not_cleared_away(tmp_path):
+    (tmp_path / ".merlfit-settings.toml").touch()
+    (tmp_path / ".merlfit-cost").mkdir()
+    (tmp_path / ".merlfit-cost" / "rows.json").touch()
+    with keeping.claimed(tmp_path):
+        pass
+    assert results_in(tmp_path) == [".merlfit-cost", ".merlfit-settings.toml"]
+    assert (tmp_path / ".merlfit-cost" / "rows.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "at"), [(False, True, "."), (None, True, "."), ("none", False, "."), (True, False, "nickel.2")]
+)
+def test_a_result_that_a_killed_run_left_unmoved_is_adopted(old, new, at, tmp_path, capsys):
+    if old != "none":
+        put_result(tmp_path, posterior=old, chain="the old chain")
+    left = unfinished(tmp_path)
+    put_result(left, posterior=new, chain="the new chain")
+    with keeping.claimed(tmp_path):
+        pass
+    assert not left.exists()
+    assert read_result(tmp_path / at / "nickel.json").posterior == made(posterior=new).posterior
+    assert chain_of(tmp_path / at / "nickel.json").read_text() == "the new chain"
+    assert str(tmp_path / at / "nickel.json") in capsys.readouterr().err
+
+
+def test_a_result_of_another_file_of_that_name_is_kept(tmp_path, stand_in):
+    """Case 18: a/paint.csv and b/paint.csv, one after the other into one folder."""
+    out = tmp_path / "fits"
+    stand_in(lambda path, folder: put_result(folder, name="paint", sha1=path.parent.name * 40))
+    for folder in "ab":
+        shown = call("fit", f"{folder}/paint.binary", "-o", out)
+        assert shown.exit_code == 0
+    assert read_result(out / "paint.json").source.sha1 == "a" * 40
+    assert read_result(out / "paint.2" / "paint.json").source.sha1 == "b" * 40
+    said = " ".join(shown.stderr.split())
+    assert "paint.json stays as it was, with a fit without a posterior of another file (SHA-1 aaaaaaaa)" in said
+    assert "is the new one, a fit without a posterior of the file with SHA-1 bbbbbbbb" in said
+
+
+def test_log_and_manifest_follow_no_links_out_of_the_folder(tmp_path, stand_in):
+    stand_in(lambda path, folder: put_result(folder, name=path.stem))
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs" / "diary").write_text("theirs")
+    for name, target in (("logs", "../theirs"), ("manifest.jsonl", "../theirs/diary")):
+        out = tmp_path / name
+        out.mkdir()
+        (out / name).symlink_to(target)
+        shown = call("fit", "nickel.binary", "-o", out)
+        assert shown.exit_code == (0 if name == "logs" else BAD_INPUT)
+        assert ("it is a symbolic link" in shown.stderr) == (name != "logs")
+    assert [path.name for path in (tmp_path / "theirs").iterdir()] == ["diary"]
+    assert (tmp_path / "theirs" / "diary").read_text() == "theirs"
 
 
 def test_names_of_files_and_folders_may_be_text_in_python(tmp_path):
