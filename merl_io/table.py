@@ -21,6 +21,7 @@ from .source import MerlError, contents
 
 ANGLES = ("theta_i_deg", "theta_o_deg", "phi_deg")
 WEIGHT = "weight"
+NO_DATUM = ("", "nan")  # a negative number is one: where a dark signal was subtracted, noise is on both sides of zero
 LARGEST = 2**30  # bytes of an archive's arrays
 PLAUSIBLE_UM = 0.1, 10.0
 UNITS_UM = {"nm": 1e-3, "um": 1.0}
@@ -36,10 +37,12 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     data, sha1, blob = contents(path, fitted_sha1)
     columns, values, bands, places = (_npz if path.suffix.lower() == ".npz" else _csv)(path, data)
     _check(path, columns, places)
-    values[(values < 0) | (values >= BRIGHTEST)] = np.nan
+    values[~(np.abs(values) < BRIGHTEST)] = np.nan
     share = columns.get(WEIGHT, np.ones(values.shape[1]))
     if not np.any(np.isfinite(values) & (share > 0)):
-        raise MerlError(f"{path}: holds no datum: every value is negative or above {BRIGHTEST:g}/sr, or has no weight")
+        raise MerlError(
+            f"{path}: holds no datum: every value is blank, NaN or above {BRIGHTEST:g}/sr, or has no weight"
+        )
     theta_i, theta_o, phi = (np.radians(columns[name]) for name in ANGLES)
     return ScatteredMeasurement(path, "table", theta_i, theta_o, phi, values, share, bands, sha1, blob)
 
@@ -135,8 +138,8 @@ def _numbers(path: Path, line: int, head: list[str], cells: list[str]) -> list[f
     except ValueError:
         found = [_number(cell) for cell in cells]
     for name, cell, x in zip(head, cells, found, strict=True):
-        if not math.isfinite(x):
-            mend = "; a negative value is no datum" if name not in (*ANGLES, WEIGHT) else ""
+        if not math.isfinite(x) and not (name not in (*ANGLES, WEIGHT) and cell.strip().lower() in NO_DATUM):
+            mend = "" if name in (*ANGLES, WEIGHT) else "; leave the cell of a missing value blank"
             raise MerlError(f"{path}: line {line}: {name} is {cell.strip()!r}, not a finite number{mend}")
     return found
 
@@ -169,7 +172,7 @@ def _npz(path: Path, data: bytes) -> Read:
     for name, x in found.items():
         if x.shape != shapes[name]:
             raise MerlError(f"{path}: array {name} has shape {x.shape}, not {shapes[name]}")
-        if (bad := np.argwhere(~np.isfinite(x))).size:
+        if (bad := np.argwhere(~np.isfinite(x) & ~(np.isnan(x) & (name == "values")))).size:
             raise MerlError(f"{path}: array {name} is not a finite number at {tuple(bad[0].tolist())}")
     if not count:
         raise MerlError(f"{path}: holds no samples")

@@ -82,6 +82,16 @@ def make_merl():
     return reconstructions.maker()
 
 
+@pytest.fixture(scope="session")
+def cases():
+    """Folder of inputs of kinds that people met with other programs; its README says what is right for each."""
+    folder = ROOT.parent / "shared" / "cases"
+    if not folder.is_dir():
+        said = f"the cases are absent: {Path('..', 'shared', 'cases')} beside the project holds them"
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(said)
+    return folder
+
+
 @pytest.fixture(scope="module")
 def table(compilation_cache):
     """The real table, kept with the compiled programs; its name changes with the code that makes it."""

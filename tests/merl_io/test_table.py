@@ -38,10 +38,19 @@ def test_csv_and_npz_hold_the_same(file, tmp_path):
     np.testing.assert_allclose(one.bands.wavelengths_um, (0.45, 0.55, 0.6505))
     for name in ("theta_i", "theta_o", "phi", "values", "share"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert np.isnan(one.values[1, 2]), "a negative number is no datum"
-    assert one.valid.sum() == 8
+    assert one.values[1, 2] == -1, "a negative number is a datum: noise is on both sides of zero"
+    assert one.valid.sum() == 9
     assert one.name == "made"
     assert one.colour_space == "none: a channel is a wavelength"
+
+
+@pytest.mark.parametrize("cell", ["", " ", "nan", "NaN"])
+def test_a_blank_cell_is_no_datum_and_the_others_count(cell, tmp_path):
+    target = tmp_path / "gaps.csv"
+    target.write_text(TEXT.replace("0.25", cell))
+    values = np.array([[1.0, 2, 3], [10, 20, 30], [0.5, -1, np.nan]])
+    np.testing.assert_array_equal(inputs.read(target).values, values.T)
+    np.testing.assert_array_equal(inputs.read(archive(tmp_path / "gaps.npz", values=values)).values, values.T)
 
 
 def test_rgb_and_weights(tmp_path):
@@ -75,9 +84,12 @@ def test_what_check_says(file):
     [
         (TEXT.replace("10, 20", "10"), "line 4 has 5 cells, and there are 6 columns"),
         (TEXT[:-9], "line 5 has 4 cells, and there are 6 columns"),
-        (TEXT.replace("0.25", "nan"), "line 5: 650.5nm is 'nan', not a finite number"),
-        (TEXT.replace("0.25", "much"), "line 5: 650.5nm is 'much', not a finite number"),
-        (TEXT.replace("0.25", ""), "line 5: 650.5nm is '', not a finite number; a negative value is no datum"),
+        (TEXT.replace("0.25", "inf"), "line 5: 650.5nm is 'inf', not a finite number"),
+        (TEXT.replace("30, 30,", "30, ,"), "line 4: theta_o_deg is '', not a finite number"),
+        (
+            TEXT.replace("0.25", "much"),
+            "'much', not a finite number; leave the cell of a missing value blank",
+        ),
         (TEXT.replace(",", ";"), "with commas between"),
         (HEAD + ",\n", "column 7 has no name"),
         ("theta_i_deg,theta_o_deg,phi_deg,R,B\n0,10,0,1,1\n", "has no column G: R, G and B stand together"),
@@ -90,7 +102,7 @@ def test_what_check_says(file):
         (TEXT.replace("30, 30,", "30, 95,"), "line 4: theta_o_deg 95 is not in"),
         (TEXT.replace("60,10", "-60,10"), "line 5: theta_i_deg -60 is not in"),
         ("theta_i_deg,theta_o_deg,phi_deg,weight,500nm\n0,10,0,-1,1\n", "line 2: weight -1 is negative"),
-        ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,-1\n", "holds no datum"),
+        ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,nan\n", "holds no datum"),
         ("theta_i_deg,theta_o_deg,phi_deg\n0,10,0\n", "has no column of values"),
         (HEAD + "\n", "it has no lines of numbers"),
         ("", "it has no line of names"),
@@ -112,7 +124,9 @@ def test_a_bad_table_gets_one_line_that_names_it(text, words, tmp_path):
     [
         ({"values": None}, "has no array values"),
         ({"values": np.ones((2, 3))}, "array values has shape (2, 3), not (3, 3)"),
-        ({"values": np.full((3, 3), np.nan)}, "array values is not a finite number at (0, 0)"),
+        ({"values": np.full((3, 3), np.nan)}, "holds no datum"),
+        ({"values": np.full((3, 3), np.inf)}, "array values is not a finite number at (0, 0)"),
+        ({"phi_deg": np.array([0.0, np.nan, 9])}, "array phi_deg is not a finite number at (1,)"),
         ({"phi_deg": np.array([0.0, "x", None], object)}, "not a readable NPZ archive"),
         ({"values": np.ones((3, 3), complex)}, "array values holds no real numbers"),
         ({"wavelengths_um": np.array([0.5, 0.5, 0.6])}, "wavelength 500nm is there twice"),
