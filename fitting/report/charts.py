@@ -23,6 +23,7 @@ SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
 WIDTH, HEIGHT = 620, 300
 PADDING = 12  # pixels between marks and the plot's edges
 NARROW = 8.0  # times its lower end, up to which a logarithmic axis has room for a word at each tick
+ELSEWHERE = "https://vega.github.io/vega-datasets/"  # where Vega puts links to pages beside this one
 EXPOSED = "window.vegaEmbed = vegaEmbed;"
 
 
@@ -39,7 +40,7 @@ def svg(spec: Spec, name: str = "chart") -> str:
     Args:
         name: of the chart on its page: two pictures must not share the names of their clipping paths.
     """
-    drawn = vl_convert.vegalite_to_svg(json.dumps(spec))
+    drawn = vl_convert.vegalite_to_svg(json.dumps(spec)).replace(f'href="{ELSEWHERE}', 'href="')
     drawn = re.sub(r' (?:aria-[a-z]+|role)="[^"]*"', "", drawn)
     drawn = re.sub(r'(?<=["#(])clip(?=\d)', f"{name}-clip", drawn)
     return re.sub(r"(\d\.\d\d)\d+", r"\1", drawn)
@@ -265,7 +266,7 @@ def _ranks(last: int) -> list[int]:
 def _chart() -> Spec:
     legend = {"orient": "right", "symbolOpacity": 1}  # not as faint as a band
     config = {"view": {"stroke": "#8884"}, "font": "system-ui, sans-serif", "legend": legend}
-    return {"$schema": "https://vega.github.io/schema/vega-lite/v6.json", "background": None, "config": config}
+    return {"background": None, "config": config}
 
 
 def _data(rows: Rows) -> Spec:
