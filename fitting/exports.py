@@ -18,7 +18,7 @@ from ..scene.tables import write_tables
 from .output.formats import nearest
 from .output.synthesis import from_result
 from .results.export import ResultError, read_result
-from .results.schema import UNSAID, Result, genuine_words
+from .results.schema import EDITED, UNSAID, Result, genuine_words
 from .scenes import of_result
 from .support.compilation import use_persistent_cache
 from .support.numbers import number
@@ -86,9 +86,10 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> lis
     result = read_result(path)
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
+    error = EDITED if result.edited else f"RMSE {number(result.metrics.rmse, 3)}/sr"
     said = (
         f"{result.model.name} fit of {result.source.material} ({result.data_words}) by merlfit "
-        f"{result.versions.get('merlfit', '')}, RMSE {number(result.metrics.rmse, 3)}/sr, colours as in that file"
+        f"{result.versions.get('merlfit', '')}, {error}, colours as in that file"
     )
     match to:
         case "mitsuba":
@@ -122,7 +123,8 @@ def parameters_of(result: Result) -> dict[str, Any]:
     m = result.model
     return {
         "format": "merlfit-material 1", "material": result.source.material, "data": result.data_words,
-        "source_sha1": result.source.sha1, "versions": result.versions, "rmse_per_sr": result.metrics.rmse,
+        "source_sha1": result.source.sha1, "versions": result.versions,
+        "rmse_per_sr": None if result.edited else result.metrics.rmse,
         "model": m.name,
         "citation": models()[m.name].citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
         "channels": m.channels, "wavelengths_um": m.wavelengths_um,

@@ -10,7 +10,9 @@ from itertools import count
 from pathlib import Path
 
 from ...merl_io.atomic import UNFINISHED, WriteError, is_unfinished, unfinished
+from ..pictures.subject import NoPicture, chain_file
 from ..pipeline.run import chain_of
+from ..results.export import ResultError, read_result
 from ..support.terminal import note
 
 
@@ -181,9 +183,20 @@ def _apart(old: tuple[str, str] | None, new: tuple[str, str] | None) -> list[str
 
 
 def _move(new: Path, target: Path) -> None:
-    """A result and its chain to the place of another; the chain of that goes even if there is no new one."""
+    """A result and its chain to the place of another; the chain of that goes even if there is no new one.
+
+    Whoever is killed in between leaves a chain that the old result does not tell of (`chain_file`), and a new one that
+    is adopted later.
+    """
     if chain_of(new).exists():
         os.replace(chain_of(new), chain_of(target))
-    else:
+    elif not _has_its_chain(new, target):
         chain_of(target).unlink(missing_ok=True)
     os.replace(new, target)
+
+
+def _has_its_chain(new: Path, target: Path) -> bool:
+    """Whether the chain beside ``target`` is that of the result ``new``."""
+    with suppress(ResultError, NoPicture):
+        return bool(chain_file(read_result(new), target))
+    return False

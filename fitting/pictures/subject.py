@@ -13,11 +13,15 @@ from ...merl_io.grid import MerlGrid, merl_grid
 from ...merl_io.scattered import ScatteredMeasurement
 from ..objective.weights import THETA_MAX
 from ..pipeline.run import chain_of
+from ..results.posterior import sha1_of_draws
 from ..results.schema import Model, Result
+from ..settings.config import ConfigError, parse
+from ..settings.models import layout_for
 from ..support.tables import UNSOUND
 from . import prediction
 
 Chain = Mapping[str, np.ndarray]
+SAME = 1e-6  # in free coordinates: two fits of one model are farther apart
 COLUMN_LETTERS = 62  # of 7 points, in 8.5 cm
 
 
@@ -157,6 +161,7 @@ def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as chain:
             found = {name: chain[name] for name in ("names", "values", "weights")}
+            started = chain.get("fit_free")
     except UNSOUND as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no finished chain"
         raise NoPicture(f"{path}: cannot be read ({why})") from None
@@ -165,7 +170,24 @@ def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     count, size = len(found["weights"].ravel()), len(result.parameters)
     if found["values"].shape != (count, size) or not all(np.isfinite(found[k]).all() for k in ("values", "weights")):
         raise NoPicture(f"{path}: is damaged: its draws are not {size} finite numbers each")
+    if not _is_of(result, found, started):
+        raise NoPicture(f"{path}: is the chain of another fit, or went on after this one; `merlfit sample` mends that")
     return found
+
+
+def _is_of(result: Result, draws: Chain, started: np.ndarray | None) -> bool:
+    """Whether draws are those that a result tells of; before version 2.3 it only says where the chain began."""
+    assert result.posterior is not None
+    if (told := result.posterior.draws_sha1) is not None:
+        return told == sha1_of_draws(draws["values"], draws["weights"].ravel())
+    if started is None or result.model is None:
+        return True
+    try:
+        layout = layout_for(parse(result.config, result.source.material), result.model.measured, result.model.bands)
+    except ConfigError:  # of an older version
+        return True
+    free = layout.free(result.values())
+    return started.shape == free.shape and np.allclose(started, free, atol=SAME)
 
 
 def states(result: Result, path: Path) -> np.ndarray | None:

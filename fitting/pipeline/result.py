@@ -16,6 +16,7 @@ from ..assess.outcome import Fitted, cautions, said
 from ..objective.problem import energy
 from ..objective.transforms import Layout
 from ..results import export, schema
+from ..results.posterior import sha1_of_draws
 from ..settings.config import Config
 from ..solve.levenberg_marquardt import Status
 
@@ -63,10 +64,12 @@ def make_result(
     )  # fmt: skip
     errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)
-    return schema.Result(
+    result = schema.Result(
         model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
         fit=fit_part, metrics=errors, identifiability=found, posterior=None, **common,
-    ).model_copy(update={} if sampled is None else posterior_parts(fitted, sampled, measurement.name))  # fmt: skip
+    )  # fmt: skip
+    more = {} if sampled is None else posterior_parts(fitted, sampled, measurement.name)
+    return result.model_copy(update={"numbers_sha1": result.digest, **more})
 
 
 def unread(measurement: Input) -> list[str]:
@@ -141,6 +144,7 @@ def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, 
         autocorrelation_steps=_numbers(d.times, 2), r_hat=_numbers(d.r_hat, 4),
         bulk_size=_numbers(d.bulk), tail_size=_numbers(d.tail), effective_size=_numbers(p.effective_size),
         contraction=_numbers(1 - deviation, 3), chain_file=f"{name}.chain.npz",
+        draws_sha1=sha1_of_draws(sampled.values, p.weights),
     )  # fmt: skip
     return {
         "parameters": parameter_results(fitted, sampled), "derived": derived_results(fitted, sampled),

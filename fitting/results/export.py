@@ -26,7 +26,7 @@ from ...model.registry import models
 from ...model.two_scale import TwoScale
 from ..settings.choice import Choice
 from ..settings.config import Config
-from .schema import OLDER, SCHEMA_VERSION, Model, Result
+from .schema import EDITED, OLDER, SCHEMA_VERSION, Model, Result
 from .upgrade import upgraded
 
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
@@ -66,7 +66,7 @@ def valid_result(path: Path, sha1: str, config: Config) -> Result | None:
     except ResultError:
         return None
     same = found.source.sha1, found.config, found.versions
-    return found if same == (sha1, config.model_dump(mode="json"), versions()) else None
+    return found if not found.edited and same == (sha1, config.model_dump(mode="json"), versions()) else None
 
 
 class _Versioned(BaseModel):
@@ -96,6 +96,8 @@ def read_result(path: str | os.PathLike[str]) -> Result:
         if path.suffix.lower() in MEASURED:
             raise ResultError(f"{path}: is a measured file, not a result: fit it first, merlfit fit {path}") from None
         raise ResultError(f"{path}: is not a merlfit result: {_in_words(error)}") from None
+    if result.edited and EDITED not in result.fit.cautions:
+        result.fit.cautions.append(EDITED)
     if "run" not in result.model_fields_set:  # of an older version: it is not known, and not that of this process
         result.run = None
     return result

@@ -1,7 +1,9 @@
 """How the posterior was sampled."""
 
+import hashlib
 from typing import Self
 
+import numpy as np
 from pydantic import model_validator
 
 from .strict import FileName, Many, Strict, same_length
@@ -42,6 +44,8 @@ class PosteriorResult(Strict):
     """One minus the posterior's standard deviation, of which the prior's is one."""
     chain_file: FileName
     """File beside this one with the chain and the draws (docs/result.md)."""
+    draws_sha1: str | None = None
+    """SHA-1 of the draws in it and their weights, by which a chain of another fit is told; null before version 2.3."""
 
     @model_validator(mode="after")
     def _lists_agree(self) -> Self:
@@ -51,3 +55,8 @@ class PosteriorResult(Strict):
             contraction=self.contraction,
         )  # fmt: skip
         return self
+
+
+def sha1_of_draws(values: np.ndarray, weights: np.ndarray) -> str:
+    """Of values (N, P) and weights (N,), whatever the order of bytes here."""
+    return hashlib.sha1(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in (values, weights))).hexdigest()

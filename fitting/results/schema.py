@@ -1,5 +1,7 @@
 """The result of one material: what its JSON holds. Each part of it is in a file beside this one, field by field."""
 
+import hashlib
+import json
 import math
 from typing import Any, Literal, Self
 
@@ -14,23 +16,33 @@ from .run import Run, this_run
 from .strict import Many, Strict
 
 __all__ = [
-    "OLDER", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction", "Fit",
-    "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result", "Run",
+    "EDITED", "OLDER", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
+    "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result", "Run",
     "Source", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
-SCHEMA_VERSION = "2.2"
-OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1")  # versions that are read, too: `upgraded` makes them this one
+SCHEMA_VERSION = "2.3"
+OLDER = (
+    "1.0",
+    "1.1",
+    "1.2",
+    "1.3",
+    "1.4",
+    "2.0",
+    "2.1",
+    "2.2",
+)  # versions that are read, too: `upgraded` makes them this one
+EDITED = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
 
 
 class Result(Strict):
     """What merlfit found out about one material."""
 
-    schema_version: Literal["2.2"] = SCHEMA_VERSION
+    schema_version: Literal["2.3"] = SCHEMA_VERSION
     """Version of this format. Older ones are read as this one: 1.0 had no `accuracy`; 1.1 no `identifiability` and no
     `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
     and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`;
-    2.1 no `source.dims` and `source.format`."""
+    2.1 no `source.dims` and `source.format`; 2.2 no `posterior.draws_sha1` and `numbers_sha1`."""
     run: Run | None = Field(default_factory=this_run)
     """When and how it was computed; null before version 1.4."""
     source: Source
@@ -59,6 +71,9 @@ class Result(Strict):
     """Versions of Python and of the packages that computed it."""
     config: dict[str, Any]
     """All settings (``configs/default.toml``)."""
+    numbers_sha1: str | None = None
+    """SHA-1 of the parameters' values and of what they were fitted to, by which a change by hand is told; null before
+    version 2.3."""
 
     @model_validator(mode="after")
     def _parameters_are_the_models(self) -> Self:
@@ -81,6 +96,17 @@ class Result(Strict):
             if not least <= q.value <= most or (kind.scale == "log" and q.value == least):
                 raise ValueError(f"{q.name} {q.value:g} is impossible, whatever its bounds")
         return self
+
+    @property
+    def digest(self) -> str:
+        """What `numbers_sha1` is of a result that nobody has changed."""
+        numbers = [[q.name, q.value] for q in self.parameters]
+        return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers]).encode()).hexdigest()
+
+    @property
+    def edited(self) -> bool:
+        """Whether numbers were changed since the fit, as far as that is known: then its errors are not theirs."""
+        return self.numbers_sha1 not in (None, self.digest)
 
     @property
     def data_words(self) -> str:

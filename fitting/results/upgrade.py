@@ -6,17 +6,17 @@ from ...merl_io.binary import DIMS
 
 
 def upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
-    """An older version as 2.2; what is missing or wrong is left for the reader of that to complain about.
+    """An older version as 2.3; what is missing or wrong is left for the reader of that to complain about.
 
     1.x knew the two-scale model alone, and had the acquisition among its effects; 2.0 lacked a field that may be null;
     before 2.2 every file was MERL's.
     """
     if not isinstance(data, dict):
         return data
-    found = {**data, "schema_version": "2.2"}
+    found = {**data, "schema_version": "2.3"}
     if isinstance(source := data.get("source"), dict):
         found["source"] = {"format": "MERL", "dims": DIMS, **source}
-    if data.get("schema_version") in ("2.0", "2.1"):
+    if data.get("schema_version") in ("2.0", "2.1", "2.2"):
         return found
     model, fit, config = (data.get(key) for key in ("model", "fit", "config"))
     if isinstance(model, dict) and isinstance(model.get("effects"), dict):

@@ -5,17 +5,23 @@ import math
 
 import numpy as np
 import pytest
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.output.keeping import claimed
 from merlfit.fitting.pictures import subject
 from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.chain import ChainError, read_chain
-from merlfit.fitting.results.export import ResultError, read_result, write_result
+from merlfit.fitting.results import schema
+from merlfit.fitting.results.export import ResultError, read_result, valid_result, write_result
+from merlfit.fitting.results.posterior import sha1_of_draws
 from merlfit.fitting.results.schema import Source
+from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.terminal import BAD_INPUT
+from merlfit.merl_io.atomic import unfinished
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.command import call
-from tests.support.made_results import made
+from tests.support.made_results import made, put_result
 
 
 def edited(tmp_path, edit, **kind):
@@ -166,6 +172,65 @@ def test_a_damaged_chain_is_one_line_in_plain_words(contents, words, tmp_path):
         with pytest.raises(ChainError, match=words) as error:
             read_chain(path, np.zeros(13))
         assert "pickle" not in str(error.value)
+
+
+def with_draws_of(result, draws):
+    told = {"draws_sha1": sha1_of_draws(draws["values"], draws["weights"])}
+    return result.model_copy(update={"posterior": result.posterior.model_copy(update=told)})
+
+
+def test_draws_of_another_fit_of_the_same_model_are_refused(tmp_path):
+    """They have the names and the shape of this one's."""
+    np.savez(tmp_path / "nickel.chain.npz", **chain())
+    result = with_draws_of(made(posterior=True), chain())
+    assert subject.chain_file(result, tmp_path / "nickel.json")["weights"].tolist() == [0.2] * 5
+    np.savez(tmp_path / "nickel.chain.npz", **chain(), chain_free=np.ones((9, 32, 13)))  # goes on, its draws stay
+    assert subject.chain_file(result, tmp_path / "nickel.json")
+    np.savez(tmp_path / "nickel.chain.npz", **chain(values=np.full((5, 13), 0.3)))
+    with pytest.raises(subject.NoPicture, match="is the chain of another fit"):
+        subject.chain_file(result, tmp_path / "nickel.json")
+
+
+def test_of_an_older_result_the_chain_begins_where_the_fit_ended(tmp_path):
+    result = made(posterior=True)
+    free = layout_of(Measured(TwoScale("none"))).free(result.values())
+    for moved, refused in ((0.0, False), (1e-3, True)):
+        np.savez(tmp_path / "nickel.chain.npz", **chain(), fit_free=free + moved)
+        if refused:
+            with pytest.raises(subject.NoPicture, match="is the chain of another fit"):
+                subject.chain_file(result, tmp_path / "nickel.json")
+        else:
+            assert subject.chain_file(result, tmp_path / "nickel.json")
+
+
+def test_a_result_that_was_killed_after_its_chain_had_been_moved_gets_both(tmp_path):
+    put_result(tmp_path, posterior=True, chain="replaced already")
+    left = unfinished(tmp_path)
+    left.mkdir()
+    result = with_draws_of(made(posterior=True), chain())
+    write_result(left / "nickel.json", result)
+    np.savez(tmp_path / "nickel.chain.npz", **chain())
+    with claimed(tmp_path):
+        pass
+    assert read_result(tmp_path / "nickel.json") == result
+    assert subject.chain_file(result, tmp_path / "nickel.json")
+
+
+def test_numbers_that_were_changed_by_hand_are_told(tmp_path):
+    result = made()
+    write_result(tmp_path / "nickel.json", result.model_copy(update={"numbers_sha1": result.digest}))
+    assert not read_result(tmp_path / "nickel.json").edited
+    text = (tmp_path / "nickel.json").read_text()
+    (tmp_path / "nickel.json").write_text(text.replace(f'"value": {result.parameters[0].value}', '"value": 0.123', 1))
+    for _ in range(2):
+        found = read_result(tmp_path / "nickel.json")
+        assert found.edited
+        assert found.fit.cautions == [schema.EDITED]
+        write_result(tmp_path / "nickel.json", found)
+    shown = call("export", tmp_path / "nickel.json", "--to", "json", "-o", tmp_path)
+    assert shown.exit_code == 0
+    assert json.loads((tmp_path / "nickel.material.json").read_text())["rmse_per_sr"] is None
+    assert valid_result(tmp_path / "nickel.json", "0" * 40, Config()) is None
 
 
 def test_the_chain_of_a_name_that_is_no_utf8_is_found(tmp_path):
