@@ -58,6 +58,11 @@ Dims = Annotated[
 Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False, min=0, max=2**31 - 1)]
 
 
+Force = Annotated[
+    bool, typer.Option("--force", help="Write over files that are no earlier output of this command, too.")
+]
+
+
 def main() -> None:
     """Entry point of the ``merlfit`` command."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # all cores have threads of ours, which its own would hinder
@@ -197,6 +202,7 @@ def compare(
     published: Annotated[
         bool, typer.Option("--published/--no-published", help="Beside the fits, published parameters of the material.")
     ] = True,
+    force: Force = False,
 ) -> None:
     """Fit several models to each file; write one table (CSV, Markdown, HTML) and a plot of all their errors.
 
@@ -207,7 +213,7 @@ def compare(
     settings = settings_of(config, dims=dims, weights=weights, posterior=False)
     from .comparisons import compare_files
 
-    compare_files(files, models, out, settings, published)
+    compare_files(files, models, out, settings, published, force)
 
 
 @app.command(epilog="Example: merlfit which nickel.binary")
@@ -240,11 +246,12 @@ def metrics(
         Path | None,
         typer.Option("-o", "--out", help="Folder for metrics.csv and the RMSE by theta_i as CSV and PNG."),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Print all errors of fits against a file: RMSE, sMAPE, cube root, log, CIELAB of spheres, peak."""
     from .comparisons import metrics_of
 
-    metrics_of(results, against, out)
+    metrics_of(results, against, out, force)
 
 
 @app.command(epilog="Example: merlfit sample fits/nickel.json")
@@ -313,9 +320,13 @@ def inspect(
     ] = None,
     pictures: Annotated[
         str | None,
-        typer.Option(help="Which pictures, with commas between: lobes,corner \\[default: all].", show_default=False),
+        typer.Option(
+            help="Which pictures, with commas between: lobes,corner; none for the numbers alone \\[default: all].",
+            show_default=False,
+        ),
     ] = None,
     kind: Annotated[str, typer.Option("--format", help="png, pdf or svg.")] = "png",
+    force: Force = False,
 ) -> None:
     """Print a fit's parameters with intervals; write pictures of it, each fit to be printed in a column of a paper.
 
@@ -323,7 +334,7 @@ def inspect(
     """
     from .output.inspection import inspect_result
 
-    inspect_result(result, file, out, pictures, kind)
+    inspect_result(result, file, out, pictures, kind, force)
 
 
 @app.command(epilog="Example: merlfit table fits")
@@ -334,6 +345,7 @@ def table(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="The CSV file to write \\[default: RUN_DIR/table.csv].")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Write all results of a folder as one table for a spreadsheet: errors, times, parameters, intervals.
 
@@ -341,7 +353,7 @@ def table(
     """
     from .report.table import write_table
 
-    write_table(folder, out or folder / "table.csv")
+    write_table(folder, out or folder / "table.csv", force)
 
 
 @app.command(epilog="Example: merlfit report fits")
@@ -359,6 +371,7 @@ def report(
         str | None, typer.Option(help="What the files are, in words, if the fits were not told.", show_default=False)
     ] = None,
     jobs: Pages = None,
+    force: Force = False,
 ) -> None:
     """Write pages that open from disk: an index of all results with pictures, and a page for each one.
 
@@ -366,7 +379,7 @@ def report(
     """
     from .report.command import report_on
 
-    report_on(folder, out or folder / "report", files, jobs, origin)
+    report_on(folder, out or folder / "report", files, jobs, origin, force)
 
 
 @app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")
@@ -399,6 +412,7 @@ def render(
             show_default=False,
         ),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Render a scene with the effects that it calls for, or fits as spheres beside what was measured.
 
@@ -411,9 +425,9 @@ def render(
     if what[0].suffix == ".toml":
         if len(what) > 1 or vary:
             raise fail("one scene at a time; --vary is for the RESULT.json of a fit")
-        render_scene(what[0], out, every, check, samples, seed)
+        render_scene(what[0], out, every, check, samples, seed, force)
     else:
-        render_results(what, out, vary or [], samples, seed)
+        render_results(what, out, vary or [], samples, seed, force)
 
 
 @app.command(epilog="Example: merlfit export fits/nickel.json --to mitsuba -o exported")
@@ -430,7 +444,7 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),
-    force: Annotated[bool, typer.Option("--force", help="--to merl: overwrite a .binary file.")] = False,
+    force: Force = False,
 ) -> None:
     """Write a fitted material for another program.
 
@@ -448,6 +462,7 @@ def cost(
     ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for JSON, table and plot.")] = Path("cost"),
     repeats: Annotated[int, typer.Option(min=1, help="Fits to measure each time with; their median is taken.")] = 1,
+    force: Force = False,
 ) -> None:
     """Measure on this machine how much time accuracy takes. `merlfit fit --accuracy` and `--time` choose by the result.
 
@@ -457,7 +472,7 @@ def cost(
     """
     from .cost.command import measure_on
 
-    measure_on(file, out, repeats)
+    measure_on(file, out, repeats, force)
 
 
 @app.command(epilog="Example: merlfit demo -o demo-out")
@@ -484,7 +499,7 @@ def demo(
     outcomes = fit_files([path], out, settings(seed))
     result = outcomes[0].result
     if result is not None:
-        show(out / f"{path.stem}.json", result, path, out)
+        show(out / f"{path.stem}.json", result, path, out, force=force)
     summarise(outcomes)
     if result is not None and result.model is not None:
         console.print(truth_table(result))

@@ -10,15 +10,16 @@ from ..merl_io.binary import MerlError
 from ..merl_io.inputs import Input
 from ..model.registry import made, models
 from .files import refuse_same_names
-from .output.comparison import by_label, table_of, verdict, write_tables
+from .output.comparison import NAME, by_label, compared_in, table_of, verdict, write_tables
 from .output.keeping import Taken, claimed, place_of
-from .output.metrics import assessed_result, metrics_table, write_metrics
+from .output.metrics import assessed_result, metrics_in, metrics_table, write_metrics
 from .pipeline.comparison import FIT, compare_file
 from .pipeline.run import fit_file
 from .results.export import ResultError, read_result
 from .results.schema import Result
 from .settings.config import Config, ConfigError
 from .support.compilation import use_persistent_cache
+from .support.outputs import refuse_others
 from .support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
@@ -60,7 +61,7 @@ def placed(measurement: Input, folder: Path, settings: Config) -> Result:
 
 
 def compare_files(
-    files: list[Path], names: str | None, out: Path, settings: Config, with_published: bool = True
+    files: list[Path], names: str | None, out: Path, settings: Config, with_published: bool = True, force: bool = False
 ) -> None:
     """Fit all models to each file, print medians and write tables; whatever one file runs into, the others go on.
 
@@ -69,6 +70,10 @@ def compare_files(
     use_persistent_cache()
     writable_folder(out)
     refuse_same_names(files)
+    try:
+        refuse_others(compared_in(out), force)
+    except WriteError as error:
+        raise fail(str(error)) from None
     wanted, rows, code = chosen_models(names), [], 0
     with ExitStack() as stack:
         try:
@@ -105,7 +110,7 @@ def compare_files(
         title = f"{len({row.material for row in rows})} materials, {len(by_label(rows))} models"
         console.print(table_of(rows))
         try:
-            written = write_tables(rows, out, "comparison", title, data)
+            written = write_tables(rows, out, NAME, title, data)
         except WriteError as error:
             raise fail(str(error)) from None
         console.print(f"wrote {written[0]}, and .md, .html and .png beside it", soft_wrap=True)
@@ -134,12 +139,13 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     console.print(verdict(rows), soft_wrap=True)
 
 
-def metrics_of(results: list[Path], against: Path, out: Path | None) -> None:
+def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool = False) -> None:
     """Print the errors of results against a file; with a folder, write them and the curves over theta_i."""
     use_persistent_cache()
     try:
+        refuse_others({} if out is None else metrics_in(out), force)
         found = [assessed_result(path, read_result(path), against) for path in results]
-    except (MerlError, ResultError, ValueError) as error:
+    except (MerlError, ResultError, WriteError, ValueError) as error:
         raise fail(str(error)) from None
     console.print(metrics_table(found, against))
     if out is not None:

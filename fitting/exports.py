@@ -22,9 +22,15 @@ from .results.schema import EDITED, UNSAID, Result, genuine_words
 from .scenes import of_result
 from .support.compilation import use_persistent_cache
 from .support.numbers import number
+from .support.outputs import OURS, refuse_others
 from .support.terminal import console, fail, progress_display, reporter, writable_folder
 
 To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
+ENDINGS = {
+    "mitsuba": {"mitsuba.npz": rb"brdf\.npy", "xml": OURS}, "json": {"material.json": OURS}, "gltf": {"gltf": OURS},
+    "openpbr": {"mtlx": OURS},
+}  # fmt: skip
+"""Of files that are written, and by what an earlier one is known; a MERL file may always be a measurement."""
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
 <!-- {said}. Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr -->
 <scene version="3.0.0">
@@ -67,7 +73,10 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
     if to == "merl" and target.exists() and not force:
         raise fail(f"{target}: is there already, and may be a measurement; --force overwrites it")
     writable_folder(out)
+    stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
     try:
+        if to != "merl":
+            refuse_others({out / f"{stem}.{ending}": mark for ending, mark in ENDINGS[to].items()}, force)
         with progress_display() as progress:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             written = _exported(path, to, out, say)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jax.tree_util import register_pytree_node
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
@@ -29,6 +30,21 @@ if TYPE_CHECKING:
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
 
 WIDTH = 118  # columns of a fit that is printed
+
+
+class Values(dict[str, Any]):
+    """Values of a fit; to set one of them would change a copy, and nothing that the fit predicts."""
+
+    def __setitem__(self, name: str, value: object) -> None:
+        raise TypeError(
+            f'values of a fit are what was found; change a copy of them: {{**fit.values, "{name}": {value}}}'
+        )
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
+        return dict, (dict(self),)
+
+
+register_pytree_node(Values, lambda v: (tuple(v.values()), tuple(v)), lambda keys, xs: dict(zip(keys, xs, strict=True)))
 
 
 class Fit:
@@ -57,8 +73,11 @@ class Fit:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them."""
-        return self.result.values()
+        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them.
+
+        What was found is not changed here: ``{**fit.values, "beta": 0.2}`` is a copy to change.
+        """
+        return Values(self.result.values())
 
     def table(self) -> list[dict[str, Any]]:
         """One row a fitted number, for ``pandas.DataFrame`` and the like; quantiles are None without a posterior."""

@@ -28,6 +28,7 @@ from .results.export import ResultError, read_result
 from .results.schema import Result
 from .support.clock import Stage
 from .support.compilation import make_room, use_persistent_cache
+from .support.outputs import OURS, refuse_others
 from .support.terminal import (
     FAILED_FIT,
     console,
@@ -250,7 +251,7 @@ def render(
         images.write_exr(out / "difference.exr", np.repeat(away[..., None], 3, -1))
     within = not found or found[f"{100 * SHARE:g} % of pixels"] <= found["tolerance"]
     report = {"seconds": seconds, "difference": found, "within": within, "plan": as_json(plans or ())}
-    write_text(out / "render.json", json.dumps(report, indent=2) + "\n")
+    write_text(out / REPORT, json.dumps(report, indent=2) + "\n")
     return Rendered(seconds, found, within)
 
 
@@ -279,11 +280,22 @@ def plan_scene(path: Path) -> None:
     console.print(plan_table(found, ready.scene))
 
 
-def render_scene(path: Path, out: Path, every: bool, check: bool, samples: int | None, seed: int | None) -> None:
-    """`merlfit render SCENE`: exits with 2 after bad input, with 1 if the difference exceeds the tolerance."""
+PICTURES = [f"{name}.{kind}" for name in ("picture", "all_effects", "difference") for kind in ("exr", "png")]
+REPORT = "render.json"
+
+
+def render_scene(
+    path: Path, out: Path, every: bool, check: bool, samples: int | None, seed: int | None, force: bool = False
+) -> None:
+    """`merlfit render SCENE`: exits with 2 after bad input, with 1 if the difference exceeds the tolerance.
+
+    Args:
+        force: write over any file.
+    """
     use_persistent_cache()
     writable_folder(out)
     try:
+        refuse_others({**{out / name: OURS for name in PICTURES}, out / REPORT: rb"^{\s*\"seconds\"\s*:"}, force)
         with progress_display() as progress:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             ready = staged(path, samples=samples, seed=seed)

@@ -24,6 +24,7 @@ from .results.export import ResultError, read_result
 from .results.schema import Result
 from .scenes import Say, changed, grey, of_result
 from .support.compilation import use_persistent_cache
+from .support.outputs import refuse_others
 from .support.terminal import BAD_INPUT, console, fail, note, progress_display, reporter, writable_folder
 
 LARGEST_SHOWN = 10.0  # CIELAB distance that is white in a picture of differences
@@ -128,12 +129,17 @@ def _tell_if_outside(kind: Parameter, value: np.ndarray, factor: float) -> None:
 
 
 def render_results(
-    paths: Sequence[Path], out: Path, vary: Sequence[str], samples: int | None, seed: int | None
-) -> None:
-    """`merlfit render RESULT...`: each beside its file, or varied; exits with 2 after bad input."""
+    paths: Sequence[Path], out: Path, vary: Sequence[str], samples: int | None, seed: int | None,
+    force: bool = False,
+) -> None:  # fmt: skip
+    """`merlfit render RESULT...`: each beside its file, or varied; exits with 2 after bad input.
+
+    Args:
+        force: write over any file.
+    """
     use_persistent_cache()
     writable_folder(out)
-    code = 0
+    code, written = 0, set()
     try:
         scene = changed(STUDIO, samples=samples, seed=seed)
     except SceneError as error:
@@ -144,7 +150,12 @@ def render_results(
         for path in paths:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             try:
-                target = _render_result(path, out, vary, scene, say)
+                target = _target(path, out, vary)
+                if target in written:
+                    raise SceneError(f"{path}: {target} is of another result of this command: render them one by one")
+                refuse_others([target], force)
+                _render_result(path, target, vary, scene, say)
+                written.add(target)
                 console.print(f"wrote {target}", soft_wrap=True)
             except (SceneError, ResultError, MerlError, OSError) as error:
                 code = BAD_INPUT
@@ -153,20 +164,23 @@ def render_results(
         raise typer.Exit(code)
 
 
-def _render_result(path: Path, out: Path, vary: Sequence[str], scene: Scene, say: Say) -> Path:
+def _target(path: Path, out: Path, vary: Sequence[str]) -> Path:
+    varied_by = "-".join(each.partition("=")[0].strip() for each in vary)
+    return out / f"{path.stem}.{f'{varied_by}.' if vary else ''}png"
+
+
+def _render_result(path: Path, target: Path, vary: Sequence[str], scene: Scene, say: Say) -> None:
     if path.suffix == ".toml":
         raise SceneError(f"{path}: one scene at a time, and no result beside it")
     result = read_result(path)
     if vary:
-        target = out / f"{path.stem}.{'-'.join(each.partition('=')[0].strip() for each in vary)}.png"
         save(varied(result, path, vary, scene, say), target)
-        return target
-    target = out / f"{path.stem}.png"
+        return
     file = file_of(path, result)
     if not is_regular(file):
         note(f"{path}: the fit alone; the measured file {file} is not there")
         images.write_png(target, sphere_of(of_result(path.stem, result, path), scene))
-        return target
+        return
     say("fit")
     fitted = sphere_of(of_result(path.stem, result, path, as_measured=True), scene)
     say("file")
@@ -174,7 +188,6 @@ def _render_result(path: Path, out: Path, vary: Sequence[str], scene: Scene, say
     if not isinstance(read_again, Measurement):
         note(f"{path}: the fit alone; {file} holds scattered directions, of which no picture is rendered")
         images.write_png(target, fitted)
-        return target
+        return
     measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(read_again)))
     save(beside(sphere_of(measured, scene), fitted, f"{result.source.material}, {result.data_words}"), target)
-    return target

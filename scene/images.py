@@ -6,6 +6,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from ..merl_io.atomic import write_atomically
 from .colour import displayed
@@ -26,7 +27,7 @@ def write_exr(path: Path, radiance: np.ndarray) -> None:
 
     def write(file: IO[bytes]) -> None:
         try:
-            with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, {"RGB": image}) as exr:
+            with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "software": "merlfit"}, {"RGB": image}) as exr:
                 exr.write(file.name)  # by its name: the library opens it itself
         except RuntimeError as error:  # which is how the library says what the system said
             raise OSError(str(error)) from None
@@ -41,7 +42,9 @@ def write_png(path: Path, radiance: np.ndarray) -> None:
         merlfit.merl_io.atomic.WriteError: it cannot be written.
     """
     image = radiance if radiance.dtype == np.uint8 else displayed(radiance)
-    write_atomically(path, lambda file: Image.fromarray(image).save(file, "PNG", optimize=True))
+    made_by = PngInfo()
+    made_by.add_text("Software", "merlfit")
+    write_atomically(path, lambda file: Image.fromarray(image).save(file, "PNG", optimize=True, pnginfo=made_by))
 
 
 def read_map(path: Path) -> np.ndarray:

@@ -107,7 +107,7 @@ def test_inspect_prints_and_draws(fitted):
     assert shown.exit_code == 0
     for word in ("beta", "sigma_s", "50 are needed", "conductor", "derived quantities"):
         assert word in shown.stdout
-    assert (folder / "pictures" / "blue-metallic-paint.lobes.png").stat().st_size > 20_000
+    assert (folder / "pictures" / "blue-metallic-paint.two-scale.lobes.png").stat().st_size > 20_000
 
 
 def test_sampling_goes_on_with_the_chain_beside_a_fit(fitted, tmp_path, monkeypatch):
@@ -167,7 +167,7 @@ def test_a_long_chain_is_drawn_and_a_chain_of_another_fit_is_not(fitted):
     words = ("-o", folder / "pictures", "--pictures", "corner")
     shown = call("inspect", path, *words)
     assert shown.exit_code == 0
-    assert (folder / "pictures" / "blue-metallic-paint.corner.png").stat().st_size > 50_000
+    assert (folder / "pictures" / "blue-metallic-paint.two-scale.corner.png").stat().st_size > 50_000
     with np.load(folder / "out" / result.posterior.chain_file) as chain:
         np.savez(
             folder / "out" / "other.npz",

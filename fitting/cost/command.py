@@ -4,19 +4,31 @@ from pathlib import Path
 
 import typer
 
+from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
 from ..pictures.style import save
 from ..support.compilation import cache_folder
+from ..support.outputs import OURS, refuse_others
 from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
-from .frontier import keep
-from .measure import CostError, measure, tidy
+from .frontier import FILE, keep
+from .measure import ROWS, CostError, measure, tidy
 from .plot import frontier_figure
 from .report import gains, tables, write_markdown
 
+OUTPUTS = {FILE: OURS, "cost.md": b"^# What accuracy costs in time", "cost.png": OURS, ROWS: OURS}
 
-def measure_on(file: Path | None, out: Path, repeats: int) -> None:
-    """Measure, write what was found, and print it; what was measured is kept whatever ends it."""
+
+def measure_on(file: Path | None, out: Path, repeats: int, force: bool = False) -> None:
+    """Measure, write what was found, and print it; what was measured is kept whatever ends it.
+
+    Args:
+        force: write over any file.
+    """
     writable_folder(out)
+    try:
+        refuse_others({out / name: mark for name, mark in OUTPUTS.items()}, force)
+    except WriteError as error:
+        raise fail(str(error)) from None
     try:
         with progress_display() as progress:
             frontier = measure(file, out, repeats, reporter(progress, progress.add_task("cost"), "cost"))

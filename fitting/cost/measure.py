@@ -86,6 +86,8 @@ def _kept(work: Path, made_of: dict[str, Any]) -> Rows:
     except (OSError, ValueError):
         rows = {}
     if rows.get(MADE_OF) != made_of:
+        if MADE_OF not in rows and any(work.iterdir()):
+            raise CostError(f"{work}: is not of this command, or damaged: move it, or name another folder with -o")
         shutil.rmtree(work)
         work.mkdir()
         rows = {MADE_OF: made_of}

@@ -1,7 +1,5 @@
 """Several models on several materials as tables (CSV, Markdown, HTML) and as the sorted errors of HP17 Fig. 11."""
 
-import csv
-import io
 import json
 import math
 from collections import Counter
@@ -21,11 +19,13 @@ from ..assess.selection import ALIKE, SEEN, least, lost
 from ..pictures.style import save
 from ..pipeline.comparison import FIT, Row
 from ..support.numbers import number
+from ..support.outputs import OURS, as_csv
 
 FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "cube_root": "cube-root error", "log": "log error",
     "picture": "dE", "highlight": "peak",
 }  # fmt: skip
+NAME = "comparison"  # of the files of a comparison
 RANKED = ("rmse", "smape", "cube_root", "log", "picture", "highlight")
 """Errors by which models are ranked; of the peak, how far it is from 1 as a factor."""
 GROUPS = {
@@ -172,6 +172,12 @@ def named(row: Row) -> str:
     return f"{row.model} ({variant})" if variant else row.model
 
 
+def compared_in(folder: Path, name: str = NAME) -> dict[Path, bytes]:
+    """Files of `write_tables`, and by what an earlier one is known."""
+    marks = {"csv": b"^group,material,", "md": rb"^# .*\n\nData: ", "html": OURS, "png": OURS}
+    return {folder / f"{name}.{ending}": mark for ending, mark in marks.items()}
+
+
 def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data: str) -> list[Path]:
     """``NAME.csv``, ``NAME.md``, ``NAME.html`` and ``NAME.png``.
 
@@ -181,7 +187,7 @@ def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data:
     Raises:
         merlfit.merl_io.atomic.WriteError: one cannot be written.
     """
-    written = [folder / f"{name}.{ending}" for ending in ("csv", "md", "html", "png")]
+    written = list(compared_in(folder, name))
     text = markdown(rows, title, data, written[3].name)
     page = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
     write_text(written[0], _csv(rows))
@@ -192,7 +198,7 @@ def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data:
 
 
 PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<html lang="en"><head><meta charset="utf-8"><meta name="generator" content="merlfit"><title>{title}</title>
 <meta name="viewport" content="width=device-width, initial-scale=1"><style>
 body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem;
   color: #222; background: #fff }}
@@ -208,16 +214,10 @@ th:first-child, td:first-child {{ text-align: left }} img {{ max-width: 100% }}
 
 
 def _csv(rows: Sequence[Row]) -> str:
-    out = io.StringIO()
     lines = [{"group": group_of(row.material), **row.flat()} for row in rows]
-    writer = csv.DictWriter(out, list(lines[0]), lineterminator="\n")
-    writer.writeheader()
     for line in lines:
-        writer.writerow({
-            key: json.dumps({n: float(f"{v:.6g}") for n, v in x.items()}) if isinstance(x, dict)
-            else f"{x:.6g}" if isinstance(x, float) else x for key, x in line.items()
-        })  # fmt: skip
-    return out.getvalue()
+        line["values"] = json.dumps({name: float(f"{x:.6g}") for name, x in line["values"].items()})
+    return as_csv(list(lines[0]), lines)
 
 
 def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:

@@ -13,26 +13,36 @@ from ..pictures.subject import NoPicture, Subject, subject_of
 from ..results.export import ResultError, read_result
 from ..results.schema import Result
 from ..support.compilation import use_persistent_cache
+from ..support.outputs import refuse_others
 from ..support.terminal import BAD_INPUT, console, fail, note, writable_folder
 from .report import pictures_table, print_result
 
 FORMATS = ("png", "pdf", "svg")
 
 
-def inspect_result(result: Path, file: Path | None, out: Path | None, pictures: str | None, kind: str) -> None:
-    """Print a result and write its pictures; exits with 2 where the file that was asked for cannot be drawn."""
+def inspect_result(
+    result: Path, file: Path | None, out: Path | None, pictures: str | None, kind: str,
+    force: bool = False,
+) -> None:  # fmt: skip
+    """Print a result and write its pictures; exits with 2 where the file that was asked for cannot be drawn.
+
+    Args:
+        pictures: names with commas between; "none" for the numbers alone. force: write over any file.
+    """
     try:
         read = read_result(result)
     except ResultError as error:
         raise fail(str(error)) from None
+    if pictures == "none":
+        return print_result(console, read)
     only = [] if pictures is None else [name.strip() for name in pictures.split(",")]
     for name in only:
         if name not in PICTURES:
-            raise fail(f"--pictures {name}: no such picture; there are {', '.join(PICTURES)}")
+            raise fail(f"--pictures {name}: no such picture; there are {', '.join(PICTURES)}, or none")
     if kind not in FORMATS:
         raise fail(f"--format {kind}: should be png, pdf or svg")
     found = file or file_of(result, read)
-    if not show(result, read, found, out or result.parent, kind, only, needs_file=file is not None):
+    if not show(result, read, found, out or result.parent, kind, only, file is not None, force):
         raise typer.Exit(BAD_INPUT)
 
 
@@ -50,28 +60,28 @@ def file_of(path: Path, result: Result) -> Path:
 
 def show(
     path: Path, result: Result, file: Path, out: Path, kind: str = "png", only: Sequence[str] = (),
-    needs_file: bool = False,
+    needs_file: bool = False, force: bool = False,
 ) -> bool:  # fmt: skip
     """Print and draw.
 
     Args:
         kind: format of the pictures, png, pdf or svg. only: names of pictures; all by default.
-        needs_file: whether it is bad input if the MERL file is of no use.
+        needs_file: whether it is bad input if the MERL file is of no use. force: write over any file.
 
     Returns:
         False if the file is of no use and was asked for, or nothing could be drawn.
     """
-    use_persistent_cache()
     print_result(console, result)
     if result.model is None:
         note(f"nothing to draw: the fit ended {result.fit.status}")
         return True
     writable_folder(out)
+    use_persistent_cache()
     subject = subject_of(result, path, file)
     kinds = PICTURES if subject.scattered is None else SCATTERED
     if "measurement" in subject.lacks and subject.scattered is None:
         note(f"the file is not shown: {subject.lacks['measurement']}; name the file with --file")
-    drawn = draw(subject, out, kind, only or [*kinds])
+    drawn = draw(subject, out, kind, only or [*kinds], force)
     if drawn:
         console.print(pictures_table(drawn))
     else:
@@ -79,11 +89,15 @@ def show(
     return bool(drawn) and (subject.lacks.get("measurement") is None or subject.scattered is not None or not needs_file)
 
 
-def draw(subject: Subject, out: Path, kind: str, names: Sequence[str]) -> dict[Path, str]:
+def draw(subject: Subject, out: Path, kind: str, names: Sequence[str], force: bool = False) -> dict[Path, str]:
     """Write pictures; what each written one shows. What cannot be drawn is named."""
-    written, missing = {}, {}
-    for name in names:
-        target = out / f"{subject.result.source.material}.{name}.{kind}"
+    stem = f"{subject.result.source.material}.{subject.model.name}"  # of two models in one folder both have theirs
+    targets, written, missing = {name: out / f"{stem}.{name}.{kind}" for name in names}, {}, {}
+    try:
+        refuse_others(targets.values(), force)
+    except WriteError as error:
+        raise fail(str(error)) from None
+    for name, target in targets.items():
         try:
             style.save(({**PICTURES, **SCATTERED})[name].draw(subject), target)
         except NoPicture as error:

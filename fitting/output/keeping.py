@@ -13,7 +13,10 @@ from ...merl_io.atomic import UNFINISHED, WriteError, is_unfinished, unfinished
 from ..pictures.subject import NoPicture, chain_file
 from ..pipeline.run import chain_of
 from ..results.export import ResultError, read_result
+from ..support.outputs import is_ours
 from ..support.terminal import note
+
+RESULT = b'"schema_version"'
 
 
 class Complete(IntEnum):
@@ -130,8 +133,13 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
 
     Where one stands already, the new one is written into a folder beside it, and moved to its place in the end, however
     that comes, if it is of the same file and model and at least as complete. Otherwise both stay where they are.
+
+    Raises:
+        WriteError: a file of that name is no result.
     """
     target = Place(out, name)
+    if target.path.exists() and not is_ours(target.path, RESULT):
+        raise WriteError(f"{target.path}: is there already, and no result of merlfit: move it, or name another folder")
     if completeness(target.path) == Complete.NOTHING:
         yield target
         return

@@ -1,7 +1,5 @@
 """`merlfit metrics`: errors of results against a file, as a table, as CSV, and over the light's angle."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +27,7 @@ from ..pipeline.comparison import Row, row_of
 from ..results.export import ResultError
 from ..results.schema import UNSAID, Model, Result, genuine_words
 from ..support.numbers import number
+from ..support.outputs import OURS, as_csv
 from .comparison import FIGURES, WHAT, named
 from .synthesis import tabulate
 
@@ -96,6 +95,15 @@ def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
     return table
 
 
+def metrics_in(folder: Path) -> dict[Path, bytes]:
+    """Files of `write_metrics`, and by what an earlier one is known."""
+    return {
+        folder / "metrics.csv": b"^result,against,data,model,",
+        folder / "by_incidence.csv": rb"^theta_i_deg,.*\.json",
+        folder / "by_incidence.png": OURS,
+    }
+
+
 def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
     """``metrics.csv``, ``by_incidence.csv`` and ``by_incidence.png``."""
     lines = [{"result": str(f.path), "against": str(f.against), "data": f.data, "model": f.row.model,
@@ -103,13 +111,9 @@ def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
               **{name: getattr(f.row.errors, name) for name in FIGURES}} for f in found]  # fmt: skip
     curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
               for k, x in enumerate(found[0].incidence)]  # fmt: skip
-    written = [folder / name for name in ("metrics.csv", "by_incidence.csv", "by_incidence.png")]
+    written = list(metrics_in(folder))
     for path, table in zip(written, (lines, curves), strict=False):
-        out = io.StringIO()
-        writer = csv.DictWriter(out, list(table[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in line.items()} for line in table)
-        write_text(path, out.getvalue())
+        write_text(path, as_csv(list(table[0]), table))
         if not curves:
             return written[:1]
     figure = Figure(figsize=(7, 4.2), layout="constrained")

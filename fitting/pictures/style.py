@@ -71,4 +71,5 @@ def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
         merlfit.merl_io.atomic.WriteError: it cannot be written.
     """
     kind = path.suffix.removeprefix(".").lower() or "png"
-    write_atomically(path, lambda file: figure.savefig(file, format=kind, dpi=dpi or "figure"))
+    made_by = {"png": {"Software": "merlfit"}, "pdf": {"Creator": "merlfit"}, "svg": {"Creator": "merlfit"}}.get(kind)
+    write_atomically(path, lambda file: figure.savefig(file, format=kind, dpi=dpi or "figure", metadata=made_by))

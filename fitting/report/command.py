@@ -5,17 +5,24 @@ from pathlib import Path
 
 from ...merl_io.atomic import WriteError
 from ..support.terminal import Stopped, console, fail, note, progress_display, reporter, writable_folder
-from .site import write_site
+from .site import refuse_foreign, write_site
 from .table import results_in
 
 
-def report_on(folder: Path, out: Path, files: Path | None, jobs: int | None, origin: str | None) -> None:
-    """Write the pages and say where they begin; ends with an error line where there is nothing."""
+def report_on(
+    folder: Path, out: Path, files: Path | None, jobs: int | None, origin: str | None, force: bool = False
+) -> None:
+    """Write the pages and say where they begin; ends with an error line where there is nothing.
+
+    Args:
+        force: write over any file.
+    """
     rows = results_in(folder)
     if files is not None and not files.is_dir():
         raise fail(f"--files {files}: no such folder")
     writable_folder(out)
     try:
+        refuse_foreign(out, force)
         with progress_display() as progress:
             task = progress.add_task("pages", total=None)
             lacks = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"), origin)

@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files as files_of
+from itertools import chain, count
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -32,10 +33,11 @@ from ..results.export import read_result
 from ..results.schema import Result
 from ..support.clock import Report, silent
 from ..support.compilation import use_persistent_cache
+from ..support.outputs import is_ours, refuse_others
 from . import charts, pictures
 from . import rows as rows_of_charts
 from .simulated import left_out, reproducing, simulated
-from .table import UNREADABLE, Row, write_csv
+from .table import TABLE, UNREADABLE, Row, write_csv
 
 FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "picture": "CIELAB distance of spheres", "cube_root": "cube-root error",
@@ -64,6 +66,23 @@ class Job:
     origin: str | None = None
 
 
+FOLDERS = ("materials", "pictures", "assets")
+FIRST = "<!doctype html><title>merlfit</title><p>These pages are being written, or were not written to the end.\n"
+
+
+def refuse_foreign(out: Path, force: bool = False) -> None:
+    """Leave a folder alone in which somebody has other pages, and say from the beginning whose these are.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: there is something of a name that pages need.
+    """
+    index = out / "index.html"
+    if not index.exists() or not is_ours(index):
+        refuse_others((index, *(out / name for name in ("compare.html", "table.csv", *FOLDERS))), force)
+        write_text(index, FIRST)
+    refuse_others({out / "table.csv": TABLE}, force)
+
+
 def write_site(
     rows: Sequence[Row], folder: Path, out: Path, files: Path | None = None, jobs: int | None = None,
     say: Report = silent, origin: str | None = None,
@@ -90,7 +109,7 @@ def write_site(
             beside = (pages[k - 1] if k else None), (pages[k + 1] if k + 1 < len(pages) else None)
             file = None if files is None else files / Path(str(row["file"])).name
             work[name] = Job(folder / str(row["result"]), out, name, file, *beside, origin)
-    for place in ("materials", "pictures", "assets"):
+    for place in FOLDERS:
         (out / place).mkdir(parents=True, exist_ok=True)
     lacks: dict[str, list[str]] = {}
     for k, (name, said) in enumerate(_made(list(work.values()), jobs_for(len(work), jobs)), 1):
@@ -180,12 +199,13 @@ def _charts(subject: Subject) -> Page:
 
 
 def _page_names(rows: Sequence[Row]) -> list[str | None]:
-    """Of each row's page: its result's path without the ending; None where there is nothing to show."""
-    return [
-        None if row["result"] is None or row["status"] == UNREADABLE else
-        "--".join(Path(str(row["result"])).with_suffix("").parts)
-        for row in rows
-    ]  # fmt: skip
+    """Of each row's page: its result's path without the ending, once; None where there is nothing to show."""
+    names: list[str | None] = []
+    for row in rows:
+        name = "--".join(Path(str(row["result"])).with_suffix("").parts)
+        free = (each for each in chain([name], (f"{name}.{k}" for k in count(2))) if each not in names)
+        names.append(None if row["result"] is None or row["status"] == UNREADABLE else next(free))
+    return names
 
 
 def _index_row(row: Row, name: str | None, out: Path) -> Page:

@@ -1,7 +1,5 @@
 """A folder of results as one table for a spreadsheet: what `merlfit table` writes."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,21 +10,27 @@ from ..execution.journal import FileEnded, lines
 from ..execution.unit import Kind
 from ..results.export import ResultError, read_result
 from ..results.schema import Metrics, Result
+from ..support.outputs import as_csv, refuse_others
 from ..support.terminal import console, fail, note
 
 UNREADABLE = "unreadable"
-FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would compute a cell that begins so
 HEADS = (
     "material", "status", "model", "variant", "genuine_merl", "data", "cost", *Metrics.model_fields, "seconds",
     "posterior", "cautions", "error", "result", "file", "sha1",
 )  # fmt: skip
+TABLE = ",".join(HEADS[:5]).encode()  # by which an earlier one is known
 Row = dict[str, str | float | None]
 
 
-def write_table(folder: Path, path: Path) -> None:
-    """Write the table of a folder and say what it holds; ends with an error line where there is nothing."""
+def write_table(folder: Path, path: Path, force: bool = False) -> None:
+    """Write the table of a folder and say what it holds; ends with an error line where there is nothing.
+
+    Args:
+        force: write over any file.
+    """
     rows = results_in(folder)
     try:
+        refuse_others({path: TABLE}, force)
         write_csv(rows, path)
     except WriteError as error:
         raise fail(str(error)) from None
@@ -71,11 +75,7 @@ def rows_of(folder: Path) -> list[Row]:
 def write_csv(rows: Sequence[Row], path: Path) -> None:
     """CSV: UTF-8, commas, a decimal point, numbers of six digits, nothing where there is no value."""
     heads = list(dict.fromkeys([*HEADS, *(head for row in rows for head in row)]))
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(heads)
-    writer.writerows([_cell(row.get(head)) for head in heads] for row in rows)
-    write_text(path, out.getvalue())
+    write_text(path, as_csv(heads, rows))
 
 
 def _last(folder: Path) -> Iterator[tuple[Path, FileEnded]]:
@@ -125,11 +125,3 @@ def _parameters(result: Result) -> Mapping[str, float | None]:
             f"{p.name}_q05": p.quantiles and p.quantiles.q05, f"{p.name}_q95": p.quantiles and p.quantiles.q95,
         }  # fmt: skip
     return found
-
-
-def _cell(value: str | float | None) -> str:
-    if value is None:
-        return ""
-    if not isinstance(value, str):
-        return f"{value:.6g}"
-    return f"'{value}" if value.startswith(FORMULA) else value

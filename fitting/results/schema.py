@@ -17,8 +17,8 @@ from .strict import Many, Strict
 
 __all__ = [
     "EDITED", "OLDER", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
-    "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result", "Run",
-    "Source", "Tried", "genuine_words", "this_run",
+    "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result",
+    "Run", "Source", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
 SCHEMA_VERSION = "2.3"
 OLDER = (

@@ -36,7 +36,7 @@ def test_inspect_draws_a_fit_without_its_file_and_says_what_is_missing(tmp_path,
     assert "the file is not shown: nowhere/nickel.binary" in shown.stderr
     assert "name the file with --file" in shown.stderr
     assert "not drawn: errors (they need the file)" in shown.stderr
-    assert [p.name for p in tmp_path.glob("*.png")] == ["nickel.peak.png"]
+    assert [p.name for p in tmp_path.glob("*.png")] == ["nickel.two-scale.peak.png"]
     named = call("inspect", tmp_path / "nickel.json", "--pictures", "peak", "--file", tmp_path / "gone.binary")
     assert named.exit_code == BAD_INPUT
 
@@ -83,7 +83,7 @@ def test_a_picture_of_broken_text_is_said_to_be_impossible(tmp_path):
     )
     shown = call("inspect", tmp_path / "nickel.json", "--pictures", "corner")
     assert shown.exit_code == BAD_INPUT
-    assert "nickel.corner.png: cannot be drawn" in shown.stderr
+    assert "nickel.two-scale.corner.png: cannot be drawn" in shown.stderr
     assert "Traceback" not in shown.stderr
     assert keeping.completeness(tmp_path / "nickel.json") == Complete.INTERVALS
 

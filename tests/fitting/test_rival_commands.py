@@ -45,7 +45,9 @@ def test_the_commands_do_with_a_rival_what_they_do_with_the_two_scale_model(mode
         assert all(q.q05 < q.q50 < q.q95 for q in quantiles)
         np.testing.assert_allclose([q.q50 for q in quantiles], (truth | exponents)[name], rtol=0.01, err_msg=name)
     assert f"{model.name}, grazing exponent" in call("inspect", tmp_path / "made.json") or not model.lobes
-    assert {"made.lobes.png", "made.corner.png"} <= {p.name for p in tmp_path.iterdir()}
+    assert {f"made.{model.name}.{picture}.png" for picture in ("lobes", "corner")} <= {
+        p.name for p in tmp_path.iterdir()
+    }
     loss = ["--with-grazing-loss"] if model.lobes else []
     assert f"from the {model.name} fit of made" in call(
         "synth", tmp_path / "made.json", "-o", tmp_path / "again.binary", *loss

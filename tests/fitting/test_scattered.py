@@ -127,7 +127,7 @@ def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
     assert result.model.bands == FOUR
     assert result.model.acquisition.grazing_loss == "off"
     assert "of the values of an RGL file valid" in " ".join(call("inspect", path).stdout.split())
-    assert (tmp_path / "glossy_spec.samples.png").stat().st_size > 10_000
+    assert (tmp_path / "glossy_spec.ggx.samples.png").stat().st_size > 10_000
     reported = call("report", tmp_path)
     assert reported.exit_code == 0
     assert "the file holds scattered directions; `merlfit inspect` draws" in " ".join(reported.stderr.split())
@@ -181,7 +181,7 @@ def test_the_commands_take_a_table(file, tmp_path):
     assert told.exit_code == 0, told.stderr
     assert "a table of scattered directions" in " ".join(told.stdout.split())
     assert "picture: none of scattered directions" in told.stdout
-    assert (tmp_path / "glossy.samples.png").stat().st_size > 10_000
+    assert (tmp_path / "glossy.ggx.samples.png").stat().st_size > 10_000
     assert call("table", tmp_path).exit_code == 0
     (row,) = csv.DictReader((tmp_path / "table.csv").read_text().splitlines())
     assert row["picture"] == ""

@@ -1,0 +1,144 @@
+"""What commands may write over: their own earlier outputs, and nothing of anybody else."""
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import merlfit
+import numpy as np
+import pytest
+from merlfit.fitting.cost.command import OUTPUTS
+from merlfit.fitting.output.comparison import compared_in
+from merlfit.fitting.output.metrics import metrics_in
+from merlfit.fitting.pictures import style
+from merlfit.fitting.report.site import FIRST, _page_names
+from merlfit.fitting.support.outputs import as_csv, is_ours
+from merlfit.fitting.support.terminal import BAD_INPUT
+from merlfit.scene import images
+
+from tests.support.command import call
+from tests.support.made_results import put_result
+
+TABLE = "theta_i_deg,theta_o_deg,phi_o_deg,R\n10,20,180,0.2\n"
+WRITERS = {  # commands with a folder D of results and measurements, and what of D they would write over
+    ("table", "D"): ["table.csv"],
+    ("table", "D", "-o", "D/paint.csv"): ["paint.csv"],
+    ("metrics", "D/nickel.json", "--against", "D/paint.csv", "-o", "D"): [
+        "metrics.csv", "by_incidence.csv", "by_incidence.png"
+    ],
+    ("compare", "D/paint.csv", "-o", "D"): ["comparison.csv", "comparison.md", "comparison.html", "comparison.png"],
+    ("report", "D", "-o", "D"): ["index.html", "compare.html", "table.csv", "assets", "materials", "pictures"],
+    ("inspect", "D/nickel.json", "-o", "D", "--pictures", "lobes"): ["nickel.two-scale.lobes.png"],
+    ("render", "D/scene.toml", "-o", "D"): ["picture.exr", "picture.png", "difference.exr", "render.json"],
+    ("render", "D/nickel.json", "-o", "D"): ["nickel.png"],
+    ("render", "D/nickel.json", "-o", "D", "--vary", "beta=1,2"): ["nickel.beta.png"],
+    ("export", "D/nickel.json", "--to", "json", "-o", "D"): ["nickel.material.json"],
+    ("export", "D/nickel.json", "--to", "mitsuba", "-o", "D"): ["nickel.mitsuba.npz", "nickel.xml"],
+    ("export", "D/nickel.json", "--to", "gltf", "-o", "D"): ["nickel.gltf"],
+    ("export", "D/nickel.json", "--to", "openpbr", "-o", "D"): ["nickel.mtlx"],
+    ("cost", "-o", "D"): ["frontier.json", "cost.md", "cost.png", "rows.json"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "name"), [(words, name) for words, names in WRITERS.items() for name in names])
+def test_no_command_writes_over_a_file_of_somebody_else(words, name, tmp_path):
+    put_result(tmp_path)
+    (tmp_path / "paint.csv").write_text(TABLE)
+    if name in ("assets", "materials", "pictures"):
+        (tmp_path / name).mkdir()
+    else:
+        (tmp_path / name).write_text(TABLE)
+    shown = call(*(word.replace("D", str(tmp_path), 1) if word[0] == "D" else word for word in words))
+    assert shown.exit_code == BAD_INPUT
+    line = shown.stderr.splitlines()[-1]
+    assert line.startswith(f"merlfit: {tmp_path / name}: is there already, and no earlier output of this command: ")
+    assert (tmp_path / name).is_dir() or (tmp_path / name).read_text() == TABLE
+
+
+@pytest.mark.parametrize("text", [TABLE, '{"theta_i_deg": 10}'])
+def test_a_fit_does_not_take_the_place_of_what_is_no_result(text, tmp_path):
+    (tmp_path / "paint.json").write_text(text)
+    (tmp_path / "paint.csv").write_text(TABLE)
+    shown = call("fit", tmp_path / "paint.csv", "-o", tmp_path)
+    assert shown.exit_code != 0
+    assert f"{tmp_path / 'paint.json'}: is there already, and no result of merlfit" in shown.stderr
+    assert (tmp_path / "paint.json").read_text() == text
+
+
+def test_a_command_writes_over_what_an_earlier_one_wrote_and_over_all_when_it_is_told(tmp_path):
+    put_result(tmp_path)
+    for _ in range(2):
+        assert call("table", tmp_path).exit_code == 0
+        assert call("export", tmp_path / "nickel.json", "--to", "json", "-o", tmp_path).exit_code == 0
+    (tmp_path / "table.csv").write_text(TABLE)
+    assert call("table", tmp_path).exit_code == BAD_INPUT
+    assert call("table", tmp_path, "--force").exit_code == 0
+    assert (tmp_path / "table.csv").read_text().startswith("material,status,")
+
+
+@pytest.mark.parametrize("kind", ["png", "pdf", "svg"])
+def test_pictures_say_whose_they_are(kind, tmp_path):
+    figure = style.new(2)
+    figure.subplots().plot([1, 2])
+    style.save(figure, tmp_path / f"a.{kind}")
+    assert is_ours(tmp_path / f"a.{kind}")
+
+
+def test_pictures_of_scenes_and_pages_that_are_begun_say_whose_they_are(tmp_path):
+    images.write_exr(tmp_path / "a.exr", np.ones((200, 200, 3)))
+    images.write_png(tmp_path / "a.png", np.random.default_rng(0).random((200, 200, 3)))
+    (tmp_path / "index.html").write_text(FIRST)
+    (tmp_path / "empty").touch()
+    assert all(is_ours(path) for path in tmp_path.iterdir())
+    assert not is_ours(tmp_path)
+
+
+def test_a_measured_table_is_taken_for_no_output():
+    for marks in (compared_in, metrics_in, lambda folder: OUTPUTS):
+        for name, mark in marks(Path("x")).items():
+            assert re.search(mark, TABLE.encode()) is None, name
+
+
+def test_no_cell_of_a_spreadsheet_is_a_formula():
+    """In a name, a path or a channel, which whoever made the file chose."""
+    rows = [
+        {"name": "=cmd|' /C calc'!A1", "@x": -1.5, "n": None, "t": "\ta"},
+        {"name": "+1", "@x": 3, "n": True, "t": "-"},
+    ]
+    found = list(csv.reader(as_csv(["name", "@x", "n", "t"], rows).splitlines()))
+    assert found == [
+        ["name", "'@x", "n", "t"], ["'=cmd|' /C calc'!A1", "-1.5", "", "'\ta"], ["'+1", "3", "True", "'-"]
+    ]  # fmt: skip
+
+
+def test_results_of_alike_names_have_a_page_each():
+    rows = [{"result": name, "status": "CONVERGED"} for name in ("a--b.json", "a/b.json", "a--b.2.json", "c.json")]
+    assert _page_names(rows) == ["a--b", "a--b.2", "a--b.2.2", "c"]
+
+
+def test_numbers_are_read_without_a_picture(tmp_path):
+    put_result(tmp_path)
+    shown = call("inspect", tmp_path / "nickel.json", "--pictures", "none")
+    assert shown.exit_code == 0
+    assert "grazing_exponent" in shown.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["nickel.json"]
+
+
+def test_setting_a_value_of_a_fit_is_refused_and_a_copy_may_be_changed(tmp_path):
+    put_result(tmp_path)
+    fit = merlfit.load(tmp_path / "nickel.json")
+    with pytest.raises(TypeError, match=r'change a copy of them: \{\*\*fit.values, "beta": 0.2\}'):
+        fit.values["beta"] = 0.2
+    changed = {**fit.values, "beta": 0.2}
+    assert changed["beta"] == 0.2 != fit.values["beta"]
+    json.dumps({name: np.asarray(x).tolist() for name, x in fit.values.items()})
+
+
+def test_a_folder_of_work_that_is_not_of_cost_stays(tmp_path):
+    (tmp_path / ".merlfit-cost").mkdir()
+    (tmp_path / ".merlfit-cost" / "mine").touch()
+    shown = call("cost", "-o", tmp_path)
+    assert shown.exit_code != 0
+    assert "is not of this command, or damaged" in shown.stderr
+    assert (tmp_path / ".merlfit-cost" / "mine").exists()
