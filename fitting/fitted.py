@@ -44,7 +44,11 @@ class Values(dict[str, Any]):
         return dict, (dict(self),)
 
 
-register_pytree_node(Values, lambda v: (tuple(v.values()), tuple(v)), lambda keys, xs: dict(zip(keys, xs, strict=True)))
+def _plain(names: Any, values: Any) -> dict[str, Any]:  # noqa: ANN401 - as JAX has them
+    return dict(zip(names, values, strict=True))
+
+
+register_pytree_node(Values, lambda v: (tuple(v.values()), tuple(v)), _plain)  # a dictionary to what JAX compiles
 
 
 class Fit:
