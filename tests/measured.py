@@ -12,6 +12,7 @@ import json
 import subprocess
 import sys
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.results.export import read_result
@@ -45,20 +46,31 @@ def commit():
     return git("log", "-1", "--format=%h") + ("-changed" if git("status", "--porcelain") else "")
 
 
-def fits(out, names):
-    """Fit what has no result there yet: the results by their file, the failed ones too."""
-    files = {
+def files_of(names=()):
+    """Files that are fitted, and what each is; those that are named, or all."""
+    return {
         path: origin
         for folder, origin in ORIGINS.items()
         for path in sorted((DATA / "measured" / folder).iterdir())
         if path.suffix in FORMATS and (not names or path.stem in names)
     }
+
+
+def fits(out, names):
+    """Fit what has no result there yet: the results by their file, None where it was stopped before."""
+    files = files_of(names)
     for origin in ORIGINS.values():
         some = [str(path) for path, own in files.items() if own == origin]
         if some:
             command = [MERLFIT, "fit", *some, "-o", str(out), "--no-posterior", "--resume", "--origin", origin]
             subprocess.run(command, check=False)
-    return {path: read_result(out / f"{path.stem}.json") for path in files if (out / f"{path.stem}.json").is_file()}
+    return read(out, files)
+
+
+def read(out, files):
+    """The results of files that have one, None of the others."""
+    kept = {path: out / f"{path.stem}.json" for path in files}
+    return {path: read_result(there) if there.is_file() else None for path, there in kept.items()}
 
 
 def of_the_file(path):
@@ -75,26 +87,27 @@ def of_the_fit(result):
     """Albedo (C, A) at THETA_I of the material, without the apparatus."""
     values = {name: jnp.asarray(x) for name, x in result.values().items()}
     angles = jnp.radians(jnp.asarray(THETA_I, float))
-    found = directional_albedo(values, result.model.measured.material, angles, result.model.wavelengths_um)
-    return np.asarray(found)
+    compiled = jax.jit(directional_albedo, static_argnums=(1, 3))
+    return np.asarray(compiled(values, result.model.measured.material, angles, tuple(result.model.wavelengths_um)))
 
 
 def row(path, result, mitsuba):
     """What the tables say of one file."""
-    fit, named = result.fit, {q.name: q for q in result.parameters}
-    settings = result.model.settings if result.model else {}
-    index = {
-        q.name: [q.value, q.standard_error] for name, q in named.items() if q.parameter in ("eta", "n", "k")
-    }  # fmt: skip
-    albedo = {"fit": of_the_fit(result).T.tolist()} if fit.succeeded else {}
+    found = {"material": path.stem.removesuffix("_rgb"), "of": path.parent.name, "albedo": {}}
     if path.suffix == ".bsdf":
         there = [mitsuba[path.stem][str(theta_i)]["sampled"] for theta_i in THETA_I]
-        albedo |= {"file": of_the_file(path).T.tolist(), "mitsuba": there}
-    return {
-        "material": path.stem.removesuffix("_rgb"), "of": path.parent.name, "status": fit.status,
-        "index": settings.get("index"), "body": settings.get("body"), "constants": index, "cost": fit.cost,
-        "cost_per_channel": fit.cost_per_channel, "smape": result.metrics.smape, "albedo": albedo,
-        "seconds": result.seconds["total"], "cautions": list(fit.cautions),
+        found["albedo"] = {"file": of_the_file(path).T.tolist(), "mitsuba": there}
+    if result is None:
+        return found
+    if result.fit.succeeded:
+        found["albedo"]["fit"] = of_the_fit(result).T.tolist()
+    settings = result.model.settings if result.model else {}
+    optical = [q for q in result.parameters if q.parameter in ("eta", "n", "k")]
+    return found | {
+        "status": result.fit.status, "index": settings.get("index"), "body": settings.get("body"),
+        "constants": {q.name: [q.value, q.standard_error] for q in optical}, "cost": result.fit.cost,
+        "cost_per_channel": result.fit.cost_per_channel, "smape": result.metrics.smape,
+        "seconds": result.seconds["total"], "cautions": list(result.fit.cautions),
     }  # fmt: skip
 
 
@@ -128,10 +141,14 @@ def brightest(row):
     return f"{found.max():.3f} at {THETA_I[angle]}°" + (" **too bright**" if found.max() > 1 else "")
 
 
+def fitted(rows):
+    return [r for r in rows if "status" in r]
+
+
 def fitted_table(rows):
     head = "material | of | status | index, body | constants | cost | by channel | sMAPE | largest albedo | s"
     yield f"| {head} |\n|{'---|' * len(head.split(' | '))}"
-    for r in rows:
+    for r in fitted(rows):
         numbers = [f"{r['cost']:.3g}", triple(r["cost_per_channel"]), f"{r['smape']:.3f}"] if r["body"] else ["-"] * 3
         cells = [r["material"], r["of"], r["status"], f"{r['index']} {r['body']}", constants(r), *numbers]
         yield f"| {' | '.join([*cells, brightest(r), format(r['seconds'], '.0f')])} |"
@@ -150,7 +167,7 @@ def albedo_table(rows):
 
 PAGE = """# Genuine measurements
 
-`make measured`: {count} files fitted with the defaults of commit {at}, without a posterior. {ends}.
+`make measured`: {count} of {every} files fitted with the defaults of commit {at}, without a posterior. {ends}
 
 **Genuine measurements**, not reconstructions and not synthetic: isotropic materials of the RGL EPFL material database
 (Dupuy & Jakob 2018, doi:10.1145/3272127.3275059; RGB files, CC0), and sintered PTFE of NIST (Germer 2017, Applied
@@ -163,7 +180,7 @@ material at 10, 28, 45, 60 and 75 degrees.
 ## Albedos
 
 Directional albedo, R / G / B: of the file by importance sampling of Mitsuba's plugin `measured`, which clamps nothing
-(standard errors below 0.2 %, a quadrature of its `eval` agrees: [all numbers](mitsuba_albedo.json)); of the file by the
+(standard errors below 0.3 %, a quadrature of its `eval` agrees: [all numbers](mitsuba_albedo.json)); of the file by the
 shares of merlfit's samples; of the fit. Between the file's incidences Mitsuba interpolates values and warp, the second
 column albedos.
 
@@ -179,9 +196,10 @@ whose values of both signs cancel.
 
 def page(rows, at):
     """README.md of the folder."""
-    ends = ", ".join(f"{sum(r['status'] == s for r in rows)} {s}" for s in sorted({r["status"] for r in rows}))
+    statuses = [r["status"] for r in fitted(rows)]
+    ends = "".join(f"{statuses.count(s)} {s}. " for s in sorted(set(statuses))).strip()
     fits, albedos = "\n".join(fitted_table(rows)), "\n".join(albedo_table(rows))
-    return PAGE.format(count=len(rows), at=at, ends=ends, fits=fits, albedos=albedos)
+    return PAGE.format(count=len(statuses), every=len(rows), at=at, ends=ends, fits=fits, albedos=albedos)
 
 
 def table(rows):
@@ -190,7 +208,7 @@ def table(rows):
     names = ["material", "of", "status", "index", "body", "cost", "smape", "seconds"]
     to = csv.DictWriter(text, [*names, "constants", "largest_albedo"], extrasaction="ignore", lineterminator="\n")
     to.writeheader()
-    for r in rows:
+    for r in fitted(rows):
         largest = np.max(r["albedo"]["fit"]) if "fit" in r["albedo"] else ""
         to.writerow(r | {"constants": constants(r), "largest_albedo": largest})
     return text.getvalue()
@@ -198,11 +216,16 @@ def table(rows):
 
 def main(names=()):
     """Fit, then write the tables; of the files that are named, into out/ only."""
-    use_persistent_cache()
-    at, mitsuba = commit(), json.loads(MITSUBA.read_text())
+    at = commit()
     out = ROOT / "out" / "measured" / at
-    rows = [row(path, result, mitsuba) for path, result in fits(out, names).items()]
-    folder = out / "tables" if names else FOLDER
+    write(fits(out, names), at, out / "tables" if names else FOLDER)
+
+
+def write(results, at, folder):
+    """The tables of results by their file."""
+    use_persistent_cache()
+    mitsuba = json.loads(MITSUBA.read_text())
+    rows = [row(path, result, mitsuba) for path, result in results.items()]
     folder.mkdir(parents=True, exist_ok=True)
     kept = json.dumps({"commit": at, "fits": rows}, indent=1) + "\n"
     for name, text in (("README.md", page(rows, at)), ("fits.csv", table(rows)), ("fits.json", kept)):
