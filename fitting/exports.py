@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 from xml.sax.saxutils import quoteattr
 
 from ..merl_io.atomic import write_text
+from ..merl_io.bands import MERL
 from ..merl_io.binary import MerlError, read, write
 from ..merl_io.samples import folded
 from ..model.registry import models
@@ -18,7 +19,7 @@ from ..scene.tables import write_tables
 from .output.formats import nearest
 from .output.synthesis import from_result
 from .results.export import ResultError, read_result
-from .results.schema import EDITED, UNSAID, Result, genuine_words
+from .results.schema import EDITED, UNSAID, Model, Result, genuine_words
 from .scenes import of_result
 from .support.compilation import use_persistent_cache
 from .support.numbers import number
@@ -98,7 +99,7 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> lis
     error = EDITED if result.edited else f"RMSE {number(result.metrics.rmse, 3)}/sr"
     said = (
         f"{result.model.name} fit of {result.source.material} ({result.data_words}) by merlfit "
-        f"{result.versions.get('merlfit', '')}, {error}, colours as in that file"
+        f"{result.versions.get('merlfit', '')}, {error}, {_colours(result.model)}"
     )
     match to:
         case "mitsuba":
@@ -116,6 +117,12 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> lis
             say("nearest GGX")
             write_ = to_gltf if to == "gltf" else to_openpbr
             return [write_(path.stem, nearest_of(path, result, to), said, out)]
+
+
+def _colours(model: Model) -> str:
+    """Where R, G and B are from."""
+    same = set(model.channels) == set(MERL.names)
+    return "colours as in that file" if same else "colours as the CIE 1931 observer sees them, equal energy being white"
 
 
 def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path]:
@@ -141,7 +148,7 @@ def parameters_of(result: Result) -> dict[str, Any]:
             q.name: {"value": q.value, "unit": q.unit, "meaning": q.meaning, "standard_error": q.standard_error}
             for q in result.parameters if not q.parameter.startswith("grazing_")
         },
-        "note": "BRDF in 1/sr, linear RGB of MERL, as stored; without the apparatus's loss of light at grazing angles",
+        "note": f"BRDF in 1/sr, {m.colour_space}; without the apparatus's loss of light at grazing angles",
     }  # fmt: skip
 
 

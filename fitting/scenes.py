@@ -16,7 +16,6 @@ from rich.table import Table
 from ..merl_io.atomic import write_text
 from ..merl_io.binary import MerlError, read
 from ..merl_io.samples import folded
-from ..model.parameters import WAVELENGTHS_UM
 from ..model.reflectance import Reflectance
 from ..model.registry import made
 from ..scene import images
@@ -51,7 +50,7 @@ def given_of(name: str, source: Source, folder: Path) -> Given:
     where = f"materials.{name}"
     try:
         if source.measured is not None:
-            return Given(name, None, {}, WAVELENGTHS_UM, measurement(*folded(read(folder / source.measured))))
+            return Given(name, None, {}, measured=measurement(*folded(read(folder / source.measured))))
         if source.result is not None:
             result = read_result(folder / source.result)
             return of_result(name, result, folder / source.result, source.parameters)
@@ -59,7 +58,7 @@ def given_of(name: str, source: Source, folder: Path) -> Given:
         model = made(source.model, source.settings)
         if model.objection is not None:
             raise SceneError(f"{where}: {model.objection}")
-        return Given(name, model, values_of(model, source.parameters, where), WAVELENGTHS_UM)
+        return Given(name, model, values_of(model, source.parameters, where))
     except (MerlError, ResultError, ValueError) as error:
         raise SceneError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
 
@@ -70,14 +69,13 @@ def of_result(
     """A fitted material with some parameters changed; without the apparatus, or as it saw it."""
     if result.model is None:
         raise SceneError(f"{path}: the fit failed ({result.fit.status}), it has no material")
-    if len(result.model.channels) != 3:
-        raise SceneError(f"{path}: has {len(result.model.channels)} channels; a picture needs R, G and B")
     model = result.model.measured if as_measured else result.model.material
     values = {**result.values(), **(changed or {})}
-    return Given(name, model, values_of(model, values, name), tuple(result.model.wavelengths_um))
+    bands = result.model.bands
+    return Given(name, model, values_of(model, values, name, len(bands)), bands)
 
 
-def values_of(model: Reflectance, given: Mapping[str, Any], where: str) -> dict[str, np.ndarray]:
+def values_of(model: Reflectance, given: Mapping[str, Any], where: str, channels: int = 3) -> dict[str, np.ndarray]:
     """Parameters checked: all there, as many as there are channels, within what is possible."""
     declared = {q.name: q for q in model.parameters}
     if unknown := given.keys() - declared.keys() - model.ignored():
@@ -87,8 +85,8 @@ def values_of(model: Reflectance, given: Mapping[str, Any], where: str) -> dict[
         if name not in given:
             raise SceneError(f"{where}: {model} needs {name}, {q.meaning}")
         value = np.asarray(given[name], float)
-        if value.shape not in ((), (1,), (3,)) or (value.size == 3 and not q.per_channel):
-            wanted = "one number, or three" if q.per_channel else "one number"
+        if value.shape not in ((), (1,), (channels,)) or (value.size > 1 and not q.per_channel):
+            wanted = f"one number, or {'three' if channels == 3 else channels}" if q.per_channel else "one number"
             raise SceneError(f"{where}: {name} should be {wanted}, not {given[name]}")
         log = q.scale == "log" and name != "k"  # of a metal without absorption k is 0
         least, most = (q.offset if log else min(q.lower, 0.0)), np.inf if q.scale == "log" else max(q.upper, 1.0)
@@ -96,7 +94,7 @@ def values_of(model: Reflectance, given: Mapping[str, Any], where: str) -> dict[
             least_said = f"{'above' if log else 'at least'} {least:g}"
             most_said = "" if most == np.inf else f" and at most {most:g}"
             raise SceneError(f"{where}: {name} should be {least_said}{most_said}, not {given[name]}")
-        found[name] = np.broadcast_to(value.reshape(-1), (3,)).copy() if q.per_channel else value.reshape(())
+        found[name] = np.broadcast_to(value.reshape(-1), (channels,)).copy() if q.per_channel else value.reshape(())
     return found
 
 

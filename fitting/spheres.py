@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from ..merl_io.binary import Measurement, MerlError
 from ..merl_io.samples import folded
 from ..merl_io.source import is_regular
-from ..model.parameters import WAVELENGTHS_UM, Parameter
+from ..model.parameters import Parameter
 from ..scene import images
 from ..scene.colour import difference, displayed
 from ..scene.description import Camera, Environment, Scene, SceneError, Source, Sphere
@@ -189,5 +189,5 @@ def _render_result(path: Path, target: Path, vary: Sequence[str], scene: Scene, 
         note(f"{path}: the fit alone; {file} holds scattered directions, of which no picture is rendered")
         images.write_png(target, fitted)
         return
-    measured = Given(path.stem, None, {}, WAVELENGTHS_UM, measurement(*folded(read_again)))
+    measured = Given(path.stem, None, {}, measured=measurement(*folded(read_again)))
     save(beside(sphere_of(measured, scene), fitted, f"{result.source.material}, {result.data_words}"), target)

@@ -1,11 +1,63 @@
-"""Colour: differences as people see them, and pictures for screens. RGB is linear sRGB, 1 is white."""
+"""Colour: of wavelengths, differences as people see them, and pictures for screens. RGB is linear sRGB, 1 is white."""
+
+from functools import cache
+from typing import Any
 
 import numpy as np
+
+from ..merl_io.bands import MERL, Bands
 
 XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
 )
 LUMINANCE = XYZ[1]
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+VISIBLE_NM = np.arange(360.0, 831.0)
+OBSERVER = (
+    ((1.056, 599.8, 37.9, 31.0), (0.362, 442.0, 16.0, 26.7), (-0.065, 501.1, 20.4, 26.2)),
+    ((0.821, 568.8, 46.9, 40.5), (0.286, 530.9, 16.3, 31.1)),
+    ((1.217, 437.0, 11.8, 36.0), (0.681, 459.0, 26.0, 13.8)),
+)
+"""CIE 1931 standard observer (2 degrees) as sums of Gaussians: height, peak, width below and above it (nm), to about
+1 % of the peak (Wyman, Sloan & Shirley 2013, JCGT 2(2), Eq. 4)."""
+
+
+def observer(wavelength_nm: np.ndarray) -> np.ndarray:
+    """x, y and z of the CIE 1931 observer, (3, N)."""
+
+    def lobe(height: float, peak: float, below: float, above: float) -> np.ndarray:
+        width = np.where(wavelength_nm < peak, below, above)
+        return height * np.exp(-(((wavelength_nm - peak) / width) ** 2) / 2)
+
+    return np.stack([sum((lobe(*one) for one in lobes), np.zeros(1)) for lobes in OBSERVER])
+
+
+@cache
+def weights_of(bands: Bands) -> np.ndarray:
+    """What each band adds to R, G and B, (3, C).
+
+    Bands that are named R, G and B stay what they are. Of others the reflectance is linear between the wavelengths and
+    constant beyond them; it is seen by the CIE 1931 observer under light of equal energy (illuminant E), whose white
+    becomes sRGB's (D65) by Bradford's transform: each row sums to one, so that white is white.
+    """
+    if set(bands.names) == set(MERL.names):
+        return np.array([[float(name == own) for name in bands.names] for own in MERL.names])
+    order = np.argsort(bands.wavelengths_um)
+    known, each = 1e3 * np.array(bands.wavelengths_um)[order], np.eye(len(bands))[order]
+    spectra = np.array([np.interp(VISIBLE_NM, known, each[:, k]) for k in range(len(bands))])
+    seen = observer(VISIBLE_NM)
+    white = BRADFORD @ XYZ.sum(1) / BRADFORD.sum(1)
+    adapted = np.linalg.solve(BRADFORD, white[:, None] * BRADFORD)
+    return np.linalg.solve(XYZ, adapted @ (seen @ spectra.T / seen.sum(1, keepdims=True)))
+
+
+def coloured(values: Any, bands: Bands) -> Any:  # noqa: ANN401 - an array of NumPy or JAX
+    """R, G and B, (3, ...), of values by band, (C, ...); what is outside of sRGB's gamut is cut off at 0."""
+    if bands.names == MERL.names:
+        return values
+    arrays = values.__array_namespace__()
+    found = arrays.tensordot(arrays.asarray(weights_of(bands), dtype=values.dtype), values, axes=1)
+    return arrays.maximum(found, 0)
 
 
 def cielab(radiance: np.ndarray) -> np.ndarray:

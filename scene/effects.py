@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from ..merl_io.bands import MERL, Bands
 from ..model.part import Part
 from ..model.reflectance import Reflectance
 from ..model.two_scale import TwoScale
@@ -145,7 +146,7 @@ class Given:
     name: str
     model: Reflectance | None
     values: Mapping[str, ArrayLike]
-    wavelengths_um: tuple[float, ...]
+    bands: Bands = MERL
     measured: Material | None = None
 
     def finest(self) -> Material:
@@ -154,7 +155,7 @@ class Given:
 
     def of(self, model: Reflectance, known: Mapping[str, jax.Array] | None = None) -> Surface:
         """The same values with another choice of effects; ``known``: tables of it."""
-        return surface(model, self.values, self.wavelengths_um, known or {})
+        return surface(model, self.values, self.bands, known or {})
 
     def _measured(self) -> Material:
         assert self.measured is not None

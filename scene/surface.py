@@ -11,12 +11,14 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from ..merl_io.bands import MERL, Bands
 from ..model.geometry import Geometry
 from ..model.numerics import safe_acos
 from ..model.reflectance import Reflectance, evaluate, prepared
 from ..model.sampling import Sampler
 from ..model.sampling.hemisphere import Cosine
 from ..model.sampling.visible import Visible, visible
+from .colour import coloured
 
 Tree = TypeVar("Tree")
 MATTE = 0.5  # relative standard deviation of weights by the cosine below which nothing better is needed
@@ -28,16 +30,16 @@ class Surface(eqx.Module):
     """A model with values and the tables that all directions share (:func:`merlfit.model.reflectance.prepared`).
 
     Attributes:
-        model: what is simulated. values: parameters and tables. wavelengths_um: of R, G and B.
+        model: what is simulated. values: parameters and tables. bands: that it has values of.
     """
 
     model: Reflectance = eqx.field(static=True)
     values: Mapping[str, Array]
-    wavelengths_um: tuple[float, ...] = eqx.field(static=True)
+    bands: Bands = eqx.field(static=True)
 
     def brdf(self, g: Geometry) -> Array:
-        """(3, ...), 1/sr."""
-        return evaluate(self.model, self.values, g, self.wavelengths_um)
+        """R, G and B, (3, ...), 1/sr."""
+        return coloured(evaluate(self.model, self.values, g, self.bands.wavelengths_um), self.bands)
 
 
 class Measurement(eqx.Module):
@@ -85,8 +87,7 @@ class Drawn(eqx.Module):
 
 
 def surface(
-    model: Reflectance, values: Mapping[str, ArrayLike], wavelengths_um: tuple[float, ...],
-    known: Mapping[str, Array] | None = None,
+    model: Reflectance, values: Mapping[str, ArrayLike], bands: Bands = MERL, known: Mapping[str, Array] | None = None
 ) -> Surface:  # fmt: skip
     """A material prepared for scattered directions, its tables computed in float64 and kept in :data:`PRECISION`.
 
@@ -95,8 +96,8 @@ def surface(
     """
     own, there = {q.name: jnp.asarray(values[q.name], float) for q in model.parameters}, known or {}
     missing = tuple(name for name in model.curves() if name not in there)
-    found = _prepared(model, own, tuple(wavelengths_um), missing) if missing else {}
-    return Surface(model, _in_precision({**own, **found, **there}), tuple(wavelengths_um))
+    found = _prepared(model, own, bands.wavelengths_um, missing) if missing else {}
+    return Surface(model, _in_precision({**own, **found, **there}), bands)
 
 
 @partial(jax.jit, static_argnums=(0, 2, 3))

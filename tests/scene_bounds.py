@@ -19,7 +19,6 @@ from merlfit.scene.surface import drawn
 
 OUT = Path(__file__).parents[1] / "results"
 SCENES, SHARE = 30, 0.999
-RGB = (0.645, 0.526, 0.444)
 
 
 def random_scene(rng):
@@ -59,7 +58,7 @@ def judged(seed):
     given = []
     for k, name in enumerate(names):
         model, values = truth(seed * 10 + k)
-        given.append(Given(name, model.material, values, RGB))
+        given.append(Given(name, model.material, values))
     film = Film(scene, stage(scene))
     plans = [plan(scene, film, each, k) for k, each in enumerate(given)]
     whole, same = pictures(

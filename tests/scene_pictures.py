@@ -19,7 +19,6 @@ from merlfit.fitting.spheres import LARGEST_SHOWN, STUDIO, sphere_of
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import folded
-from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.scene.colour import difference, displayed
 from merlfit.scene.effects import Given, allowed, off_by
 from merlfit.scene.render import pictures
@@ -81,8 +80,8 @@ def fits_picture(folder):
         fit = fits[name]
         model = two_scale(config, (fit["index"], fit["body"]))
         values = values_of(layout_for(config, model), fit["parameters"])
-        fitted = sphere_of(Given(name, model, values, WAVELENGTHS_UM), scene)
-        seen = Given(name, None, {}, WAVELENGTHS_UM, measurement(*folded(read(file(folder, name)))))
+        fitted = sphere_of(Given(name, model, values), scene)
+        seen = Given(name, None, {}, measured=measurement(*folded(read(file(folder, name)))))
         measured = sphere_of(seen, scene)
         away = difference(measured, fitted)
         print(f"{name}: mean CIELAB distance {away.mean():.3g}")

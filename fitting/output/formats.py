@@ -140,7 +140,7 @@ def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
     """
     half, draw = DIMS[2] // 2, FORMATS[to]
     ours = (values[..., :half] + values[..., : half - 1 : -1]) / 2
-    used = np.isfinite(ours).all(axis=0, keepdims=True)[0]
+    used = np.asarray(np.isfinite(ours).all(0))
     kinds = [_search(ours, used, draw, kind) for kind in ((True,) if metal else (True, False))]
     _, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
     drawn = draw(_folded_angles(), roughness, ior)

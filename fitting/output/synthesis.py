@@ -5,11 +5,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ...merl_io.binary import CHANNELS, DIMS, Dims, MerlError, write
+from ...merl_io.binary import DIMS, Dims, MerlError, write
 from ...merl_io.grid import merl_grid
 from ...model import published
 from ...model.geometry import Geometry
 from ...model.reflectance import evaluate
+from ...scene.colour import coloured
 from ..results.export import ResultError, read_result
 from ..support.compilation import use_persistent_cache
 from ..support.terminal import console, fail
@@ -64,7 +65,7 @@ def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
 
 
 def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str]:
-    """A fitted material, and in words what it is.
+    """A fitted material, and in words what it is; R, G and B of other bands are what is seen (`scene.colour`).
 
     Args:
         grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles; otherwise the
@@ -77,10 +78,8 @@ def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
-    if len(m.channels) != CHANNELS:
-        raise ResultError(f"{path}: has {len(m.channels)} channels, and a MERL file has R, G and B")
     model = m.measured if grazing_loss else m.material
-    values = tabulate(lambda g: evaluate(model, params, g, m.wavelengths_um))
+    values = tabulate(lambda g: coloured(evaluate(model, params, g, m.wavelengths_um), m.bands))
     said = f"synthetic MERL file from the {m.name} fit of {result.source.material}"
     if not m.measured.loses:
         return values, said

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array, vstack
 
 from ...merl_io.binary import Dims
 from ...merl_io.samples import folded
-from ...scene.colour import difference, displayed
+from ...scene.colour import coloured, difference, displayed
 from ..assess.picture import Lighting, view
 from ..objective.weights import within
 from .style import new, printable
@@ -40,7 +40,7 @@ def of_file_and_fit(subject: Subject) -> dict[Lighting, dict[str, np.ndarray]]:
     found: dict[Lighting, dict[str, np.ndarray]] = {}
     for lighting in SIDE:
         inside, lit = _sphere(lighting, subject.dims)
-        radiance = {name: _render(lit, brdf) for name, brdf in planes.items()}
+        radiance = {name: coloured(_render(lit, brdf).T, subject.model.bands).T for name, brdf in planes.items()}
         found[lighting] = {name: _round(displayed(pixels), inside) for name, pixels in radiance.items()}
         if len(radiance) == 2:
             apart = np.clip(difference(radiance["file"], radiance["fit"]) / LARGEST_SHOWN, 0, 1)
@@ -58,7 +58,8 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
     above = subject.grid.above[..., : subject.dims[2] // 2]
     radiance = {name: _render(lit, np.where(above, brdf, 0.0)) for name, brdf in subject.parts.items()}
     total = sum(radiance.values(), np.zeros(1)).sum(0)
-    pictures = {name: _round(displayed(pixels), inside) for name, pixels in radiance.items()}
+    seen = {name: coloured(pixels.T, subject.model.bands).T for name, pixels in radiance.items()}
+    pictures = {name: _round(displayed(pixels), inside) for name, pixels in seen.items()}
     return pictures, {name: pixels.sum(0) / total for name, pixels in radiance.items()}
 
 

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from merlfit.fitting import exports, scenes, spheres
-from merlfit.fitting.output import formats, synthesis
+from merlfit.fitting.output import formats
 from merlfit.fitting.output.synthesis import tabulate
 from merlfit.fitting.pictures.labelled import MARGIN, labelled
 from merlfit.fitting.pictures.style import save
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.results.schema import UNSAID
+from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import DIMS, read, write
 from merlfit.model.reflectance import evaluate
 from merlfit.model.registry import models
@@ -197,18 +198,53 @@ def test_exports(tmp_path, result, to):
         assert read(out / "nickel.binary").valid.any()
 
 
+def spectral(*names):
+    """GGX facets of copper at 450, 532 and 633 nm, channels in the order of the names."""
+    bands = Bands(names, tuple(float(name[:-2]) / 1000 for name in names))
+    result = made(model=models()["ggx"]())
+    at = {"450nm": 0.55, "532nm": 0.6, "633nm": 0.93}
+    by = dict(zip("RGB", names, strict=True))
+    for q in result.parameters:
+        q.channel = by.get(q.channel)
+        q.name = f"{q.parameter}_{q.channel}" if q.channel else q.parameter
+        q.value = {"alpha": 0.2, "albedo": 1e-4}.get(q.parameter, at.get(q.channel))
+    model = result.model.model_copy(update={"channels": list(names), "wavelengths_um": list(bands.wavelengths_um)})
+    return result.model_copy(update={"model": model})
+
+
+COPPER = np.array([0.953, 0.645, 0.538])  # of reflectance 0.55, 0.6 and 0.93
+
+
+RISING, MIXED = ("450nm", "532nm", "633nm"), ("633nm", "450nm", "532nm")
+
+
 @pytest.mark.parametrize(
-    ("to", "said"), [("json", ""), ("mitsuba", "a picture needs R, G and B"), ("merl", "4 channels")]
+    ("to", "names"), [("mitsuba", RISING), ("merl", MIXED), ("gltf", RISING), ("json", MIXED), ("render", RISING)]
 )
-def test_a_spectral_material_is_exported_where_no_picture_is_needed(tmp_path, monkeypatch, to, said):
-    four = made()
-    four.model.channels.append("700nm")
-    for module in (exports, synthesis):
-        monkeypatch.setattr(module, "read_result", lambda path: four)
-    found = call("export", "nickel.json", "--to", to, "-o", tmp_path)
-    assert found.exit_code == (2 if said else 0)
-    assert said in found.output
-    assert (tmp_path / "nickel.material.json").is_file() == (to == "json")
+def test_wavelengths_have_the_colour_that_is_seen_whatever_their_order(tmp_path, names, to):
+    """Copper is red in everything that makes a colour of it."""
+    path = tmp_path / "copper.json"
+    write_result(path, spectral(*names))
+    words = ("render", path) if to == "render" else ("export", path, "--to", to)
+    found = call(*words, "-o", tmp_path)
+    assert found.exit_code == 0, found.output
+    if to == "json":
+        assert json.loads((tmp_path / "copper.material.json").read_text())["channels"] == list(names)
+        return
+    if to == "mitsuba":
+        with np.load(tmp_path / "copper.mitsuba.npz") as arrays:
+            colour = np.exp(arrays["brdf"][100, 5, 0, :3])
+        assert "CIE 1931 observer" in (tmp_path / "copper.xml").read_text()
+    elif to == "merl":
+        colour = read(tmp_path / "copper.binary").values[:, 20, 5, 0]
+    elif to == "gltf":
+        (material,) = json.loads((tmp_path / "copper.gltf").read_text())["materials"]
+        colour = np.array(material["pbrMetallicRoughness"]["baseColorFactor"][:3])
+    else:
+        colour = np.asarray(Image.open(tmp_path / "copper.png"))[4:8, 4:8, :3].astype(float).mean((0, 1))
+        assert colour[0] > 1.1 * colour[1] > 1.1 * colour[2]
+        return
+    np.testing.assert_allclose(colour / colour[0], COPPER / COPPER[0], rtol=0.02)
 
 
 def ggx(**given):

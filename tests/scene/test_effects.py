@@ -11,7 +11,6 @@ from merlfit.scene.effects import TWO_SCALE, Given, effects_of, finest, off_by, 
 from merlfit.scene.render import Film, pictures, stage
 from merlfit.scene.surface import drawn
 
-RGB = (0.645, 0.526, 0.444)
 MATTE = {
     "beta": 0.3, "p": 1.0, "b": 1.0, "c": 2.0, "sigma_s": 0.002, "eta": np.full(3, 1.3),
     "albedo": np.array([0.7, 0.6, 0.5]),
@@ -43,18 +42,18 @@ def planned(made, given):
 
 
 def test_what_does_not_show_is_dropped_and_what_shows_is_kept():
-    found = planned(scene(), Given("a", TwoScale("lambert"), MATTE, RGB))
+    found = planned(scene(), Given("a", TwoScale("lambert"), MATTE))
     kept = {row.effect.name for row in found.rows if row.kept}
     assert "body" in kept
     assert "diffraction" not in kept
     assert found.off_by <= 1.0
     assert found.chosen == without(finest(TwoScale("lambert")), [r.effect for r in found.rows if not r.kept])
-    hazy = planned(scene(), Given("a", TwoScale(), HAZY, RGB))
+    hazy = planned(scene(), Given("a", TwoScale(), HAZY))
     assert {row.effect.name for row in hazy.rows if row.kept} >= {"diffraction", "specular reflection"}
 
 
 def test_a_smaller_tolerance_keeps_more():
-    given = Given("a", TwoScale("lambert"), MATTE, RGB)
+    given = Given("a", TwoScale("lambert"), MATTE)
     loose, tight = (planned(scene(tolerance={"cielab": x}), given) for x in (20.0, 1e-4))
     kept = [{row.effect.name for row in each.rows if row.kept} for each in (loose, tight)]
     assert kept[0] < kept[1]
@@ -63,7 +62,7 @@ def test_a_smaller_tolerance_keeps_more():
 
 
 def test_the_picture_keeps_the_tolerance_that_the_plan_found():
-    made, given = scene(), Given("a", TwoScale("lambert"), MATTE, RGB)
+    made, given = scene(), Given("a", TwoScale("lambert"), MATTE)
     found = planned(made, given)
     whole, same = pictures(Film(made, stage(made)), [drawn(given.finest())], [[given.of(found.chosen)]])
     assert off_by(whole, same, made.tolerance).max() <= 1.0

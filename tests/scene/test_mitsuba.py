@@ -15,13 +15,12 @@ from merlfit.scene.tables import write_tables
 plugin = pytest.importorskip("merlfit.scene.mitsuba", reason="needs merlfit[mitsuba]", exc_type=ImportError)
 mi, dr = plugin.mi, plugin.dr
 GGX = {"alpha": 0.25, "F0": np.array([0.9, 0.6, 0.3]), "albedo": np.array([0.1, 0.2, 0.3])}
-RGB = (0.645, 0.526, 0.444)
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
 
 
 @pytest.fixture(scope="module")
 def made():
-    return surface(models()["ggx"](), GGX, RGB)
+    return surface(models()["ggx"](), GGX)
 
 
 @pytest.fixture(scope="module")

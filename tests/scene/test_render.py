@@ -16,7 +16,6 @@ from merlfit.scene.description import Scene
 from merlfit.scene.render import Film, lit, pictures, radiance, stage
 from merlfit.scene.surface import PRECISION, drawn, measurement, surface
 
-RGB = (0.645, 0.526, 0.444)
 PLASTIC = {
     "beta": 0.15, "p": 0.8, "b": 1.0, "c": 2.0, "sigma_s": 0.03, "eta": np.full(3, 1.5),
     "albedo": np.array([0.5, 0.2, 0.1]),
@@ -40,7 +39,7 @@ def rendered(made, *materials, radiance=None):
 
 
 def ggx(values=GGX):
-    return surface(models()["ggx"](), values, RGB)
+    return surface(models()["ggx"](), values)
 
 
 def normals(made):
@@ -85,7 +84,7 @@ def test_a_pixel_under_the_studio_is_the_integral(kind):
     """Over all directions by a fine grid of them, without samplers."""
     made = scene(environment={"kind": "studio"}, samples=4096)
     model, values = (models()["ggx"](), GGX) if kind == "ggx" else (TwoScale("plastic", order=8), PLASTIC)
-    found = rendered(made, surface(model, values, RGB))
+    found = rendered(made, surface(model, values))
     normal, ray = normals(made)
     to = lights.directions(300, 600).reshape(-1, 3)
     solid_angle = np.repeat(np.diff(-np.cos(np.linspace(0, np.pi, 301))), 600) * 2 * np.pi / 600
@@ -157,7 +156,7 @@ def test_a_measured_material_looks_like_the_model_it_was_made_from():
     model = models()["ggx"]()
     table = measurement(np.asarray(evaluate(model, GGX, g)), grid.above[..., :90])
     made = scene(environment={"kind": "studio"}, samples=256)
-    one, other = rendered(made, table), rendered(made, surface(model, GGX, RGB))
+    one, other = rendered(made, table), rendered(made, surface(model, GGX))
     assert np.quantile(distance(one, other)[4:12, 4:12], 0.9) < 0.7
 
 
