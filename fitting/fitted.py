@@ -44,7 +44,7 @@ class Values(dict[str, Any]):
         return dict, (dict(self),)
 
 
-def _plain(names: Any, values: Any) -> dict[str, Any]:  # noqa: ANN401 - as JAX has them
+def _plain(names: Any, values: Any) -> Any:  # noqa: ANN401 - as JAX has them
     return dict(zip(names, values, strict=True))
 
 

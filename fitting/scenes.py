@@ -278,8 +278,9 @@ def plan_scene(path: Path) -> None:
     console.print(plan_table(found, ready.scene))
 
 
-PICTURES = [f"{name}.{kind}" for name in ("picture", "all_effects", "difference") for kind in ("exr", "png")]
 REPORT = "render.json"
+OUTPUTS = {f"{name}.{kind}": OURS for name in ("picture", "all_effects", "difference") for kind in ("exr", "png")}
+OUTPUTS[REPORT] = rb'^{\s*"seconds"\s*:'
 
 
 def render_scene(
@@ -293,7 +294,7 @@ def render_scene(
     use_persistent_cache()
     writable_folder(out)
     try:
-        refuse_others({**{out / name: OURS for name in PICTURES}, out / REPORT: rb"^{\s*\"seconds\"\s*:"}, force)
+        refuse_others({out / name: mark for name, mark in OUTPUTS.items()}, force)
         with progress_display() as progress:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             ready = staged(path, samples=samples, seed=seed)

@@ -18,6 +18,7 @@ from merlfit.fitting.output.synthesis import from_published
 from merlfit.fitting.pipeline.comparison import FIT, Row, compare_file, config_of
 from merlfit.fitting.results.export import ResultError, versions, write_result
 from merlfit.fitting.settings.config import ConfigError, load, parse
+from merlfit.fitting.support import outputs
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, read, write
 from merlfit.merl_io.grid import merl_grid
@@ -84,6 +85,16 @@ def test_a_file_is_compared_and_gone_on_with(file, tmp_path, monkeypatch):
     curve = list(csv.reader((tmp_path / "m" / "by_incidence.csv").read_text().splitlines()))
     assert len(curve) == 15
     assert (tmp_path / "m" / "by_incidence.png").stat().st_size > 5000
+
+
+def test_tables_of_an_earlier_comparison_are_known(tmp_path):
+    fit, around = Path("fits/nickel.json"), np.array([0.1, 0.2])
+    found = metrics.Assessed(fit, row(), Path("measured/nickel.binary"), "made (stated, not checked)", around, around)
+    comparison.write_tables([row(), row("=smooth")], tmp_path, comparison.NAME, "1 materials, 2 models", "made up")
+    metrics.write_metrics([found], tmp_path)
+    outputs.refuse_others(comparison.compared_in(tmp_path))
+    outputs.refuse_others(metrics.metrics_in(tmp_path))
+    assert "metals,nickel,'=smooth,'=smooth," in (tmp_path / "comparison.csv").read_text()
 
 
 def test_metrics_say_what_the_file_is(tmp_path):

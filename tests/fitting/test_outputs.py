@@ -9,15 +9,19 @@ import merlfit
 import numpy as np
 import pytest
 from merlfit.fitting.cost.command import OUTPUTS
+from merlfit.fitting.cost.frontier import keep
+from merlfit.fitting.cost.report import write_markdown
 from merlfit.fitting.output.comparison import compared_in
 from merlfit.fitting.output.metrics import metrics_in
 from merlfit.fitting.pictures import style
 from merlfit.fitting.report.site import FIRST, _page_names
-from merlfit.fitting.support.outputs import as_csv, is_ours
+from merlfit.fitting.results.export import versions
+from merlfit.fitting.support.outputs import as_csv, is_ours, refuse_others
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.scene import images
 
 from tests.support.command import call
+from tests.support.frontiers import invented
 from tests.support.made_results import put_result
 
 TABLE = "theta_i_deg,theta_o_deg,phi_o_deg,R\n10,20,180,0.2\n"
@@ -98,6 +102,16 @@ def test_a_measured_table_is_taken_for_no_output():
     for marks in (compared_in, metrics_in, lambda folder: OUTPUTS):
         for name, mark in marks(Path("x")).items():
             assert re.search(mark, TABLE.encode()) is None, name
+
+
+def test_an_earlier_calibration_is_known(tmp_path):
+    frontier = invented()
+    keep(frontier, tmp_path)
+    write_markdown(frontier, tmp_path / "cost.md")
+    style.save(style.new(2), tmp_path / "cost.png")
+    (tmp_path / "rows.json").write_text(json.dumps({"made of": {"versions": versions()}}))
+    refuse_others({tmp_path / name: mark for name, mark in OUTPUTS.items()})
+    assert {path.name for path in tmp_path.iterdir()} == set(OUTPUTS)
 
 
 def test_no_cell_of_a_spreadsheet_is_a_formula():

@@ -12,6 +12,7 @@ from merlfit.fitting.pictures.labelled import MARGIN, labelled
 from merlfit.fitting.pictures.style import save
 from merlfit.fitting.results.export import write_result
 from merlfit.fitting.results.schema import UNSAID
+from merlfit.fitting.support import outputs
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import DIMS, read, write
 from merlfit.model.reflectance import evaluate
@@ -73,6 +74,7 @@ def test_a_scene_is_planned_rendered_and_compared(tmp_path):
     assert np.asarray(Image.open(tmp_path / "out" / "picture.png")).max() > 100
     for name in ("all_effects.exr", "all_effects.png", "difference.exr", "difference.png"):
         assert (tmp_path / "out" / name).is_file()
+    outputs.refuse_others({tmp_path / "out" / name: mark for name, mark in scenes.OUTPUTS.items()})
     again = call("render", scene(tmp_path, GGX), "-o", tmp_path / "again", "--no-check")
     assert again.exit_code == 0
     np.testing.assert_array_equal(read_map(tmp_path / "again" / "picture.exr"), picture)
@@ -182,6 +184,7 @@ def test_exports(tmp_path, result, to):
     found = call("export", result, "--to", to, "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     out = tmp_path / "out"
+    outputs.refuse_others({out / f"nickel.{ending}": mark for ending, mark in exports.ENDINGS.get(to, {}).items()})
     if to == "mitsuba":
         scene_file = (out / "nickel.xml").read_text()
         assert 'value="nickel.mitsuba.npz"' in scene_file  # beside it, wherever both are moved
@@ -267,6 +270,7 @@ def test_a_fit_is_exported_as_the_nearest_material_of_a_format(tmp_path, result,
     monkeypatch.setattr(exports, "from_result", lambda path: (ggx(**GOLD), "GGX"))
     found = call("export", result, "--to", to, "-o", tmp_path)
     assert found.exit_code == 0, found.output
+    outputs.refuse_others(tmp_path / f"nickel.{ending}" for ending in exports.ENDINGS[to])
     assert asked == [True]  # the result is two-scale, complex over none
     if to == "openpbr":
         text = (tmp_path / "nickel.mtlx").read_text()
