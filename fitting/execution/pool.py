@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -25,7 +26,9 @@ from ..support.threads import CORES
 from .unit import Ended, Kind, Task, Unit, fit_unit
 
 NEED = 3 * 2**30  # bytes of a worker, its programs compiled anew
-PATIENCE = 20.0  # seconds that a worker has to write what it holds when it is told to stop
+PATIENCE = 20.0  # seconds that workers have to write what they hold when they are told to stop
+TOLD = 128 + signal.SIGTERM  # exit code of a worker that stopped
+GRACE = 0.5  # seconds after which a stop that came to one worker was for that one alone
 Tell = Callable[[int, str], None]  # of the unit with this number, what is being done
 Note = Callable[[str], None]
 
@@ -36,14 +39,25 @@ def jobs_for(units: int, asked: int | None = None) -> int:
     return max(1, min(units, CORES, room if asked is None else asked))
 
 
+NOTHING = Ended(Kind.STOPPED)
+
+
 @dataclass
 class _Worker:
-    """A process, our end of its pipe, and the number of the unit that it works on."""
+    """A process, our end of its pipe, the number of the unit that it works on, what there is of it if it stopped."""
 
     process: SpawnProcess
     pipe: Connection
     cores: list[int]
     unit: int | None = None
+    last: Ended = NOTHING
+
+    def tell_to_stop(self) -> None:
+        """As job schedulers do it; one that was halted goes on, since it could not hear it."""
+        self.process.terminate()
+        if self.process.pid is not None and self.process.is_alive():
+            with suppress(OSError):
+                os.kill(self.process.pid, signal.SIGCONT)
 
 
 class Pool:
@@ -80,16 +94,15 @@ class Pool:
     def stop(self) -> list[tuple[int, Ended]]:
         """End all workers; of each that was at work: its unit, and what there is of it."""
         for worker in self._workers:
-            worker.process.terminate()
-        found = []
+            worker.tell_to_stop()
+        found, until = [], time.monotonic() + PATIENCE
         for worker in self._workers:
-            last = Ended(Kind.STOPPED)
             with suppress(EOFError, OSError):
-                while worker.pipe.poll(PATIENCE):
+                while worker.pipe.poll(max(0.0, until - time.monotonic())):
                     message = worker.pipe.recv()
-                    last = message if isinstance(message, Ended) else last
+                    worker.last = message if isinstance(message, Ended) else worker.last
             if worker.unit is not None:
-                found.append((worker.unit, last))
+                found.append((worker.unit, worker.last))
         self._end()
         return found
 
@@ -106,12 +119,17 @@ class Pool:
                 try:
                     message = worker.pipe.recv()
                 except (EOFError, OSError):
+                    message = None
+                if isinstance(message, Ended) and message.kind is Kind.STOPPED:
+                    worker.last = message
+                    time.sleep(GRACE)  # where all are told to stop, so are we now
+                    message = None
+                if message is None:
                     unit, error = worker.unit, _why(worker.process)
                     self._workers[n] = self._worker(worker.cores)
                     if unit is not None:
                         yield unit, Ended(Kind.LOST, error=f"{units[unit].path}: {error}")
-                    continue
-                if isinstance(message, Ended):
+                elif isinstance(message, Ended):
                     unit, worker.unit = worker.unit, None
                     if unit is not None:
                         yield unit, message
@@ -142,9 +160,10 @@ class Pool:
     def _end(self) -> None:
         for worker in self._workers:
             worker.pipe.close()
-            worker.process.terminate()
+            worker.tell_to_stop()
+        until = time.monotonic() + PATIENCE
         for worker in self._workers:
-            worker.process.join(PATIENCE)
+            worker.process.join(max(0.0, until - time.monotonic()))
             if worker.process.is_alive():
                 worker.process.kill()
         self._workers = []
@@ -154,6 +173,8 @@ def _why(process: SpawnProcess) -> str:
     """Why a worker died, as far as that can be told."""
     process.join(PATIENCE)
     code = process.exitcode or 0
+    if code == TOLD:
+        return "its process was told to stop (SIGTERM, as some systems do when memory is short)"
     if code >= 0:
         return f"its process ended (exit code {code})"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
@@ -171,7 +192,7 @@ class _Note:
 def _work(pipe: Connection, task: Task, cores: list[int]) -> None:
     """Of a worker: units from the pipe, one after the other, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all its processes: ours says what to do
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     import jax
 
     from ..support.compilation import use_persistent_cache
@@ -191,10 +212,11 @@ def _work(pipe: Connection, task: Task, cores: list[int]) -> None:
                 ended = task(unit, tell)
             pipe.send(ended)
             if ended.kind is Kind.STOPPED:
-                return
+                sys.exit(TOLD)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """Wait for the end of the process that began this one, and end then."""
     parent = parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -213,6 +235,6 @@ def _into(unit: Unit) -> Iterator[None]:
         for number in (1, 2):
             os.dup2(file.fileno(), number)
     yield
-    with suppress(OSError):
-        sys.stdout.flush()
-        sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):  # it was closed before we began: there is none
+            stream.flush()

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -22,7 +23,7 @@ from markupsafe import Markup
 from ...merl_io.atomic import write_text
 from ...model.registry import models
 from ..assess.identifiability import in_words
-from ..execution.pool import jobs_for
+from ..execution.pool import end_with_parent, jobs_for
 from ..output.comparison import group_of
 from ..output.inspection import file_of
 from ..output.report import accuracy_line, fitted_line, interval, number
@@ -138,13 +139,18 @@ def _made(jobs: list[Job], count: int) -> Iterator[tuple[str, list[str]]]:
     if count <= 1:
         yield from ((job.name, make_page(job)) for job in jobs)
         return
-    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_watch_parent)
     try:
         running = {pool.submit(make_page, job): job for job in jobs}
         for done in as_completed(running):
             yield running[done].name, done.result()
     finally:
         pool.shutdown(cancel_futures=True)  # whoever stops it does not wait for all other pages
+
+
+def _watch_parent() -> None:
+    """A process that makes pages ends with the one that wants them, however that ends."""
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def make_page(job: Job) -> list[str]:

@@ -78,6 +78,39 @@ def test_one_that_is_killed_is_tried_again_alone_and_the_others_go_on(tmp_path):
     assert all(line.endswith("it is tried once more when the others are done, alone") for line in noted)
 
 
+def test_one_that_alone_is_told_to_stop_is_tried_again_and_the_others_go_on(tmp_path):
+    found, _, noted = ended(tmp_path, 2, "told-a", "quick-b", "quick-c")
+    assert {k: e.kind for k, e in found.items()} == dict.fromkeys(range(3), Kind.FITTED)
+    assert "told-a.binary: its process was told to stop (SIGTERM" in noted[0]
+
+
+def test_workers_that_are_halted_are_ended_at_once(tmp_path):
+    at_work = Pool(2, task, print)
+    begun = set()
+
+    def tell(k, stage):
+        begun.add(k)
+        if {0, 1} <= begun:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(at_work.ended(units(tmp_path, "halted-a", "halted-b"), tell))
+    start = time.monotonic()
+    assert {e.kind for _, e in at_work.stop()} <= {Kind.STOPPED, Kind.FITTED}
+    assert time.monotonic() - start < pool.PATIENCE / 2
+    assert not workers_left()
+
+
+def test_closed_standard_output_does_not_cost_the_fits(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    names = [f"{name}.binary" for name in ("quick-a", "quick-b", "quick-c")]
+    words = [sys.executable, str(program), "fit", *names, "-o", str(tmp_path)]
+    said = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, timeout=180)
+    assert "tried once more" not in said.stderr
+    assert all((tmp_path / f"{name}.json").is_file() for name in ("quick-a", "quick-b", "quick-c"))
+
+
 def test_who_is_at_work_when_it_is_stopped_leaves_what_it_has(tmp_path):
     at_work = Pool(2, task, print)
     begun = set()

@@ -14,7 +14,8 @@ FOREVER = 60.0
 
 
 def task(unit, report):
-    """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``raises``, ``prints``; of a cluster:
+    """``quick``, ``slow``, ``killed`` (always), ``once`` (killed the first time), ``told`` (to stop, the first time),
+    ``halted``, ``raises``, ``prints``; of a cluster:
     ``waits`` (says which process it is, at first long enough to be killed), ``patient`` (until it is stopped),
     ``tells`` (says which process it is), ``idle`` (does nothing, always),
     ``alone`` (fails where another is at work)."""
@@ -26,6 +27,10 @@ def task(unit, report):
         report("reading")
         if kind == "killed" or (kind == "once" and first):
             os.kill(os.getpid(), signal.SIGKILL)
+        if kind == "told" and first:
+            os.kill(os.getpid(), signal.SIGTERM)
+        if kind == "halted":
+            os.kill(os.getpid(), signal.SIGSTOP)
         if kind == "raises":
             return Ended(Kind.FAILED, error=f"{unit.path}: it raises")
         if kind == "prints":
