@@ -186,6 +186,20 @@ def rendered(scene: Any, samples: int) -> Any:  # noqa: ANN401 - of Mitsuba
     return mi.TensorXf(total / samples)
 
 
+def _unusable(variant: str) -> str | None:
+    """Why nothing can be rendered by a variant, and what can; None if it can."""
+    known = [name for name in mi.variants() if name.endswith("_rgb")]  # the tables hold three channels
+    if variant not in known:
+        what = "has no three channels" if variant in mi.variants() else "is none of Mitsuba's"
+        return f"variant {variant!r} {what}; scenes are rendered by {', '.join(known)}"
+    if variant.startswith("llvm") and "DRJIT_LIBLLVM_PATH" not in os.environ:
+        return (
+            f"variant {variant!r} needs LLVM's library, and Debian's libllvm19 is not here: install it, name another "
+            "in DRJIT_LIBLLVM_PATH, or take --variant scalar_rgb, which needs none"
+        )
+    return None
+
+
 def main() -> None:
     """Render a scene file."""
     parser = argparse.ArgumentParser(prog="python -m merlfit.scene.mitsuba", description="Render a scene by Mitsuba 3.")
@@ -194,8 +208,8 @@ def main() -> None:
     parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba; scalar_rgb needs no LLVM")
     parser.add_argument("--samples", type=int, default=0, help="of each pixel, if not as the scene says")
     asked = parser.parse_args()
-    if asked.variant not in mi.variants():
-        parser.error(f"there is no variant {asked.variant!r} of Mitsuba; there are {', '.join(mi.variants())}")
+    if why := _unusable(asked.variant):
+        parser.error(why)
     mi.set_variant(asked.variant)
     register()
     try:

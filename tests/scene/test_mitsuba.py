@@ -48,7 +48,10 @@ def test_constants_are_those_of_the_sampler():
     ("asked", "said"),
     [
         (["none.xml", "--variant", "scalar_rgb"], "none.xml: cannot be read as a scene"),
-        (["none.xml", "--variant", "scalar_rbg"], "no variant 'scalar_rbg' of Mitsuba; there are scalar_rgb"),
+        (
+            ["none.xml", "--variant", "scalar_rbg"],
+            "variant 'scalar_rbg' is none of Mitsuba's; scenes are rendered by scalar_rgb",
+        ),
     ],
 )
 def test_what_cannot_be_rendered_is_named(asked, said, monkeypatch, capsys):
@@ -89,6 +92,27 @@ def test_tables_are_found_beside_their_scene(file, tmp_path, monkeypatch):
     (tmp_path / "a.xml").write_text(f'<scene version="3.0.0"><shape type="sphere">{bsdf}</shape></scene>')
     monkeypatch.chdir("/")
     assert str(tmp_path / "moved.npz") in str(mi.load_file(str(tmp_path / "a.xml")))
+
+
+@pytest.mark.parametrize(
+    ("variant", "words"), [("scalar_spectral", "has no three channels"), ("metal", "is none of Mitsuba's")]
+)
+def test_a_variant_that_renders_nothing_is_one_line_that_names_those_that_do(variant, words, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["mitsuba", "a.xml", "--variant", variant])
+    with pytest.raises(SystemExit):
+        plugin.main()
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert words in said
+    assert "scalar_rgb" in said
+
+
+def test_without_llvm_the_default_variant_is_refused_in_one_line(monkeypatch, capsys):
+    """Of another version than 19 it would end the program with sixty lines."""
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(sys, "argv", ["mitsuba", "a.xml"])
+    with pytest.raises(SystemExit):
+        plugin.main()
+    assert "libllvm19 is not here" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_the_scalar_variant_says_how_far_it_is(capsys):
