@@ -81,7 +81,18 @@ def _options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    pass
+    if (asked := os.environ.get("JAX_PLATFORMS")) and "cpu" not in asked.split(","):
+        _refuse_missing(asked)
+
+
+def _refuse_missing(platforms: str) -> None:
+    """End with a line if JAX was told to compute on a device that is not here; it raises errors without words."""
+    import jax
+
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):
+        raise fail(f"JAX_PLATFORMS={platforms}: JAX finds no such device here; unset it, or set it to cpu") from None
 
 
 Jobs = Annotated[

@@ -2,8 +2,11 @@
 
 import json
 import math
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import get_args
 
@@ -298,3 +301,10 @@ def test_lobe_picture_reads_the_bins_it_should():
         expected = np.cos(theta_h) * np.cos(theta_d) - np.sin(theta_h) * np.sin(theta_d) * np.cos(phi)
         assert expected == pytest.approx(light[2])
     assert g.phi_d[0] < 0.01
+
+
+def test_a_device_that_is_not_there_is_one_line():
+    command = [sys.executable, "-m", "merlfit", "models"]
+    ended = subprocess.run(command, env={**os.environ, "JAX_PLATFORMS": "tpu"}, capture_output=True, text=True)
+    assert ended.returncode != 0
+    assert ended.stderr == "merlfit: JAX_PLATFORMS=tpu: JAX finds no such device here; unset it, or set it to cpu\n"
