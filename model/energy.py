@@ -15,7 +15,7 @@ incidence the diffraction lobe takes more light than the specular term gives up.
 Both tables are quadratures, interpolated, differentiable in every parameter but for kinks where max() changes sides.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -162,32 +162,42 @@ def _position(theta: Real, beta: Scalar) -> Real:
     return (1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)) * INCIDENCES / 2 - 0.02
 
 
-def half_vectors(
-    theta_i: Real, beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0, azimuths: int = AZIMUTHS
-) -> tuple[Geometry, Array]:
-    """Half vectors for light at the angles ``theta_i`` (rad), (A,), and the measure cos_o domega_o of their viewers.
-
-    The same theta_h for every incidence, in log tan(theta_h): panels around the edge of D, and from 45 degrees on,
-    where at normal incidence all viewers set at once. Azimuths from the plane of incidence to where the viewer sets,
-    at cos(phi) = -cot(theta_i) cot(2 theta_h).
+def slopes(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Array, Array]:
+    """Nodes in log tan(theta_h) for the lobes of one surface, around the edge of D, and their weights.
 
     Args:
         beta, p: the EPD. largest_B: 2 b/lambda of the narrowest lobe.
         degree: of zonal harmonics, whose ringing two nodes a degree in either outer panel resolve; 0 for lobes without.
-        azimuths: nodes of half a ring.
-
-    Returns:
-        geometry with theta_h ``(1, R, 1)`` and the rest ``(A, R, azimuths)``; measure of that shape.
     """
-    theta_i = theta_i[:, None, None]
     log_beta = jnp.log(beta)
     high = float(np.log(np.tan(STEEPEST)))
     low = jnp.minimum(log_beta, -jnp.log1p(largest_B)) - 5.0
     edge = log_beta + jnp.minimum(jnp.log(34 + 3 / p) / (2 * p), 2.0)
     edges = [low, log_beta - 1.0, jnp.minimum(edge, high), jnp.clip(edge, 0.0, high), high]
-    rules = [gauss_legendre(n) for n in (*RADII[:2], *(max(n, 2 * degree) for n in RADII[2:]))]
+    return panels(edges, (*RADII[:2], *(max(n, 2 * degree) for n in RADII[2:])))
+
+
+def panels(edges: Sequence[Array | float], counts: Sequence[int]) -> tuple[Array, Array]:
+    """Gauss nodes and weights between neighbouring edges, so many each."""
+    rules = [gauss_legendre(n) for n in counts]
     y = jnp.concatenate([a + (b - a) * u for a, b, (u, _) in zip(edges, edges[1:], rules, strict=False)])
-    dy = jnp.concatenate([(b - a) * w for a, b, (_, w) in zip(edges, edges[1:], rules, strict=False)])
+    return y, jnp.concatenate([(b - a) * w for a, b, (_, w) in zip(edges, edges[1:], rules, strict=False)])
+
+
+def half_vectors(theta_i: Real, y: Array, dy: Array, azimuths: int = AZIMUTHS) -> tuple[Geometry, Array]:
+    """Half vectors for light at the angles ``theta_i`` (rad), (A,), and the measure cos_o domega_o of their viewers.
+
+    The same theta_h for every incidence. Azimuths from the plane of incidence to where the viewer sets,
+    at cos(phi) = -cot(theta_i) cot(2 theta_h).
+
+    Args:
+        y, dy: nodes in log tan(theta_h), and their weights, (R,): an edge of panels is at 45 degrees, from where on
+            all viewers set at once at normal incidence. azimuths: nodes of half a ring.
+
+    Returns:
+        geometry with theta_h ``(1, R, 1)`` and the rest ``(A, R, azimuths)``; measure of that shape.
+    """
+    theta_i = theta_i[:, None, None]
     tan_h = jnp.exp(y)[None, :, None]
     theta_h = jnp.arctan(tan_h)
     sin_h, cos_h = jnp.sin(theta_h), jnp.cos(theta_h)

@@ -178,7 +178,7 @@ def surface_albedo(v: Values, s: Setting) -> Array:
     degree = effects.zonal_order if effects.diffraction == "zonal" else 0
     incidences = energy.incidences(v["beta"])
     placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
-    geometry, measure = energy.half_vectors(incidences, *placed, degree)
+    geometry, measure = energy.half_vectors(incidences, *energy.slopes(*placed, degree))
     inner = effects.coarse(energy.ORDER)
     s = setting(geometry, inner, wavelengths_um)
     if inner.renormalised and inner.diffraction != "off":

@@ -10,12 +10,14 @@ import numpy as np
 from ...merl_io.binary import OUTLIER
 from ...merl_io.inputs import Input
 from ...model.reflectance import Reflectance
+from ...model.two_scale import TwoScale
 from ..objective.transforms import ODDS, Layout
 from ..objective.weights import BEND, Bend
 from ..results import schema
 from ..settings.config import Config
 from ..solve.levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
 from . import metrics
+from .albedo import largest_albedo
 from .laplace import laplace_covariance
 from .selection import alike, lost
 
@@ -124,7 +126,23 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
         found.append(f"at a bound, so that a value beyond it may fit better: {', '.join(bound)}")
     values = {name: fitted.values[s] for name, s in fitted.layout.slices.items()}
     bands = fitted.layout.bands
-    return found + fitted.material.cautions(values, bands.names, bands.wavelengths_um)
+    found += fitted.material.cautions(values, bands.names, bands.wavelengths_um)
+    return found + excess(fitted)
+
+
+def excess(fitted: Fitted) -> list[str]:
+    """A line where the material gives back more light than it receives; the conserving split never does."""
+    material = fitted.material
+    if isinstance(material, TwoScale) and material.split == "conserving":
+        return []
+    brightest = largest_albedo(material, fitted.layout.values(jnp.asarray(fitted.solution.z)), fitted.layout.bands)
+    if not brightest.excessive:
+        return []
+    mend = "--preset conserving" if isinstance(material, TwoScale) else f"--model {TwoScale.name} --preset conserving"
+    return [
+        f"the material gives back more light than it receives: {brightest.albedo:.2f} times as much at "
+        f"{brightest.degrees:.0f} degrees ({brightest.channel}); fit with {mend}, which does not"
+    ]
 
 
 def others(fitted: Fitted) -> list[str]:

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from merlfit.fitting.assess.albedo import largest_albedo
 from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.assess.outcome import POOR, Fitted, cautions
+from merlfit.fitting.assess.outcome import POOR, Fitted, cautions, excess
 from merlfit.fitting.assess.selection import ALIKE, MARGIN
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.pipeline import run
@@ -14,9 +15,11 @@ from merlfit.fitting.pipeline.result import make_result
 from merlfit.fitting.results.schema import Candidate
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.solve.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, Status
+from merlfit.merl_io.bands import MERL
 from merlfit.merl_io.binary import DIMS
 from merlfit.model.measured import Measured
 from merlfit.model.plausible import METAL_FLOOR
+from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
 
 LAYOUT = layout_of(Measured(TwoScale("lambert", index="complex")))
@@ -121,3 +124,23 @@ def test_other_kinds_are_named_by_the_rule_that_chooses():
     words = said(fitted(candidates=candidates))
     assert "complex none (+5.4)" in words
     assert words.count("(") == 2, "neither the one too far by score nor that with the larger error"
+
+
+def test_a_material_that_makes_light_is_told_with_angle_and_mend():
+    """Facets that reflect 0.9 at every angle over a body that gives back a half more of all light."""
+    layout = layout_of(Measured(models()["ggx"](), "off"))
+    values = {"alpha": 0.2, "F0": np.array([0.5, 0.9, 0.2]), "albedo": np.array([0.2, 0.5, 0.1])}
+    one = replace(fitted(), layout=layout, solution=replace(fitted().solution, z=layout.free(values)))
+    (line,) = excess(one)
+    found = largest_albedo(layout.material, values, layout.bands)
+    assert found.channel == "G"
+    assert 1.3 < found.albedo < 1.45
+    assert all(word in line for word in (f"{found.albedo:.2f} times", "0 degrees (G)", "--preset conserving"))
+    dim = {**values, "F0": np.full(3, 0.3)}
+    assert excess(replace(one, solution=replace(one.solution, z=layout.free(dim)))) == []
+
+
+def test_a_matte_body_gives_back_its_albedo_whatever_the_angle():
+    values = {"alpha": 0.2, "F0": np.zeros(3), "albedo": np.array([0.2, 0.7, 0.1])}
+    found = largest_albedo(models()["ggx"](), {**values, "F0": np.full(3, 1e-12)}, MERL)
+    assert found.albedo >= 0.7 - 1e-3

@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.model.derived import derived, directional_albedo
+from merlfit.model.albedo import directional_albedo
+from merlfit.model.derived import derived
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.two_scale import TwoScale, two_scale
 
@@ -11,7 +12,7 @@ from tests.energy import half_vectors
 from tests.oracles import diffraction as o_diffraction
 from tests.oracles import fresnel as o_fresnel
 
-ANGLES = np.radians([0.0, 60.0])
+ANGLES = np.radians([0.0, 60.0, 80.0])
 EFFECTS = [
     TwoScale("none"),
     TwoScale("lambert"),
@@ -33,7 +34,7 @@ def test_directional_albedo_is_the_integral_by_a_finer_rule(effects):
         B = 2 * values.get("b", 1.0) / min(WAVELENGTHS_UM)
         rule = half_vectors(np.maximum(ANGLES, 1e-4), float(values["beta"]), float(values["p"]), float(B))
         expected = jnp.sum(two_scale(values, rule[0], effects) * rule[1], (-2, -1))
-        found = directional_albedo(values, effects, jnp.asarray(ANGLES))
+        found = directional_albedo(effects, values, jnp.asarray(ANGLES))
         np.testing.assert_allclose(found, expected, rtol=5e-3)
 
 
