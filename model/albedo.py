@@ -10,7 +10,7 @@ from .reflectance import Reflectance, Values, Wavelengths, evaluate
 
 ORDER, AZIMUTHS = 12, 6  # of the convolution; nodes of half a ring of half vectors
 EDGES = (-10.5, 0.0, float(np.log(np.tan(energy.STEEPEST))))  # log tan(theta_h): inside narrowest lobes; 45 degrees
-RADII = (80, 16)  # Gauss nodes between them
+RADII = (80, 32)  # Gauss nodes between them
 LEAST_INCIDENCE = 1e-4  # rad: at the normal itself no viewer is where a ring begins
 
 
