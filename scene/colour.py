@@ -73,8 +73,8 @@ def cielab(radiance: np.ndarray) -> np.ndarray:
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """CIELAB distance of pixels as a screen shows them, (...), from (..., 3): what is brighter than white is white."""
-    return np.linalg.norm(cielab(np.clip(one, 0, 1)) - cielab(np.clip(other, 0, 1)), axis=-1)
+    """CIELAB distance of pixels, (...), from (..., 3), with highlights as they are, brighter than white."""
+    return np.linalg.norm(cielab(one) - cielab(other), axis=-1)
 
 
 def displayed(radiance: np.ndarray) -> np.ndarray:

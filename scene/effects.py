@@ -172,7 +172,7 @@ def finest(model: Reflectance) -> Reflectance:
 def off_by(reference: np.ndarray, other: np.ndarray, tolerance: Tolerance) -> np.ndarray:
     """How far pixels differ, in units of the tolerance's kind; radiance over white, (..., 3)."""
     if tolerance.cielab is not None:
-        return colour.difference(reference, other)
+        return colour.difference(np.clip(reference, 0, 1), np.clip(other, 0, 1))  # as a screen shows them
     return np.max(np.abs(reference - other) / np.maximum(reference, DARK), -1)
 
 

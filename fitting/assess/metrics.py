@@ -27,7 +27,8 @@ class Errors:
         cube_root: RMS difference of cube roots of BRDF times cos_i (1/sr^(1/3)), over pairs of directions.
         log: RMS difference of log(1 + BRDF cos_i), over pairs of directions (Loew et al. 2012).
         highlight: predicted over measured brightest value at theta_h = 0, theta_d < 60 degrees, channels summed.
-        picture: mean CIELAB distance of spheres (`picture.difference`).
+        picture: mean CIELAB distance of spheres over all pixels and both lightings (`picture.Distances`).
+        lamp, environment: over the lit pixels of one lighting.
     """
 
     rmse: float
@@ -36,6 +37,8 @@ class Errors:
     log: float
     highlight: float
     picture: float
+    lamp: float = float("nan")
+    environment: float = float("nan")
 
 
 def errors(
@@ -73,7 +76,7 @@ def errors(
     rmse, smape, cube_root, log = np.mean(side_by_side(channel, planes), 0)
     return Errors(
         float(np.sqrt(rmse)), float(smape), float(np.sqrt(cube_root)), float(np.sqrt(log)),
-        highlight(measured, predicted, inside, grid), picture.difference(*_folded(measured, predicted, inside)),
+        highlight(measured, predicted, inside, grid), *picture.distances(*_folded(measured, predicted, inside)),
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from ..solve.levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
 from . import metrics
 from .albedo import largest_albedo
 from .laplace import laplace_covariance
-from .selection import alike, lost
+from .selection import VISIBLE, alike, lost
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
@@ -114,6 +114,10 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
         tried = config.fit.weights in (other, "adaptive")
         mend = "no exponent of the weights keeps it" if tried else f"fit with --weights {other}"
         found.append(f"the highlight is lost: the fit's peak is {peak:.2g} times as bright as the file's; {mend}")
+    lit = {name: getattr(fitted.errors, name) for name in ("lamp", "environment")}
+    if max(lit.values()) > VISIBLE:
+        off = ", ".join(f"{x:.2g} under {'a lamp' if name == 'lamp' else 'an environment'}" for name, x in lit.items())
+        found.append(f"it does not look like the file: spheres differ by {off} (CIELAB of lit pixels, 1 is noticeable)")
     found += others(fitted)
     if fitted.status is Status.STEP_LIMIT:
         found.append("the cost was still falling when the fit stopped: raise fit.max_steps to go on")

@@ -12,7 +12,7 @@ pictures is the idea of Bieron & Peers 2020, "An adaptive BRDF fitting metric".
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -28,6 +28,7 @@ LAMP_RADIUS_RAD = np.radians(1.5)
 LAMP_NODES = 3  # radii of its disc, with 6 azimuths each
 AZIMUTHS = 24  # of half vectors, on each row of theta_h
 GOLDEN = (np.sqrt(5) - 1) / 2
+BLACK = 1.0  # L*: up to which a pixel is black
 PIXELS = {"lamp": 900, "environment": 220}  # of the comparison, spread evenly over the disc of the sphere
 
 
@@ -150,16 +151,36 @@ def _index(row: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray, dims: Dims) 
     return (row.astype(np.int32) * folded[0] + d) * folded[1] + p
 
 
+class Distances(NamedTuple):
+    """How far two spheres differ, highlights brighter than white as they are.
+
+    Attributes:
+        both: mean CIELAB distance over all pixels, black ones too, and over lamp and environment alike.
+        lamp, environment: mean over the pixels of one lighting that are lit: lighter than `BLACK` in either sphere.
+    """
+
+    both: float
+    lamp: float
+    environment: float
+
+
 def difference(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> float:
-    """Mean CIELAB distance of two spheres, over lamp and environment alike.
+    """`Distances.both` of two spheres."""
+    return distances(measured, predicted, used).both
+
+
+def distances(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> Distances:
+    """How far a material's spheres are from another's.
 
     Args:
         measured, predicted: folded (3, H, D, P/2), 1/sr. used: bins that both are seen in, (H, D, P/2).
     """
     planes = [np.where(used, x, 0.0) for x in (measured, predicted)]
     dims = used.shape[0], used.shape[1], 2 * used.shape[2]
-    found = []
+    whole, lit = [], []
     for lighting in PIXELS:
         ours, theirs = (cielab(comparison(lighting, dims).render(x)) for x in planes)
-        found.append(np.linalg.norm(ours - theirs, axis=-1).mean())
-    return float(np.mean(found))
+        apart, seen = np.linalg.norm(ours - theirs, axis=-1), np.maximum(ours[:, 0], theirs[:, 0]) > BLACK
+        whole.append(apart.mean())
+        lit.append(float(apart[seen].mean()) if seen.any() else 0.0)
+    return Distances(float(np.mean(whole)), *lit)

@@ -23,6 +23,7 @@ ALIKE = 6.0
 MARGIN = 1.05
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
 FACTOR = 2.0  # a highlight that is off by more is lost
+VISIBLE = 2.0  # CIELAB distance of lit pixels above which a fit does not look like its file
 SEEN = 1.0  # CIELAB distance of spheres, just noticeable: by less a picture is as good
 
 

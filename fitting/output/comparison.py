@@ -15,12 +15,16 @@ from rich import box
 from rich.table import Table
 
 from ...merl_io.atomic import write_text
-from ..assess.selection import ALIKE, SEEN, least, lost
+from ...model.two_scale import TwoScale
+from ..assess.outcome import POOR
+from ..assess.selection import ALIKE, SEEN, VISIBLE, least, lost
 from ..pictures.style import save
 from ..pipeline.comparison import FIT, Row
 from ..support.numbers import number
 from ..support.outputs import OURS, as_csv
 
+LIT = {"lamp": "dE lamp", "environment": "dE room"}
+"""CIELAB distance of lit pixels; the dE of `FIGURES` is that of all pixels under both lights."""
 FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "cube_root": "cube-root error", "log": "log error",
     "picture": "dE", "highlight": "peak",
@@ -46,7 +50,8 @@ WHAT = (
     "RMSE: root of the mean squared error weighted by cos^2 theta_i over directions of the light and the viewer (HP15 "
     "Eq. 31, HP17 Table 2, normalised to a mean); sMAPE: mean of |m - p| / (m + p); cube-root and log error: root mean "
     "squares of differences of cube roots and of log(1 + x) of BRDF times cos theta_i; dE: mean CIELAB distance of "
-    "spheres under a lamp and under an environment (D65); peak: brightest value at theta_h = 0 over the file's"
+    "spheres under a lamp and under an environment (D65) over all pixels, dE lamp and dE room: under one of "
+    "them over lit pixels; peak: brightest value at theta_h = 0 over the file's"
 )
 CRITERION = (
     "BIC: N log J + P log N of the cost J with the effective count N of the best fit and the P numbers of the model, "
@@ -100,11 +105,24 @@ def table_of(rows: Sequence[Row]) -> Table:
     """What `merlfit compare` prints: medians by model, and on how many materials each is the best."""
     several = len({row.material for row in rows}) > 1
     table = Table(
-        title=f"{'medians over the materials' if several else rows[0].material} (dE: mean CIELAB distance of spheres; "
-        f"peak: fitted over measured highlight{'; best: materials with the lowest RMSE, dE' if several else ''})",
+        title=f"{'medians over the materials' if several else rows[0].material} (dE: CIELAB distance of spheres, of "
+        "all pixels, and of lit ones by lamp and room; peak: fitted over measured highlight"
+        f"{'; best: materials with the lowest RMSE, dE' if several else ''})",
         title_justify="left", box=box.SIMPLE_HEAD,
     )  # fmt: skip
-    for head in ("model", "numbers", "RMSE", "sMAPE", "dE", "peak", "BIC", "s", *(["best"] if several else [])):
+    for head in (
+        "model",
+        "numbers",
+        "RMSE",
+        "sMAPE",
+        "dE",
+        "lamp",
+        "room",
+        "peak",
+        "BIC",
+        "s",
+        *(["best"] if several else []),
+    ):
         table.add_column(head, justify="left" if head == "model" else "right", overflow="fold")
     best = [winners(rows, name) for name in ("rmse", "picture")]
     for name, own in by_label(rows).items():
@@ -114,7 +132,7 @@ def table_of(rows: Sequence[Row]) -> Table:
         table.add_row(
             name if several or own[0].variant == own[0].model or own[0].origin != FIT else f"{name} ({own[0].variant})",
             number(middle(lambda r: float(r.numbers))), *(number(middle(lambda r, f=f: getattr(r.errors, f)), 3)
-            for f in ("rmse", "smape", "picture", "highlight")), number(bic),
+            for f in ("rmse", "smape", "picture", *LIT, "highlight")), number(bic),
             number(middle(lambda r: r.seconds or float("nan")), 2), *([count] if several else []),
         )  # fmt: skip
     return table
@@ -142,8 +160,13 @@ def verdict(rows: Sequence[Row]) -> str:
         one = lost(peak) and not lost(chosen.errors.highlight)
         return f"but it loses the highlight, which is {number(peak, 2)} times the file's" if one else ""
 
+    least_said = (
+        "the least model that explains it is"
+        if explains(chosen)
+        else f"{'none of these models explains it; the best is' if len(fitted) > 1 else 'it is not explained by'}"
+    )
     said = (
-        f"{chosen.material}: the least model that explains it is {named(chosen)}, with {chosen.numbers} numbers: "
+        f"{chosen.material}: {least_said} {named(chosen)}, with {chosen.numbers} numbers: "
         + (f"its spheres differ from the file's by {number(chosen.errors.picture, 2)} (CIELAB), " if seen else "")
         + f"its RMSE is {number(chosen.errors.rmse, 3)}/sr."
     )
@@ -160,10 +183,19 @@ def verdict(rows: Sequence[Row]) -> str:
         else:
             why = f"but its picture is off by {number(lowest.errors.picture, 2)}"
         said += f" The lowest BIC is that of {named(lowest)}, {number(less, 2)} lower: {why}."
+    for default in (row for row in fitted if row.model == TwoScale.name and row not in (chosen, lowest)):
+        if (more := default.bic - chosen.bic) > ALIKE:
+            said += f" The default model, {named(default)}, has a BIC {number(more, 3)} higher."
     if lost(peak := chosen.errors.highlight):
         said += f" Its highlight is {number(peak, 2)} times the file's: try "
         said += f"`merlfit fit --weights {'adaptive' if seen else 'none'}`."
     return said
+
+
+def explains(row: Row) -> bool:
+    """Whether a fit looks like its file, and leaves little of its energy."""
+    pictures = (row.errors.picture, row.errors.lamp, row.errors.environment)
+    return not any(x > VISIBLE for x in pictures) and row.cost <= POOR
 
 
 def named(row: Row) -> str:

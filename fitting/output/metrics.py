@@ -28,7 +28,7 @@ from ..results.export import ResultError
 from ..results.schema import UNSAID, Model, Result, genuine_words
 from ..support.numbers import number
 from ..support.outputs import OURS, as_csv
-from .comparison import FIGURES, WHAT, named
+from .comparison import FIGURES, LIT, WHAT, named
 from .synthesis import tabulate
 
 
@@ -87,10 +87,10 @@ def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
         title=f"errors against {against} over {where}, both directions at theta < {THETA_MAX:g} rad",
         title_justify="left", box=box.SIMPLE_HEAD, caption=WHAT, caption_justify="left",
     )  # fmt: skip
-    for head in ("result", "model", *FIGURES.values()):
+    for head in ("result", "model", *FIGURES.values(), *LIT.values()):
         table.add_column(head, justify="left" if head in ("result", "model") else "right", overflow="fold")
     for each in found:
-        figures = (number(getattr(each.row.errors, name), 3) for name in FIGURES)
+        figures = (number(getattr(each.row.errors, name), 3) for name in (*FIGURES, *LIT))
         table.add_row(str(each.path), named(each.row), *figures)
     return table
 
@@ -108,7 +108,7 @@ def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
     """``metrics.csv``, ``by_incidence.csv`` and ``by_incidence.png``."""
     lines = [{"result": str(f.path), "against": str(f.against), "data": f.data, "model": f.row.model,
               "variant": f.row.variant,
-              **{name: getattr(f.row.errors, name) for name in FIGURES}} for f in found]  # fmt: skip
+              **{name: getattr(f.row.errors, name) for name in (*FIGURES, *LIT)}} for f in found]  # fmt: skip
     curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
               for k, x in enumerate(found[0].incidence)]  # fmt: skip
     written = list(metrics_in(folder))

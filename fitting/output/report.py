@@ -29,26 +29,35 @@ class Outcome:
 def summary_table(outcomes: Sequence[Outcome]) -> Table:
     """One row a file of a batch."""
     table = Table(
-        title="Fits (RMSE in 1/sr; dE: mean CIELAB distance of spheres; peak: fitted over measured highlight)",
+        title="Fits (RMSE in 1/sr; lamp, env: CIELAB distance of spheres there; peak: fitted over measured)",
         title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
     )  # fmt: skip
-    numbers = ("RMSE", "sMAPE", "dE", "peak", "s")
+    numbers = ("RMSE", "sMAPE", "lamp", "env", "peak", "s")
     for head in ("material", "model", "status", *numbers[:-1], "chain", "s"):
         least = 20 if head == "material" else 9 if head == "status" else None  # the longest of MERL's names
         justify = "right" if head in numbers else "left"
         table.add_column(head, justify=justify, overflow="fold", min_width=least)
     for o in outcomes:
         if o.result is None:
-            table.add_row(o.path.stem, "-", "bad input" if o.bad_input else "failed", *"------")  # why: on stderr
+            table.add_row(o.path.stem, "-", "bad input" if o.bad_input else "failed", *"-------")  # why: on stderr
             continue
         r = o.result
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
             r.source.material, r.model.material.variant if r.model else "-", r.fit.status,
-            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.picture, 2),
-            number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
+            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.lamp, 2),
+            number(r.metrics.environment, 2), number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
     return table
+
+
+def _not_the_lowest(result: Result) -> str:
+    """Why a kind was taken whose score is not the lowest, if that is so."""
+    taken = None if result.model is None else result.model.material.variant
+    scores = {c.variant: c.score for c in result.fit.candidates if c.score is not None}
+    if taken not in scores or scores[taken] == min(scores.values()):
+        return ""
+    return f"; taken: {taken}, the simplest of those that describe the file about as well as the lowest"
 
 
 def interval(q: ParameterResult | DerivedResult) -> str:
@@ -106,7 +115,8 @@ def print_result(console: Console, result: Result) -> None:
         f"{f.steps} steps on the last grid"
     )
     e = result.metrics
-    picture = f"mean CIELAB distance {number(e.picture, 3)}" if grid else "none of scattered directions"
+    lit = f"CIELAB distance of lit pixels {number(e.lamp, 3)} under a lamp, {number(e.environment, 3)} in a room"
+    picture = f"{lit}; of all pixels {number(e.picture, 3)}" if grid else "none of scattered directions"
     console.print(
         f"picture: {picture}; highlight {number(e.highlight, 3)} times the file's; "
         f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
@@ -115,8 +125,9 @@ def print_result(console: Console, result: Result) -> None:
         console.print(f"caution: {caution}")
     if len(f.candidates) > 1:
         console.print(
-            "models compared on the coarse grid, with their scores (the lowest is best): "
+            "models compared on the coarse grid, with their scores (lower is better): "
             + ", ".join(f"{c.variant} {number(c.score, 3)}" for c in f.candidates)
+            + _not_the_lowest(result)
         )
     if result.identifiability is not None:
         for line in in_words(result.identifiability):

@@ -23,7 +23,8 @@ class Candidate(Strict):
     cube_root: float | None = None
     """Error of cube roots on the coarse grid."""
     score: float | None = None
-    """What the choice goes by, the lowest is best (``fitting/assess/selection.py``)."""
+    """What the choice goes by, lower is better; of kinds that are about as good the simplest is taken
+    (``fitting/assess/selection.py``)."""
     converged: bool = True
     """False of a kind that was too far behind to be followed to the end, or was still creeping on the coarse grid."""
 
@@ -73,7 +74,12 @@ class Metrics(Strict):
     highlight: float | None = None
     """Fitted over measured peak."""
     picture: float | None = None
-    """Mean CIELAB distance of rendered spheres."""
+    """Mean CIELAB distance of rendered spheres over all pixels, black ones too, under a lamp and an environment alike;
+    weights and models are chosen by it."""
+    lamp: float | None = None
+    """Mean CIELAB distance of the spheres' lit pixels under a lamp, highlights as they are. Null before version 2.3."""
+    environment: float | None = None
+    """The same under an environment. Null before version 2.3."""
 
 
 class Tried(Strict):

@@ -181,6 +181,17 @@ def test_the_least_model_that_explains_a_material(rows, chosen):
     assert f"the least model that explains it is {rows[chosen].model}" in said
 
 
+def test_a_model_that_does_not_look_like_the_file_explains_nothing():
+    """Of several the best is named, and by how much the default is beaten."""
+    said = comparison.verdict([row(picture=3.7), row("b", picture=5.0)])
+    assert "none of these models explains it; the best is ggx" in said
+    assert "it is not explained by ggx" in comparison.verdict([row(lamp=0.4, environment=5.8)])
+    assert "the least model that explains it is ggx" in comparison.verdict([row(lamp=0.4, environment=1.8)])
+    default = row("two-scale", numbers=16, bic=110.0, picture=0.9)
+    said = comparison.verdict([default, row(), row("b", numbers=9, bic=-12.0)])
+    assert "The default model, two-scale, has a BIC 120 higher." in said
+
+
 def test_what_speaks_for_another_model_is_said():
     low = row("b", numbers=20, bic=-20.0, picture=4.0)
     assert "but its picture is off by 4" in comparison.verdict([row(numbers=16), low])

@@ -137,7 +137,9 @@ def test_without_bins_no_error_is_a_number():
 def test_an_equal_prediction_has_no_error():
     measured, _, valid = random_planes()
     same = errors(np.where(valid, measured, np.nan), measured, valid, merl_grid())
-    assert same == Errors(rmse=0.0, smape=0.0, cube_root=0.0, log=0.0, highlight=1.0, picture=0.0)
+    assert same == Errors(
+        rmse=0.0, smape=0.0, cube_root=0.0, log=0.0, highlight=1.0, picture=0.0, lamp=0.0, environment=0.0
+    )
 
 
 def test_what_is_not_valid_or_past_theta_max_does_not_matter():

@@ -60,6 +60,7 @@ def test_a_good_fit_needs_no_caution():
     (fitted({**VALUES, "p": 0.2005}), ["at a bound", "p (lower)"]),
     (fitted(errors=replace(GOOD, highlight=0.3)), ["0.3 times as bright as the file's", "--weights adaptive"]),
     (fitted(converged=False), ["still falling"]),
+    (fitted(errors=replace(GOOD, lamp=0.4, environment=5.8)), ["0.4 under a lamp, 5.8 under"]),
 ])  # fmt: skip
 def test_what_is_doubtful_is_said(one, words):
     assert all(word in said(one) for word in words), said(one)

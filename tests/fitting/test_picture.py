@@ -10,6 +10,7 @@ from merlfit.fitting.assess.picture import (
     comparison,
     difference,
     disc,
+    distances,
     view,
 )
 from merlfit.merl_io.grid import merl_grid
@@ -226,6 +227,33 @@ def test_the_difference_is_the_mean_distance_over_both_lights():
         apart.append(np.mean([np.sqrt(np.sum((a - b) ** 2)) for a, b in zip(*labs, strict=True)]))
     assert difference(one, other, EVERYWHERE) == pytest.approx(np.mean(apart), rel=1e-12)
     assert apart[0] != pytest.approx(apart[1], rel=0.05)
+
+
+def test_lit_pixels_alone_count_by_lighting_and_highlights_are_not_clipped():
+    """A mirror's lamp picture is black but for its highlight: of all pixels the mean says nothing of it."""
+    lobe = np.exp(-((np.tan(merl_grid().theta_h) / 0.02) ** 2))[:, None, None] * np.ones((3, 90, 90, 90))
+    one, other = 400 * lobe, 200 * lobe  # both brighter than white
+    found = distances(one, other, EVERYWHERE)
+    apart = {}
+    for lighting in ("lamp", "environment"):
+        labs = [cielab(comparison(lighting).render(x)) for x in (one, other)]
+        each = [np.sqrt(np.sum((a - b) ** 2)) for a, b in zip(*labs, strict=True) if max(a[0], b[0]) > 1]
+        apart[lighting] = len(each), np.mean(each)
+    assert apart["lamp"][0] < 0.2 * PIXELS["lamp"]
+    assert found.lamp == pytest.approx(apart["lamp"][1], rel=1e-9)
+    assert found.environment == pytest.approx(apart["environment"][1], rel=1e-9)
+    assert found.lamp > 5 > 1 > difference(0 * one, 0 * one, EVERYWHERE)
+    assert found.both == difference(one, other, EVERYWHERE)
+
+
+def test_a_neutral_metal_that_is_fitted_brown_is_seen_in_the_environment():
+    grey = glossy(20.0)
+    brown = grey * np.array([1.2, 1.0, 0.7])[:, None, None, None]
+    assert distances(grey, brown, EVERYWHERE).environment > 5
+
+
+def test_what_is_black_in_both_spheres_is_not_different():
+    assert distances(0 * glossy(1.0), 0 * glossy(1.0), EVERYWHERE) == (0, 0, 0)
 
 
 def test_bins_that_are_not_used_do_not_show():
