@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 ColourSpace = Literal["linear RGB of MERL, as stored", "linear RGB, as stored", "none: a channel is a wavelength"]
 """Of a measurement's channels; nothing is converted."""
 
@@ -44,3 +46,21 @@ class Bands:
 
 MERL = Bands(("R", "G", "B"), (0.645, 0.526, 0.444))
 """Those of MERL's files; the wavelengths are HP17's (Section 5)."""
+SHOWN = 3  # names of channels that a line repeats
+
+
+def filled(values: np.ndarray, bands: Bands) -> tuple[np.ndarray, Bands, list[str]]:
+    """Which channels (C, ...) hold anything but zeros, their bands, and a line on those that do not.
+
+    All of them if none does: then there is nothing to fit.
+    """
+    some = np.array([bool(np.any((plane != 0) & np.isfinite(plane))) for plane in values])
+    if some.all() or not some.any():
+        return np.ones(len(some), bool), bands, []
+    rows = np.flatnonzero(some)
+    kept = Bands(tuple(bands.names[k] for k in rows), tuple(bands.wavelengths_um[k] for k in rows))
+    empty = [name for name, k in zip(bands.names, some, strict=True) if not k]
+    more = f" and {len(empty) - SHOWN} more" if len(empty) > SHOWN else ""
+    are = "channels {} are" if len(empty) > 1 else "channel {} is"
+    said = f"{are.format(', '.join(empty[:SHOWN]) + more)} zero everywhere or blank, and left out"
+    return some, kept, [said]

@@ -18,7 +18,7 @@ from typing import IO, Literal
 import numpy as np
 
 from .atomic import WriteError, write_atomically
-from .bands import MERL, Bands, ColourSpace
+from .bands import MERL, Bands, ColourSpace, filled
 from .source import MerlError, opened, same_as_fitted
 
 Dims = tuple[int, int, int]
@@ -88,6 +88,7 @@ class Measurement:
         inf: how many are infinite or absurdly bright.
         sha1: of the whole file.
         blob_sha1: the same as git names its blob, by which genuine files are known.
+        bands: of the planes of ``values``: fewer than three where others are zero everywhere. notes: on those.
     """
 
     path: Path
@@ -98,6 +99,8 @@ class Measurement:
     inf: int
     sha1: str
     blob_sha1: str
+    bands: Bands = MERL
+    notes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -119,11 +122,6 @@ class Measurement:
     def colour_space(self) -> ColourSpace:
         """Of the channels."""
         return "linear RGB of MERL, as stored"
-
-    @property
-    def bands(self) -> Bands:
-        """Of the planes of ``values``."""
-        return MERL
 
     @property
     def left_out(self) -> int:
@@ -199,7 +197,10 @@ def _read(path: Path, file: IO[bytes], size: int, fitted_sha1: str | None, allow
         )
     values[:, invalid] = np.nan
     negative, nan, inf = counts.tolist()
-    return Measurement(path, values, ~invalid, negative, nan, inf, sha1.hexdigest(), blob.hexdigest())
+    kept, bands, notes = filled(values, MERL)
+    planes = values[kept] if notes else values
+    digests = sha1.hexdigest(), blob.hexdigest()
+    return Measurement(path, planes, ~invalid, negative, nan, inf, *digests, bands, tuple(notes))
 
 
 def _dims_in(path: Path, head: bytes, size: int, allowed: tuple[Dims, ...]) -> Dims:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from . import binary, rgl, table
 from .binary import Dims, Measurement
+from .hints import hints
 from .scattered import ScatteredMeasurement
 
 Input = Measurement | ScatteredMeasurement
@@ -28,3 +29,8 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dim
     if is_scattered(path):
         return SCATTERED[Path(path).suffix.lower()](Path(path), fitted_sha1)
     return binary.read(path, fitted_sha1, dims)
+
+
+def told(measured: Input) -> list[str]:
+    """What a user should know of a file whatever is made of it: what was left out, and what it looks like."""
+    return [*measured.notes, *hints(measured)]

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from .adaptive import slices
-from .bands import MERL, Bands
+from .bands import MERL, Bands, filled
 from .binary import BRIGHTEST
+from .columns import spectral
 from .scattered import ScatteredMeasurement
 from .source import MerlError, contents
-from .table import spectral
 from .tensor import Tensors, tensors
 
 MOST = 31  # wavelengths that are read: RGL's files have 195, and each brings parameters of its own into the fit
@@ -52,7 +52,11 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
         np.concatenate([getattr(each, name) for each in found]) for name in ("theta_i", "theta_o", "phi", "share")
     )
     left_out = spectra.shape[2] - len(bands)
-    return ScatteredMeasurement(path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out)
+    kept, bands, notes = filled(values, bands)
+    values = values[kept] if notes else values
+    return ScatteredMeasurement(
+        path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out, tuple(notes)
+    )
 
 
 def _parts(file: Tensors) -> dict[str, np.ndarray]:

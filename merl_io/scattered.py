@@ -25,7 +25,8 @@ class ScatteredMeasurement:
         theta_i, theta_o: of light and viewer (rad), (N,). phi: difference of their azimuths (rad), pi in the mirror's
             direction, (N,). values: BRDF (1/sr), (C, N), NaN where there is no datum.
         share: of the fitting measure, in any unit, (N,).
-        bands: of the values. left_out: how many wavelengths of the file are not read.
+        bands: of the values. left_out: how many wavelengths of the file are not read. notes: what was left out of it
+            besides, in words.
         sha1, blob_sha1: as of `binary.Measurement`.
     """
 
@@ -40,6 +41,7 @@ class ScatteredMeasurement:
     sha1: str
     blob_sha1: str
     left_out: int = 0
+    notes: tuple[str, ...] = ()
     dims: None = None
     genuine: None = None
     outliers: None = None

@@ -8,9 +8,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+LONGEST = 1000  # characters of a message, whatever a file puts into it
+
+
+def shortened(message: str) -> str:
+    """Of a message that is too long its beginning, which names the file, and its end."""
+    half = LONGEST // 2 - 3
+    return message if len(message) <= LONGEST else f"{message[:half]} ... {message[-half:]}"
+
 
 class MerlError(ValueError):
     """A file that cannot be read or written as a measurement; the message is one line that names it and the mend."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(shortened(message))
 
 
 def is_regular(path: Path) -> bool:

@@ -10,6 +10,7 @@ from ..objective.weights import THETA_MAX, within
 from ..support.threads import side_by_side
 from . import picture
 
+COLOURS = 3  # channels that make a picture
 LEAST_PAIRS = 10  # of bins, to speak of a correlation between them
 INCIDENCE = 0.1  # rad: interval of theta_i of `by_incidence`
 SIN_FLOOR = 0.02  # of theta_i in the RMSE weight, as the reference evaluation of the published parameters has it
@@ -74,9 +75,12 @@ def errors(
 
     planes = list(zip(measured, predicted, strict=True))
     rmse, smape, cube_root, log = np.mean(side_by_side(channel, planes), 0)
+    seen = (float("nan"),) * 3  # of a file with empty channels there is no picture
+    if len(measured) == COLOURS:
+        seen = picture.distances(*_folded(measured, predicted, inside))
     return Errors(
         float(np.sqrt(rmse)), float(smape), float(np.sqrt(cube_root)), float(np.sqrt(log)),
-        highlight(measured, predicted, inside, grid), *picture.distances(*_folded(measured, predicted, inside)),
+        highlight(measured, predicted, inside, grid), *seen,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from rich.table import Table
 from ...merl_io.binary import BRIGHTEST, OUTLIER, Dims, MerlError, said
 from ...merl_io.check import FileReport, ScatteredReport, inspect_file
 from ..support.numbers import number
-from ..support.terminal import BAD_INPUT, console, fail
+from ..support.terminal import BAD_INPUT, console, fail, note
 
 
 def check_files(files: list[Path], allowed: Dims | None) -> None:
@@ -27,6 +27,9 @@ def check_files(files: list[Path], allowed: Dims | None) -> None:
         console.print(check_table(gridded))
     if listed:
         console.print(scattered_table(listed))
+    for each in reports:
+        for line in each.told:
+            note(f"{each.path}: {line}")
     if bad:
         raise typer.Exit(BAD_INPUT)
 
@@ -56,10 +59,11 @@ def check_table(reports: Sequence[FileReport]) -> Table:
 def scattered_table(reports: Sequence[ScatteredReport]) -> Table:
     """What `merlfit check` prints of files of scattered directions."""
     table = Table(
-        title="files of scattered directions (angles: least and largest, degrees; max: largest value, 1/sr)",
+        title="files of scattered directions (angles: least and largest, degrees; max: largest value, 1/sr, "
+        "and its theta_i, theta_o, phi)",
         title_justify="left",
     )
-    for head in ("file", "format", "samples", "channels", "valid", "theta_i", "theta_o", "theta_h", "max"):
+    for head in ("file", "format", "samples", "channels", "valid", "theta_i", "theta_o", "theta_h", "max", "max at"):
         table.add_column(head, justify="left" if head in ("file", "channels") else "right", overflow="fold")
     for r in reports:
         first, last, count = r.channels
@@ -67,5 +71,5 @@ def scattered_table(reports: Sequence[ScatteredReport]) -> Table:
         channels = f"{many}: {first} to {last}" if count > 1 else first
         angles = (f"{low:.1f} {high:.1f}" for low, high in (r.theta_i, r.theta_o, r.theta_h))
         row = (str(r.path), r.format, str(r.samples), channels, f"{r.fraction_valid:.1%}")
-        table.add_row(*row, *angles, number(r.largest))
+        table.add_row(*row, *angles, number(r.largest), " ".join(f"{x:.1f}" for x in r.brightest))
     return table

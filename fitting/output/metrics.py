@@ -25,7 +25,7 @@ from ..objective.weights import THETA_MAX, weighted_samples
 from ..pictures.style import save
 from ..pipeline.comparison import Row, row_of
 from ..results.export import ResultError
-from ..results.schema import UNSAID, Model, Result, genuine_words
+from ..results.schema import UNSAID, UNSAID_SCATTERED, Model, Result, genuine_words
 from ..support.numbers import number
 from ..support.outputs import OURS, as_csv
 from .comparison import FIGURES, LIT, WHAT, named
@@ -61,7 +61,8 @@ def assessed_result(path: Path, result: Result, against: Path) -> Assessed:
     if len(model.channels) != count:
         raise ResultError(f"{path}: has {len(model.channels)} channels, and {measurement.path} {count}")
     same = measurement.sha1 == result.source.sha1
-    data = result.data_words if same else genuine_words(measurement.genuine) if measurement.genuine else UNSAID
+    unsaid = UNSAID if isinstance(measurement, Measurement) else UNSAID_SCATTERED
+    data = result.data_words if same else genuine_words(measurement.genuine) if measurement.genuine else unsaid
     if not isinstance(measurement, Measurement):
         found = _errors_scattered(result, model, measurement)
         return Assessed(path, replace(row_of(result), errors=found), against, data, np.zeros(0), np.zeros(0))

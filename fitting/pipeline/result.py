@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.bands import ColourSpace
-from ...merl_io.inputs import Input
+from ...merl_io.inputs import Input, told
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...model.measured import Measured
@@ -59,7 +59,7 @@ def make_result(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=fitted.costs.tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
-        weights=fitted.bend, cautions=cautions(fitted, config) + unread(measurement),
+        weights=fitted.bend, cautions=cautions(fitted, config) + unread(measurement) + told(measurement),
         effective_bins=round(fitted.count, 2),
     )  # fmt: skip
     errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})

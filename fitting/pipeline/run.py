@@ -75,6 +75,9 @@ def fit_file(
         report("reading")
         measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
         if isinstance(measurement, ScatteredMeasurement):
+            if config.posterior.enabled and "enabled" in config.posterior.model_fields_set:
+                said = "posterior.enabled is asked for, and of scattered directions no posterior is sampled"
+                measurement = replace(measurement, notes=(*measurement.notes, said))
             config = settled(measurement.path, config, *(["--accuracy"] if finish else []))
         samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None

@@ -9,13 +9,12 @@ from pydantic import Field, model_validator
 
 from ...merl_io import inputs
 from ...merl_io.bands import Bands, ColourSpace
+from ...merl_io.columns import PLAUSIBLE_UM
 from ...model.apparatus import APPARATUS, Apparatus, GrazingLoss
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance, Values
 from ...model.registry import made
 from .strict import FileName, Many, Strict, Text, same_length
-
-PLAUSIBLE_UM = 0.1, 10.0  # wavelengths: a decade around what is visible
 
 
 class Source(Strict):

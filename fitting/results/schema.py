@@ -33,6 +33,7 @@ OLDER = (
 )  # versions that are read, too: `upgraded` makes them this one
 EDITED = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
+UNSAID_SCATTERED = "a file of scattered directions, whose origin is not stated"
 
 
 class Result(Strict):
@@ -115,7 +116,9 @@ class Result(Strict):
             return genuine_words(self.source.genuine_merl)
         section = self.config.get("input")
         origin = section.get("origin") if isinstance(section, dict) else None
-        return f"{origin} (stated, not checked)" if origin else UNSAID
+        if origin:
+            return f"{origin} (stated, not checked)"
+        return UNSAID if self.source.format == "MERL" else UNSAID_SCATTERED
 
     def values(self, flat: np.ndarray | None = None) -> dict[str, Any]:
         """Values by parameter name, arrays for those per channel: what the model takes.

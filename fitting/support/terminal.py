@@ -31,6 +31,7 @@ from rich.table import Column, Table
 from rich.text import Text
 from typer.core import TyperGroup
 
+from ...merl_io.source import shortened
 from .clock import Stage
 
 BAD_INPUT, FAILED_FIT = 2, 1  # exit codes
@@ -198,7 +199,7 @@ def note(message: str, style: str | None = None) -> None:
     """Print one line where errors go, clear of the progress display."""
     for progress in _shown:
         progress.stop()
-    line = " ".join(message.split("\n"))  # a name cannot add a line of its own
+    line = shortened(" ".join(message.split("\n")))  # a name cannot add a line of its own
     errors.print(f"merlfit: {line}", style=style, highlight=False, soft_wrap=True)
     for progress in _shown:
         progress.start()

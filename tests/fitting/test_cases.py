@@ -26,3 +26,29 @@ def test_negative_values_are_data(fitted):
     (albedo,) = (q for q in result.parameters if q.name == "albedo_550nm")
     assert albedo.standard_error < 1e-4
     assert result.fit.status == "CONVERGED"
+
+
+def test_channels_of_zeros_spoil_nothing(fitted):
+    result, alone = fitted("08/rzero.csv"), fitted("08/ronly.csv")
+    close(result, alpha=0.149, F0_645nm=0.04, albedo_645nm=0.2)
+    assert result.values() == alone.values()
+    assert any("channels 526nm, 444nm are zero everywhere" in each for each in result.fit.cautions)
+
+
+def test_a_hot_sample_changes_neither_values_nor_errors(fitted):
+    plain = {q.name: q for q in fitted("09/plain.csv").parameters}
+    for name in ("09/spike10.csv", "09/spike.csv"):
+        result = fitted(name)
+        for q in result.parameters:
+            assert q.value == pytest.approx(plain[q.name].value, abs=plain[q.name].standard_error), name
+            assert q.standard_error == pytest.approx(plain[q.name].standard_error, rel=0.1), name
+        assert any("line 313 " in each for each in result.fit.cautions)
+
+
+def test_the_far_infrared(fitted):
+    close(fitted("13/co2.csv"), alpha=0.149, F0_10600nm=0.04, albedo_10600nm=0.2)
+
+
+def test_a_posterior_that_settings_ask_for_is_said_not_to_be_sampled(cases, tmp_path):
+    result = fit_file(cases / "09" / "plain.csv", tmp_path, load({"posterior": {"enabled": True}}, model="ggx"))
+    assert any("no posterior is sampled" in each for each in result.fit.cautions)

@@ -69,7 +69,10 @@ EDITS = {
     ),
     "no wavelengths": (lambda d: d["model"].update(wavelengths_um=[]), "wavelengths_um has 0 entries, channels 3"),
     "four wavelengths": (lambda d: d["model"].update(wavelengths_um=[0.6] * 4), "wavelengths_um has 4 entries"),
-    "negative wavelengths": (lambda d: d["model"].update(wavelengths_um=[-0.6] * 3), "-0.6 is not between 0.1 and 10"),
+    "negative wavelengths": (
+        lambda d: d["model"].update(wavelengths_um=[-0.6] * 3),
+        "-0.6 is not between 0.001",
+    ),
     "exact": (lambda d: d["model"]["settings"].update(diffraction="exact"), "no fit uses it"),
     "no channels": (lambda d: d["model"].update(channels=[]), "channels should be different names, not none"),
     "empty sizes": (lambda d: d["posterior"].update(effective_size=[]), "effective_size has 0 entries, coordinates 13"),

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from merlfit.merl_io import binary, check, grid, source
-from merlfit.merl_io.binary import DIMS, HEADER, MerlError, dims_of, file_bytes, read, write
+from merlfit.merl_io import binary, check, grid, inputs, source
+from merlfit.merl_io.binary import DIMS, HEADER, SCALES, MerlError, dims_of, file_bytes, read, write
 from merlfit.merl_io.samples import fold, runs_for, thin
 
 
@@ -371,3 +371,27 @@ def test_a_name_as_long_as_a_name_may_be_can_be_written(tmp_path):
     target = Path(tmp_path / ("x" * 248 + ".binary"))
     write(target, np.ones((3, *DIMS)))
     assert read(target).valid.all()
+
+
+def test_channels_of_zeros_are_told_and_left_out(tmp_path):
+    """One channel filled: the others are no black material's, and would spoil what all channels share."""
+    dims = (6, 6, 12)
+    values = np.zeros((3, *dims))
+    values[0] = 0.2
+    write(tmp_path / "red.binary", values, dims=dims)
+    found = read(tmp_path / "red.binary", dims=dims)
+    assert found.bands.names == ("R",)
+    assert found.bands.wavelengths_um == (0.645,)
+    assert found.notes == ("channels G, B are zero everywhere or blank, and left out",)
+    np.testing.assert_allclose(found.values, values[:1])
+
+
+def test_an_unscaled_file_is_told(tmp_path):
+    """Its numbers are a BRDF, not divided by MERL's scale: it is read 1500 times too dark."""
+    dims = (6, 6, 12)
+    values = np.full((3, *dims), 0.3)
+    write(tmp_path / "scaled.binary", values, dims=dims)
+    write(tmp_path / "unscaled.binary", values * SCALES[:, None, None, None], dims=dims)
+    assert inputs.told(read(tmp_path / "scaled.binary", dims=dims)) == []
+    (said,) = inputs.told(read(tmp_path / "unscaled.binary", dims=dims))
+    assert "were not divided by MERL's scale" in said

@@ -90,17 +90,20 @@ def test_what_check_says(file):
             TEXT.replace("0.25", "much"),
             "'much', not a finite number; leave the cell of a missing value blank",
         ),
-        (TEXT.replace(",", ";"), "with commas between"),
+        (TEXT.replace(",", "|"), "with commas between"),
+        (TEXT.replace("10, 20", "10").replace("0.25", "x"), "line 4 has 5 cells, and there are 6 columns; line 5: "),
+        (TEXT.replace("450nm", "blue").replace("phi_deg", "turn"), "no column phi_deg;"),
+        (TEXT.replace("phi_deg", "turn"), "(found: theta_i_deg, theta_o_deg, turn, 450nm, 0.55um, 650.5nm)"),
         (HEAD + ",\n", "column 7 has no name"),
         ("theta_i_deg,theta_o_deg,phi_deg,R,B\n0,10,0,1,1\n", "has no column G: R, G and B stand together"),
         ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,1e200\n", "holds no datum"),
-        (TEXT.replace("theta_o_deg", "theta_r"), "names no column theta_o_deg"),
+        (TEXT.replace("theta_o_deg", "theta_x"), "names no column theta_o_deg"),
         (TEXT.replace("450nm", "blue"), "column 'blue' is none of"),
         (TEXT.replace("450nm", "550nm"), "wavelength 550nm is there twice"),
-        (TEXT.replace("450nm", "45nm"), "wavelength 0.045 um is not between 0.1 and 10"),
+        (TEXT.replace("450nm", "450um"), "wavelength 450 um is not between 0.001 and 100"),
         (TEXT.replace("450nm", "theta_i_deg"), "column 'theta_i_deg' is there twice"),
         (TEXT.replace("30, 30,", "30, 95,"), "line 4: theta_o_deg 95 is not in"),
-        (TEXT.replace("60,10", "-60,10"), "line 5: theta_i_deg -60 is not in"),
+        (TEXT.replace("60,10", "-90,10"), "line 5: theta_i_deg -90 is not in"),
         ("theta_i_deg,theta_o_deg,phi_deg,weight,500nm\n0,10,0,-1,1\n", "line 2: weight -1 is negative"),
         ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,nan\n", "holds no datum"),
         ("theta_i_deg,theta_o_deg,phi_deg\n0,10,0\n", "has no column of values"),
@@ -131,7 +134,7 @@ def test_a_bad_table_gets_one_line_that_names_it(text, words, tmp_path):
         ({"values": np.ones((3, 3), complex)}, "array values holds no real numbers"),
         ({"wavelengths_um": np.array([0.5, 0.5, 0.6])}, "wavelength 500nm is there twice"),
         ({"weight": np.array([1.0, 2.0])}, "array weight has shape (2,), not (3,)"),
-        ({"theta_i_deg": np.array([0.0, 90, 3])}, "sample 2: theta_i_deg 90 is not in [0, 90)"),
+        ({"theta_i_deg": np.array([0.0, 90, 3])}, "sample 2: theta_i_deg 90 is not in (-90, 90)"),
     ],
 )
 def test_a_bad_archive_gets_one_line_that_names_it(changed, words, tmp_path):
@@ -217,3 +220,105 @@ def test_the_mirror_direction_is_at_180_degrees():
     assert theta_h[0] == pytest.approx(0, abs=1e-12)
     assert np.degrees(theta_d[0]) == pytest.approx(30)
     assert half_difference(*np.radians([[30.0], [30.0], [0.0]]))[1][0] == pytest.approx(0, abs=1e-12)
+
+
+ALIKE = {
+    "semicolons, decimal commas": "AOI;theta_s [deg];Azimuth;405\n30;-45,5;0;1,5\n10;20;30;2\n",
+    "tabs": "theta_i\ttheta_r\tphi\t405nm\n30\t-45.5\t0\t1.5\n10\t20\t30\t2\n",
+    "blanks": "thetai  theta_out  dphi  0.405um\n 30   45.5   180  1.5\n10 20 30 2\n",
+    "names behind #": "# made today\n# theta_i_deg,theta_o_deg,phi_deg,405nm\n30,45.5,180,1.5\n10,20,30,2\n",
+    "radians": "theta_i_rad,theta_o[rad],phi (rad),405nm\n0.5235987755982988,0.7941248096574199,3.141592653589793,1.5\n"
+               "0.17453292519943295,0.3490658503988659,0.5235987755982988,2\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ALIKE.values(), ids=ALIKE)
+def test_tables_as_other_programs_write_them(text, tmp_path):
+    target = tmp_path / "other.csv"
+    target.write_text(text)
+    found = inputs.read(target)
+    np.testing.assert_allclose(np.degrees([found.theta_i, found.theta_o, found.phi]), [[30, 10], [45.5, 20], [180, 30]])
+    np.testing.assert_array_equal(found.values, [[1.5, 2]])
+    assert found.bands.names == ("405nm",)
+
+
+def test_names_behind_a_sharp_sign_and_wavelengths_far_from_the_visible(cases):
+    assert inputs.read(cases / "11" / "savetxt.csv").values.tolist() == [[2.4, 0.3]]
+    assert inputs.read(cases / "13" / "euv.csv").bands.wavelengths_um == (0.0135,)
+    assert inputs.read(cases / "13" / "co2.csv").bands.wavelengths_um == (10.6,)
+
+
+def test_many_columns_take_no_time_and_a_message_stays_short(tmp_path):
+    """60,000 names took 90 s; what is said of them is a line that can be read."""
+    target = tmp_path / "wide.csv"
+    names = [f"{400 + k / 1000:g}nm" for k in range(60_000)]
+    target.write_text(",".join(["theta_i_deg", "theta_o_deg", *names]) + "\n")
+    with pytest.raises(MerlError, match="no column phi_deg") as error:
+        inputs.read(target)
+    assert len(str(error.value)) < 1001
+    target.write_text("theta_i_deg,theta_o_deg,phi_deg,500nm\n" + "0,95,0,x\n" * 5000)
+    with pytest.raises(MerlError, match="and 4988 more") as error:
+        inputs.read(target)
+    assert len(str(error.value)) < 1001
+
+
+def test_a_hot_sample_is_named_and_left_out(cases):
+    plain = inputs.read(cases / "09" / "plain.csv")
+    assert plain.notes == ()
+    for name in ("spike10.csv", "spike.csv"):
+        found = inputs.read(cases / "09" / name)
+        (said,) = found.notes
+        assert said.startswith("line 313 (550nm ")
+        assert np.flatnonzero(~found.valid[0]).tolist() == [311]
+        np.testing.assert_array_equal(found.values[found.valid], plain.values[found.valid])
+
+
+def test_a_highlight_of_one_sample_is_no_outlier(tmp_path):
+    """In one plane the mirror's direction is measured once: nothing beside it is as bright, and it counts."""
+    target = tmp_path / "scan.csv"
+    rows = [f"30,{t},{180 if t >= 0 else 0},{1e4 if t == 30 else 0.1}" for t in range(0, 80, 5)]
+    target.write_text("theta_i_deg,theta_o_deg,phi_deg,500nm\n" + "\n".join(rows))
+    assert inputs.read(target).valid.all()
+
+
+def test_an_empty_channel_is_told_and_left_out(cases):
+    found, alone = (inputs.read(cases / "08" / name) for name in ("rzero.csv", "ronly.csv"))
+    assert found.bands == alone.bands
+    np.testing.assert_array_equal(found.values, alone.values)
+    assert found.notes == ("channels 526nm, 444nm are zero everywhere or blank, and left out",)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("radians.csv", "no angle exceeds 3.142: they look like radians"),
+        ("tile_refl.csv", "it reflects 3 times the light that arrives"),
+        ("cosine.csv", "the values look like a BRDF times cos theta_o"),
+    ],
+)
+def test_what_the_numbers_look_like(cases, name, said):
+    (line,) = check.inspect_file(cases / "14" / name).told
+    assert said in line
+
+
+def test_a_brdf_in_its_unit_gets_no_hint(cases):
+    for name in ("14/tile_brdf.csv", "09/plain.csv", "03/dark.csv", "01/tile.csv"):
+        assert check.inspect_file(cases / name).told == []
+
+
+def test_genuine_measurements_get_no_hint(cases):
+    measured = cases.parent / "data" / "measured"
+    rgl = [measured / "rgl" / f"{name}_rgb.bsdf" for name in ("cc_green_malachite", "irid_flake_paint1")]
+    for file in (measured / "nist" / "ptfe_regular.csv", *rgl):
+        assert check.inspect_file(file).told == [], file
+
+
+def test_the_brightest_sample_on_the_lights_side_is_told(tmp_path):
+    """Either azimuth 0 is the mirror's side in the file, or the material is a retro-reflector."""
+    target = tmp_path / "turned.csv"
+    rows = [f"{i},{o},{phi},{1e2 if (i == o and phi == 0) else 0.1}"
+            for i in (30, 45, 60) for o in (15, 30, 45, 60) for phi in (0, 90, 180)]  # fmt: skip
+    target.write_text("theta_i_deg,theta_o_deg,phi_deg,500nm\n" + "\n".join(rows))
+    report = check.inspect_file(target)
+    assert report.brightest == pytest.approx((30, 30, 0))
+    assert any("on the light's own side, at azimuth 0" in line for line in report.told)

@@ -1,0 +1,81 @@
+"""What of scattered samples is no measurement of the material: single ones far too bright, and empty channels."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from .bands import filled
+from .scattered import ScatteredMeasurement, half_difference, order
+
+HOT = (
+    5.0  # times as bright as every neighbour, the cosines divided out, and as the median of all: a sample is an outlier
+)
+NEIGHBOURS = 12  # in sqrt(theta_h), theta_d and phi_d
+INSIDE = 2  # of these are no further from the mirror's direction, as none are of a highlight's own brightest sample
+BESIDE = 8  # samples in order that are looked at first
+SHOWN = 3
+
+
+def examined(measured: ScatteredMeasurement, place: Callable[[int], str]) -> ScatteredMeasurement:
+    """The same without outliers and empty channels, which are told.
+
+    Args:
+        place: where a sample stands in the file, in words.
+    """
+    found = hot(measured)
+    values, notes = measured.values, list(measured.notes)
+    if found.any():
+        values = np.where(found, np.nan, values)
+        notes.append(_told(measured, found, place))
+    kept, bands, said = filled(values, measured.bands)
+    if said:
+        values = values[kept]
+    return replace(measured, values=values, bands=bands, notes=(*notes, *said))
+
+
+def hot(measured: ScatteredMeasurement) -> np.ndarray:
+    """Which values (C, N) are far brighter than all of their neighbours, none of which is a highlight's.
+
+    A sample that no other is as near to the mirror's direction as, or to the light's, may be a highlight.
+    """
+    theta_h, theta_d, phi_d = half_difference(measured.theta_i, measured.theta_o, measured.phi)
+    at = np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2)
+    if at.shape[1] <= NEIGHBOURS:
+        return np.zeros(measured.values.shape, bool)
+    cosines, ranked = np.cos(measured.theta_i) * np.cos(measured.theta_o), order(at)
+    found = np.zeros(measured.values.shape, bool)
+    for plane, hot_ones in zip(measured.values, found, strict=True):  # one by one: there are many, and memory is not
+        flat = np.nan_to_num(plane) * cosines
+        size = np.abs(flat)
+        for k in np.flatnonzero((flat > 0) & _suspects(size, ranked)):
+            away = np.sum((at - at[:, [k]]) ** 2, 0)
+            away[k] = np.inf
+            near = np.argpartition(away, NEIGHBOURS)[:NEIGHBOURS]
+            inside = [np.sum(x[near] <= x[k] + 1e-6) >= INSIDE for x in (theta_h, theta_d)]
+            hot_ones[k] = all(inside) and flat[k] > HOT * max(size[near].max(), np.median(size))
+    return found
+
+
+def _suspects(size: np.ndarray, ranked: np.ndarray) -> np.ndarray:
+    """What is far brighter than all that stand beside it in an order of neighbours, (N,)."""
+    half, count = BESIDE // 2, len(size)
+    padded = np.pad(size[ranked], half)
+    beside = np.max([padded[half + k : half + k + count] for k in range(-half, half + 1) if k], axis=0)
+    found = np.empty(count, bool)
+    found[ranked] = size[ranked] > HOT * beside
+    return found
+
+
+def _told(measured: ScatteredMeasurement, found: np.ndarray, place: Callable[[int], str]) -> str:
+    samples = np.flatnonzero(found.any(0))
+    said = []
+    for k in samples[:SHOWN]:
+        channel = int(np.flatnonzero(found[:, k])[0])
+        said.append(f"{place(int(k))} ({measured.bands.names[channel]} {measured.values[channel, k]:g})")
+    more = f" and {len(samples) - SHOWN} more" if len(samples) > SHOWN else ""
+    one = len(samples) == 1
+    return (
+        f"{', '.join(said)}{more}: {'an outlier' if one else 'outliers'}, over {HOT:g} times as bright as all "
+        f"samples beside {'it' if one else 'them'}, and left out"
+    )
