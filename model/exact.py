@@ -92,8 +92,9 @@ def lobe(
         c: falloff of the K-correlation spectrum. beta, p: the EPD.
         coloured: whether Q/2 is inside (else 1).
 
-    Accuracy: 1e-5 relative (``tests/model/test_exact.py``). The mesh adapts in the radius; between two cuts of a ring
-    the azimuth has a fixed rule in its stretched variable.
+    Accuracy: 1e-5 relative (``tests/model/test_exact.py``), but where facets reflect totally (n below 1 with k = 0):
+    Q has a square-root kink there, which the azimuth's rule does not see, and the value is up to 5e-3 off. The mesh
+    adapts in the radius; between two cuts of a ring the azimuth has a fixed rule in its stretched variable.
     """
     arrays = jnp.broadcast_arrays(theta_h, theta_d, cos_i, cos_o, B, phase, n, k)
     shape = arrays[0].shape

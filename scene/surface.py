@@ -38,8 +38,9 @@ class Surface(eqx.Module):
     bands: Bands = eqx.field(static=True)
 
     def brdf(self, g: Geometry) -> Array:
-        """R, G and B, (3, ...), 1/sr."""
-        return coloured(evaluate(self.model, self.values, g, self.bands.wavelengths_um), self.bands)
+        """R, G and B, (3, ...), 1/sr: 0 where a formula of rivals is negative (Oren-Nayar's functional one, SGD)."""
+        found = jnp.maximum(evaluate(self.model, self.values, g, self.bands.wavelengths_um), 0.0)
+        return coloured(found, self.bands)
 
 
 class Measurement(eqx.Module):

@@ -17,8 +17,8 @@ LIBRARIES = {
 }  # fmt: skip
 STANDARD = {
     "abc", "argparse", "array", "collections", "contextlib", "dataclasses", "difflib", "enum", "functools", "hashlib",
-    "importlib", "inspect", "itertools", "json", "math", "numbers", "operator", "os", "pathlib", "re", "stat", "struct",
-    "sys", "tempfile", "threading", "time", "tomllib", "types", "typing", "zipfile", "csv", "io",
+    "importlib", "inspect", "itertools", "json", "math", "numbers", "operator", "os", "pathlib", "re", "secrets",
+    "stat", "struct", "sys", "tempfile", "threading", "time", "tomllib", "types", "typing", "zipfile", "csv", "io",
 }  # fmt: skip
 
 

@@ -34,7 +34,8 @@ class OrenNayar(Reflectance):
 
     Attributes:
         form: ``functional``, the approximation of Eq. 14-16; or ``numerical``, the integral over facets that it stands
-            for (Eq. 4-13), to 4e-3: a reference.
+            for (Eq. 4-13): a reference, to 4e-3 up to 75 degrees. Nearer to the horizon its nodes are too few: 1.8e-2
+            at 88.8 and 72 degrees, 12 % at 86.6 and 87.6.
         surface: ``none``; or ``torrance-sparrow``, k_s exp(-theta_h^2 / (2 sigma^2)) G / (cos_i cos_o) with V-grooves
             of the same roughness, which Section 4 adds with a weight for each channel.
 
@@ -100,6 +101,8 @@ def functional(g: Geometry, roughness: Scalar, albedo: Real) -> Real:
         + 0.17 albedo^2/pi s2/(s2 + 0.13) (1 - cos(phi) (2 beta/pi)^2),    s2 = sigma^2;
         C1 = 1 - s2/(2 (s2 + 0.33)), C3 = 0.125 s2/(s2 + 0.09) (4 alpha beta/pi^2)^2,
         C2 = 0.45 s2/(s2 + 0.09) (sin(alpha) - [(2 beta/pi)^3 where cos(phi) < 0]).
+
+    Opposite the light and near the horizon it is negative, down to -0.21 albedo/pi: to renderers it is 0 there.
     """
     square = roughness**2
     alpha, beta = jnp.maximum(g.theta_i, g.theta_o), jnp.minimum(g.theta_i, g.theta_o)

@@ -44,7 +44,10 @@ PARAMETERS = (
 
 
 def fresnel_term(cos_d: Real, F0: Real, F1: Real) -> Real:
-    """``F0 - F1 cos_d + (1 - F0)(1 - cos_d)^5``: Schlick's form with a slope. Not confined to [0, 1]."""
+    """``F0 - F1 cos_d + (1 - F0)(1 - cos_d)^5``: Schlick's form with a slope.
+
+    Not confined to [0, 1], nor positive within the bounds; to renderers a negative BRDF is 0.
+    """
     return F0 - F1 * cos_d + (1 - F0) * (1 - cos_d) ** 5
 
 

@@ -4,9 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from merlfit.merl_io.bands import MERL
 from merlfit.model.geometry import Geometry
 from merlfit.model.rivals.oren_nayar import OrenNayar
 from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
+from merlfit.scene.surface import Surface
 
 from tests.oracles import microfacets
 from tests.oracles import rivals as oracle
@@ -96,3 +98,15 @@ def test_gradients_are_finite_along_the_normal_and_in_the_plane():
 def test_no_fit_is_of_the_reference():
     assert "reference" in INTEGRAL.objection
     assert MATTE.objection is None
+
+
+def test_to_a_renderer_a_negative_value_is_black():
+    """The functional form is negative opposite the light; a picture's light is not."""
+    model = OrenNayar(surface="none")
+    g = Geometry.from_vectors(jnp.array([0.0, 0.9975, 0.07]), jnp.array([0.0, 0.9975, 0.07]))
+    opposite = Geometry.from_vectors(jnp.array([0.0, 0.9975, 0.07]), jnp.array([0.0, -0.9975, 0.07]))
+    values = {"roughness": jnp.asarray(1.5), "albedo": jnp.full(3, 0.5)}
+    found = [float(np.min(evaluate(model, values, each))) for each in (g, opposite)]
+    assert min(found) < 0
+    drawn = [float(np.min(Surface(model, values, MERL).brdf(each))) for each in (g, opposite)]
+    assert min(drawn) == 0
