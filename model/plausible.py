@@ -6,6 +6,8 @@ import numpy as np
 
 METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
 METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
+LEAST_K = 0.2  # in some channel: what absorbs less is a dielectric (the darkest metal of a photograph has 0.4)
+SILVERY = 0.1, 2.0  # an n below the first is silver's, whose k is above the second (Johnson & Christy 1972)
 
 
 def cautions(v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]) -> list[str]:
@@ -20,6 +22,19 @@ def cautions(v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_u
             "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
         )
     return found + (_of_no_metal(v, channels) if "k" in v else [])
+
+
+def of_matter(v: Mapping[str, np.ndarray]) -> bool:
+    """Whether some matter may have these constants, if its photograph has any scale: what a choice goes by.
+
+    Metals of photographs are up to ten times too dark, so that their n and k lie far from the tables' (`cautions` says
+    so), but they are no bright bodies, they absorb, and only the best mirrors have an n near 0.
+    """
+    if "k" not in v:
+        return True
+    n, k = np.atleast_1d(v["n"]), np.atleast_1d(v["k"])
+    floor = float(np.max(v.get("albedo", np.zeros(1))))
+    return bool(floor <= METAL_FLOOR and np.max(k) >= LEAST_K and np.all((n >= SILVERY[0]) | (k >= SILVERY[1])))
 
 
 def _of_no_metal(v: Mapping[str, np.ndarray], channels: Sequence[str]) -> list[str]:

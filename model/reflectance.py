@@ -166,6 +166,10 @@ class Reflectance(ABC):
         """Why no fit can be of this model with these settings, in words; None of all others."""
         return None
 
+    def of_matter(self, v: Mapping[str, np.ndarray]) -> bool:
+        """Whether some matter may have these values: one of it is preferred, within reason."""
+        return True
+
     def cautions(
         self, v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]
     ) -> list[str]:

@@ -106,6 +106,9 @@ class TwoScale(Effects, Reflectance):
             return "diffraction 'exact' is a reference that takes hours; no fit uses it"
         return None
 
+    def of_matter(self, v: Mapping[str, np.ndarray]) -> bool:  # noqa: D102
+        return plausible.of_matter(v)
+
     def cautions(  # noqa: D102
         self, v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]
     ) -> list[str]:

@@ -24,6 +24,7 @@ from .selection import VISIBLE, alike, lost
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
+UNREAL = ", but no matter is like that"
 OUTLIERS = (
     "{count} bins of the file are outliers, over {times:g} times brighter than what is beside them: they dominate the "
     "RMSE, and the cost hardly feels them"
@@ -159,7 +160,7 @@ def others(fitted: Fitted) -> list[str]:
         return []
     compared, *figures = zip(*full, strict=True)
     near = [
-        f"{c.variant} ({figures[-1][k] - figures[-1][own[0]]:+.1f})"
+        f"{c.variant} ({figures[-1][k] - figures[-1][own[0]]:+.1f}{'' if c.of_matter else UNREAL})"
         for k, c in enumerate(compared)
         if k != own[0] and alike(k, own[0], *figures)
     ]

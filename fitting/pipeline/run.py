@@ -221,14 +221,21 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
     cube_root = scattered_metrics.cube_root_error if isinstance(samples, ScatteredSamples) else metrics.cube_root_error
     roots = [cube_root(samples, p) for p in predicted]  # pyright: ignore[reportArgumentType] - each of its own kind
     scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
+    values = [valued(layout, s.z) for layout, s in zip(layouts, found, strict=True)]
+    matter = [material.of_matter(v) for material, v in zip(materials, values, strict=True)]
     candidates = [
         schema.Candidate(
             model=material.name, variant=material.variant, cost=export.finite(s.cost), objective=export.finite(j),
-            cube_root=export.finite(e), score=export.finite(each), converged=s.converged,
+            cube_root=export.finite(e), score=export.finite(each), of_matter=own, converged=s.converged,
         )
-        for material, s, j, e, each in zip(materials, found, objectives, roots, scores, strict=True)
+        for material, s, j, e, each, own in zip(materials, found, objectives, roots, scores, matter, strict=True)
     ]  # fmt: skip
-    return candidates, choose(objectives, roots, scores)
+    return candidates, choose(objectives, roots, scores, matter, ["k" not in v for v in values])
+
+
+def valued(layout: Layout, z: np.ndarray) -> dict[str, np.ndarray]:
+    """Physical values by name."""
+    return {name: np.asarray(x) for name, x in layout.values(jnp.asarray(z)).items()}
 
 
 def assess(

@@ -25,6 +25,9 @@ class Candidate(Strict):
     score: float | None = None
     """What the choice goes by, lower is better; of kinds that are about as good the simplest is taken
     (``fitting/assess/selection.py``)."""
+    of_matter: bool = True
+    """False of constants that no matter has, such as those of a metal over a bright body: it is taken only if it is far
+    better than all others. True before this was looked at."""
     converged: bool = True
     """False of a kind that was too far behind to be followed to the end, or was still creeping on the coarse grid."""
 

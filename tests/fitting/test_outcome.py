@@ -124,6 +124,8 @@ def test_other_kinds_are_named_by_the_rule_that_chooses():
     ]
     words = said(fitted(candidates=candidates))
     assert "complex none (+5.4)" in words
+    candidates[1] = candidates[1].model_copy(update={"of_matter": False})
+    assert "complex none (+5.4, but no matter is like that)" in said(fitted(candidates=candidates))
     assert words.count("(") == 2, "neither the one too far by score nor that with the larger error"
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess.selection import ALIKE, MARGIN, PATIENCE, choose, lost, nearest, score
+from merlfit.fitting.assess.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, lost, nearest, score
 from merlfit.model.effects import KINDS
 from merlfit.model.two_scale import TwoScale
 
@@ -62,3 +62,51 @@ def test_nearest_picture_that_keeps_the_highlight():
 @pytest.mark.parametrize(("ratio", "is_lost"), [(0.49, True), (0.51, False), (1.9, False), (2.1, True), (np.nan, True)])
 def test_a_highlight_off_by_more_than_two_is_lost(ratio, is_lost):
     assert lost(ratio) is is_lost
+
+
+PTFE = [0.04062, 0.003732, 0.007108, 0.007792, 0.003289], [0.03425, 0.0103, 0.01123, 0.01148, 0.008073]
+FELT = [0.01772, 0.03028, 0.03431, 0.03377, 0.01402], [0.01356, 0.01477, 0.01485, 0.01472, 0.01136]
+MATTER, DIELECTRIC = [True, True, True, True, False], [index == "real" for index, _ in KINDS]
+
+
+def of_matter(errors, matter, count=8.2):
+    return KINDS[choose(*errors, [score(j, e, count) for j, e in zip(*errors, strict=True)], matter, DIELECTRIC)]
+
+
+def test_sintered_ptfe_is_no_metal():
+    """Germer 2017, on the coarse grid: a bright body under n = 0.1, k = 0.5 describes it a little better."""
+    assert of_matter(PTFE, [True] * 5) == ("complex", "lambert")
+    assert of_matter(PTFE, MATTER) == ("real", "lambert")
+
+
+def test_a_felt_is_no_metal_without_its_body_either():
+    """The green one of RGL (Dupuy & Jakob 2018): the conductor alone has a lower score than any dielectric."""
+    assert of_matter(FELT, MATTER, 15.0) == ("real", "lambert")
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_what_no_matter_has_is_taken_where_nothing_else_describes_the_file(which):
+    errors = [list(each) for each in PTFE]
+    errors[which][-1] = 0.99 * min(errors[which][1:-1]) / BEYOND
+    assert of_matter(errors, MATTER) == ("complex", "lambert")
+
+
+def test_what_is_known_of_matter_changes_nothing_among_fits_of_matter():
+    every = [0.0107, 0.014, 0.0133, 0.0134, 0.0111], [0.0212, 0.0133, 0.0123, 0.0123, 0.0117]
+    assert of_matter(every, [True] * 5, COUNT) == ("complex", "lambert")
+    assert of_matter(every, [False] * 5, COUNT) == ("complex", "lambert")
+
+
+@pytest.mark.parametrize(("n", "k", "floor", "known"), [
+    ([0.05, 0.05, 0.04], [4.2, 3.3, 2.6], 0.0, True),  # silver
+    ([0.67, 0.735, 0.79], [0.403, 0.358, 0.357], 0.0, True),  # chrome's reconstruction, ten times too dark
+    ([1.213, 1.31, 1.42], [1.111, 1.034, 0.939], 0.005, True),  # nickel's, with stray light
+    ([0.147, 0.1, 0.094], [0.515, 0.501, 0.493], 0.79, False),  # what describes PTFE
+    ([0.787, 0.734, 1.209], [0.358, 0.249, 0.311], 0.189, False),  # a green felt
+    ([1.076, 1.083, 1.088], [0.112, 0.092, 0.092], 0.0, False),  # obsidian's reconstruction: glass absorbs little
+    ([0.07, 0.085, 0.069], [0.397, 0.39, 0.394], 0.0, False),  # a mirror, of an index that is not silver's
+])  # fmt: skip
+def test_which_constants_are_those_of_matter(n, k, floor, known):
+    values = {"n": np.array(n), "k": np.array(k), "albedo": np.full(3, floor)}
+    assert TwoScale("lambert", index="complex").of_matter(values) is known
+    assert TwoScale("lambert").of_matter({"eta": np.full(3, 1.5), "albedo": np.full(3, 0.9)})
