@@ -6,6 +6,7 @@ import numpy as np
 
 METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
 METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
+BRIGHT = 0.1  # albedo under a complex index that dust explains no more: a choice goes by it, cautions by the floor
 LEAST_K = 0.2  # in some channel: what absorbs less is a dielectric (the darkest metal of a photograph has 0.4)
 SILVERY = 0.1, 2.0  # an n below the first is silver's, whose k is above the second (Johnson & Christy 1972)
 
@@ -34,7 +35,7 @@ def of_matter(v: Mapping[str, np.ndarray]) -> bool:
         return True
     n, k = np.atleast_1d(v["n"]), np.atleast_1d(v["k"])
     floor = float(np.max(v.get("albedo", np.zeros(1))))
-    return bool(floor <= METAL_FLOOR and np.max(k) >= LEAST_K and np.all((n >= SILVERY[0]) | (k >= SILVERY[1])))
+    return bool(floor <= BRIGHT and np.max(k) >= LEAST_K and np.all((n >= SILVERY[0]) | (k >= SILVERY[1])))
 
 
 def _of_no_metal(v: Mapping[str, np.ndarray], channels: Sequence[str]) -> list[str]:

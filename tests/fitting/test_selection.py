@@ -101,6 +101,7 @@ def test_what_is_known_of_matter_changes_nothing_among_fits_of_matter():
     ([0.05, 0.05, 0.04], [4.2, 3.3, 2.6], 0.0, True),  # silver
     ([0.67, 0.735, 0.79], [0.403, 0.358, 0.357], 0.0, True),  # chrome's reconstruction, ten times too dark
     ([1.213, 1.31, 1.42], [1.111, 1.034, 0.939], 0.005, True),  # nickel's, with stray light
+    ([2.86, 2.772, 2.436], [1.258, 0.838, 0.627], 0.074, True),  # a silver paint's, a little brighter than dust
     ([0.147, 0.1, 0.094], [0.515, 0.501, 0.493], 0.79, False),  # what describes PTFE
     ([0.787, 0.734, 1.209], [0.358, 0.249, 0.311], 0.189, False),  # a green felt
     ([1.076, 1.083, 1.088], [0.112, 0.092, 0.092], 0.0, False),  # obsidian's reconstruction: glass absorbs little
