@@ -41,8 +41,9 @@ from .simulated import left_out, reproducing, simulated
 from .table import TABLE, UNREADABLE, Row, write_csv
 
 FIGURES = {
-    "rmse": "RMSE (1/sr)", "smape": "sMAPE", "picture": "CIELAB distance of spheres", "cube_root": "cube-root error",
-    "log": "log error",
+    "rmse": "RMSE (1/sr)", "smape": "sMAPE", "picture": "CIELAB distance of spheres",
+    "lamp": "CIELAB distance of what a lamp lights", "environment": "CIELAB distance under an environment",
+    "cube_root": "cube-root error", "log": "log error",
 }  # fmt: skip
 """Errors by their name in the table, in words."""
 SHOWN = ("material", "status", "model", "variant", "seconds", "highlight", "error")

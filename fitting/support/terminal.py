@@ -185,7 +185,8 @@ def _plain_errors() -> Iterator[None]:
         yield
     except Exception as error:
         if isinstance(message := getattr(error, "message", None), str):
-            error.message = message.translate(PLAIN)  # pyright: ignore[reportAttributeAccessIssue] - it has one
+            with suppress(AttributeError):  # of another library, which does not let it be set
+                error.message = message.translate(PLAIN)  # pyright: ignore[reportAttributeAccessIssue] - it has one
         raise
 
 
