@@ -14,6 +14,7 @@ from rich.progress import Progress, TaskID
 from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
 from ..merl_io.inputs import is_scattered
+from ..merl_io.source import opened
 from .cost.accuracy import Aim, aim
 from .cost.request import request
 from .execution.cluster import Cluster, ClusterError
@@ -171,9 +172,9 @@ def fit_files(
 def _done(unit: Unit) -> Result | None:
     """A whole result of the same file, settings and versions."""
     try:
-        with open(unit.path, "rb") as file:
-            sha1 = hashlib.file_digest(file, "sha1").hexdigest()
-    except OSError:
+        with opened(unit.path) as (file, _):
+            sha1 = hashlib.file_digest(file, "sha1").hexdigest()  # pyright: ignore[reportArgumentType] - it is a file
+    except MerlError:
         return None  # said when it is fitted
     settings = unit.settings.for_scattered if is_scattered(unit.path) else unit.settings
     found = valid_result(unit.target, sha1, settings)

@@ -7,6 +7,7 @@ from . import binary, rgl, table
 from .binary import Dims, Measurement
 from .hints import hints
 from .scattered import ScatteredMeasurement
+from .source import MerlError
 
 Input = Measurement | ScatteredMeasurement
 SCATTERED = {".csv": table.read, ".npz": table.read, ".bsdf": rgl.read}
@@ -27,7 +28,10 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dim
         merlfit.merl_io.binary.MerlError: it cannot be used; the message is one line.
     """
     if is_scattered(path):
-        return SCATTERED[Path(path).suffix.lower()](Path(path), fitted_sha1)
+        try:
+            return SCATTERED[Path(path).suffix.lower()](Path(path), fitted_sha1)
+        except MemoryError:
+            raise MerlError(f"{path}: takes more memory than there is") from None
     return binary.read(path, fitted_sha1, dims)
 
 

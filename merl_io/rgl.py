@@ -20,6 +20,7 @@ from .tensor import Tensors, tensors
 MOST = 31  # wavelengths that are read: RGL's files have 195, and each brings parameters of its own into the fit
 PARTS = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "luminance": 4}  # float32, so many dimensions
 ISOTROPIC = 2  # azimuths of light at the most
+NODES = 1024  # of an axis, at the most: RGL's files have 128; memory goes with two of them multiplied
 
 
 def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> ScatteredMeasurement:
@@ -80,6 +81,8 @@ def _parts(file: Tensors) -> dict[str, np.ndarray]:
                 "theta_i and a square of nodes"
             )
     for name, x in found.items():
+        if max(x.shape) > NODES:
+            raise MerlError(f"{file.path}: field {name} has shape {x.shape}, more than {NODES} along an axis")
         if name not in ("theta_i", "phi_i", "jacobian") and min(x.shape[-2:]) < 2:
             raise MerlError(f"{file.path}: field {name} has shape {x.shape}, without two nodes along each side")
         if name not in ("phi_i", "luminance") and not (np.isfinite(x).all() and (x >= 0).all()):

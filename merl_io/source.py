@@ -1,12 +1,15 @@
-"""The file of a measurement, opened: what the system says against it is one line that names it."""
+"""Files, opened to be read: what the system says against one is one line that names it."""
 
 import hashlib
 import os
 import stat
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+LARGEST, LARGEST_TOML = 2**31, 2**20  # bytes: of tables and RGL's files, whose own have 30 MiB; of settings and scenes
 
 LONGEST = 1000  # characters of a message, whatever a file puts into it
 
@@ -33,32 +36,67 @@ def is_regular(path: Path) -> bool:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[tuple[IO[bytes], int]]:
+def opened(
+    path: Path, refusal: type[ValueError] = MerlError, most: int | None = None
+) -> Iterator[tuple[IO[bytes], int]]:
     """A file to read and its length (bytes).
 
+    Args:
+        refusal: what is raised. most: bytes that such a file may have.
+
     Raises:
-        MerlError: there is none of this name, it is no regular file, or it cannot be opened or read.
+        refusal: there is none of this name, it is no regular file or too large, it cannot be opened or read, or what
+            is done with it takes more memory than there is.
     """
     try:
-        info = _status(path)
+        info = _status(path, refusal)
         if not stat.S_ISREG(info.st_mode):
             kind = "a directory; name the files in it" if path.is_dir() else "not a regular file"
-            raise MerlError(f"{path}: is {kind}")
+            raise refusal(f"{path}: is {kind}")
+        if most is not None and info.st_size > most:
+            raise refusal(f"{path}: has {info.st_size / 2**20:.0f} MiB; such a file has {most / 2**20:.0f} at the most")
         with open(path, "rb") as file:
             yield file, info.st_size
     except FileNotFoundError:
-        raise MerlError(f"{path}: no such file") from None
+        raise refusal(f"{path}: no such file") from None
     except PermissionError:
-        raise MerlError(f"{path}: no permission to read it; check its mode and owner") from None
+        raise refusal(f"{path}: no permission to read it; check its mode and owner") from None
     except OSError as error:
-        raise MerlError(f"{path}: cannot be read ({error.strerror or error})") from None
+        raise refusal(f"{path}: cannot be read ({error.strerror or error})") from None
+    except MemoryError:
+        raise refusal(f"{path}: takes more memory than there is") from None
 
 
-def _status(path: Path) -> os.stat_result:
+def _status(path: Path, refusal: type[ValueError]) -> os.stat_result:
     try:
         return path.stat()
     except ValueError:  # a NUL in it
-        raise MerlError(f"{str(path)!r}: is not the name of a file") from None
+        raise refusal(f"{str(path)!r}: is not the name of a file") from None
+
+
+def whole(path: Path, refusal: type[ValueError] = MerlError, most: int = LARGEST) -> bytes:
+    """All bytes of a file; raises as :func:`opened` does."""
+    with opened(path, refusal, most) as (file, size):
+        return file.read(size)
+
+
+def toml(path: Path, what: str, refusal: type[ValueError]) -> dict[str, Any]:
+    """What a file of TOML says.
+
+    Args:
+        what: it should hold, for a message. refusal: what is raised.
+
+    Raises:
+        refusal: it cannot be read, or is no TOML.
+    """
+    try:
+        return tomllib.loads(whole(path, refusal, LARGEST_TOML).decode("utf-8-sig"))  # some editors put a mark first
+    except refusal:
+        raise
+    except RecursionError:
+        raise refusal(f"{path}: its lists or tables lie in each other too deeply for {what}") from None
+    except ValueError as error:  # no UTF-8, no TOML, a number or a date that Python has none of
+        raise refusal(f"{path}: is not TOML: {error}") from None
 
 
 def contents(path: Path, fitted_sha1: str | None = None) -> tuple[bytes, str, str]:
@@ -67,8 +105,7 @@ def contents(path: Path, fitted_sha1: str | None = None) -> tuple[bytes, str, st
     Raises:
         MerlError: it cannot be read, or is not the one that was fitted.
     """
-    with opened(path) as (file, _):
-        data = file.read()
+    data = whole(path)
     sha1, blob = hashlib.sha1(data), hashlib.sha1(b"blob %d\0" % len(data))
     blob.update(data)
     same_as_fitted(path, sha1.hexdigest(), fitted_sha1)

@@ -1,15 +1,12 @@
 """Tables of scattered directions, CSV or NPZ, one column a wavelength: docs/tables.md is the format."""
 
 import io
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 
-from .archive import shape_of
+from .archive import arrays
 from .bands import Bands
 from .binary import BRIGHTEST
 from .columns import ANGLES, WEIGHT, spectral
@@ -17,8 +14,6 @@ from .delimited import read_lines, refuse
 from .outliers import examined
 from .scattered import ScatteredMeasurement
 from .source import MerlError, contents
-
-LARGEST = 2**30  # bytes of an archive's arrays
 
 
 def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasurement:
@@ -57,17 +52,9 @@ def _csv(path: Path, data: bytes) -> Read:
 def _npz(path: Path, data: bytes) -> Read:
     names = (*ANGLES, "wavelengths_um", "values", WEIGHT)
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-        if size > LARGEST:
-            raise MerlError(f"{path}: holds {size} bytes, more than the {LARGEST} that a table may have")
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            found = {name: _array(arrays, name) for name in names if name in arrays.files}
-    except MerlError:
-        raise
-    except Exception as error:  # of any kind: zipfile, zlib and NumPy raise many
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise MerlError(f"{path}: is not a readable NPZ archive of numbers ({said})") from None
+        found = {name: x.astype(float) for name, x in arrays(io.BytesIO(data), names.__contains__).items()}
+    except ValueError as error:
+        raise MerlError(f"{path}: is not a readable NPZ archive of numbers ({error})") from None
     if missing := [name for name in names if name not in found and name != WEIGHT]:
         raise MerlError(f"{path}: has no array {missing[0]}; it needs {', '.join(names[:-1])}")
     count, channels = len(np.atleast_1d(found[ANGLES[0]])), found["wavelengths_um"].size
@@ -83,13 +70,6 @@ def _npz(path: Path, data: bytes) -> Read:
     values = found.pop("values").T
     refuse(path, impossible(found, place := lambda k: f"sample {k + 1}"), list(found))
     return found, values, bands, place
-
-
-def _array(arrays: NpzFile, name: str) -> np.ndarray:
-    """Numbers, looked at before memory is taken for them."""
-    archive: Any = arrays.zip  # there as long as the file is open
-    shape_of(archive, name)
-    return np.asarray(arrays[name], float)
 
 
 def impossible(columns: dict[str, np.ndarray], place: Callable[[int], str]) -> list[str]:

@@ -1,12 +1,13 @@
 """A scene as its TOML file describes it, checked: camera, lights, shapes, materials by name, tolerance."""
 
 import os
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from ..merl_io.source import toml
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -189,13 +190,7 @@ def load(path: str | os.PathLike[str]) -> Scene:
     """
     path = Path(path)
     try:
-        return Scene.model_validate(tomllib.loads(path.read_text(encoding="utf-8-sig")))
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: is not TOML: {error}") from None
-    except RecursionError:
-        raise SceneError(f"{path}: its lists or tables lie in each other too deeply for a scene") from None
+        return Scene.model_validate(toml(path, "a scene", SceneError))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

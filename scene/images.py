@@ -1,17 +1,23 @@
 """Image files: EXR of radiance, PNG for screens, and environment maps; through OpenEXR and Pillow."""
 
+import io
+import math
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import IO
-from zipfile import BadZipFile
 
 import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..merl_io.atomic import write_atomically
+from ..merl_io.source import opened
 from .colour import displayed
 from .description import SceneError
 
+LARGEST = 2**27  # numbers of a map: 8192 x 4096 pixels of four channels
 BRIGHTEST = float(np.finfo(np.float32).max)  # of a map: pictures are made in single precision
 
 
@@ -53,27 +59,17 @@ def read_map(path: Path) -> np.ndarray:
     Raises:
         SceneError: it cannot be read, or is no map.
     """
-    try:
-        if path.suffix.lower() == ".npy":
-            with path.open("rb") as file:  # np.load leaves a file open that is no archive
-                found = np.load(file, allow_pickle=False)
-        elif path.suffix.lower() == ".exr":
-            import OpenEXR
-
-            path.stat()  # its own error says nothing of the file
-            with OpenEXR.File(str(path)) as file:
-                channels = file.channels()
-                one = channels.get("RGB") or channels.get("RGBA")
-                found = one.pixels[..., :3] if one else np.stack([channels[k].pixels for k in "RGB"], -1)
-        else:
-            raise SceneError(f"{path}: a map is an .exr or .npy file")
-        if np.iscomplexobj(found):
-            raise SceneError(f"{path}: a map's radiance is real, not complex")
-        found = np.asarray(found, float)
-    except SceneError:
-        raise
-    except (OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError, BadZipFile) as error:
-        raise SceneError(f"{path}: cannot be read as a map ({error})") from None
+    reader = {".npy": _npy, ".exr": _exr}.get(path.suffix.lower())
+    if reader is None:
+        raise SceneError(f"{path}: a map is an .exr or .npy file")
+    with opened(path, SceneError) as (file, _):
+        try:
+            found = reader(file)
+        except (OSError, MemoryError):  # said by `opened`
+            raise
+        except Exception as error:  # of any kind: NumPy and OpenEXR raise many
+            said = (str(error).splitlines() or [type(error).__name__])[0][:200]
+            raise SceneError(f"{path}: cannot be read as a map ({said})") from None
     if found.ndim != 3 or found.shape[2] != 3 or min(found.shape[:2]) < 2:
         raise SceneError(f"{path}: a map has the shape (height, width, 3), not {found.shape}")
     if not np.all(np.isfinite(found)) or found.min() < 0 or found.max() == 0:
@@ -81,3 +77,47 @@ def read_map(path: Path) -> np.ndarray:
     if found.max() > BRIGHTEST:
         raise SceneError(f"{path}: a map's radiance is at most {BRIGHTEST:g}, not {found.max():g}")
     return found
+
+
+def _npy(file: IO[bytes]) -> np.ndarray:
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError("it is of another version of NumPy's format than 1.0")
+    shape, _, kind = np.lib.format.read_array_header_1_0(file)
+    if kind.kind not in "fiu":
+        raise ValueError("radiance is real, not complex or any other kind")
+    _fits(shape)
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False).astype(float)
+
+
+def _exr(file: IO[bytes]) -> np.ndarray:
+    import OpenEXR
+
+    with _quiet(), OpenEXR.File(file.name, header_only=True) as exr:
+        for part in exr.parts:
+            low, high = part.header["dataWindow"]
+            _fits((*(np.asarray(high, float) - low + 1), len(part.header["channels"])))
+    with _quiet(), OpenEXR.File(file.name) as exr:
+        channels = exr.channels()
+        one = channels.get("RGB") or channels.get("RGBA")
+        return np.asarray(one.pixels[..., :3] if one else np.stack([channels[k].pixels for k in "RGB"], -1), float)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what OpenEXR prints by itself, from Python and from C, beside what it raises."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _fits(shape: Sequence[float]) -> None:
+    """Refuse what says to be larger than a map may be, before memory is taken for it."""
+    if math.prod(shape) > LARGEST:
+        raise ValueError(f"it says to hold {math.prod(shape):.3g} numbers, more than the {LARGEST:.3g} of a map")

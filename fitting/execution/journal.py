@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...merl_io.atomic import append
+from ...merl_io.source import MerlError, opened, whole
 from ..results.export import versions
 from ..results.run import this_run
 from ..results.strict import Text
@@ -75,8 +76,8 @@ class Journal:
 
     def __init__(self, out: Path) -> None:
         self.path = out / NAME
-        with suppress(OSError):
-            if self.path.stat().st_size and not self.path.read_bytes().endswith(b"\n"):
+        with suppress(MerlError):
+            if (said := whole(self.path)) and not said.endswith(b"\n"):
                 append(self.path, b"\n")  # the end of a line that was torn
 
     def began(self, config: Config, files: int, jobs: int | Literal["one a worker"], executor: str) -> None:
@@ -110,7 +111,7 @@ class Journal:
 
 def lines(out: Path) -> Iterator[Began | FileEnded | RunEnded]:
     """What the manifest of a folder says; lines that are torn or of another program are left out."""
-    with suppress(FileNotFoundError), open(out / NAME, "rb") as file:
+    with suppress(MerlError), opened(out / NAME) as (file, _):
         for line in file:
             with suppress(ValidationError):
                 yield Line.validate_json(line)

@@ -10,6 +10,7 @@ from itertools import count
 from pathlib import Path
 
 from ...merl_io.atomic import UNFINISHED, WriteError, is_unfinished, unfinished
+from ...merl_io.source import whole
 from ..pictures.subject import NoPicture, chain_file
 from ..pipeline.run import chain_of
 from ..results.export import ResultError, read_result
@@ -43,11 +44,11 @@ class Complete(IntEnum):
 def completeness(path: Path) -> Complete:
     """How much is in the result of this name, whatever version wrote it."""
     try:
-        found = json.loads(path.read_bytes())
+        found = json.loads(whole(path))
         posterior, succeeded = found["posterior"], found["fit"]["succeeded"]
         if posterior:
             return Complete.INTERVALS if posterior["sufficient"] else Complete.POSTERIOR
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return Complete.NOTHING
     if not succeeded:
         return Complete.NOTHING
@@ -177,7 +178,7 @@ def _settled(target: Place, new: Place) -> Place:
 def _of(path: Path) -> tuple[str, str] | None:
     """What a result is of: SHA-1 of the file, and name of the model; None if there is none."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        found = json.loads(path.read_bytes())
+        found = json.loads(whole(path))
         return str(found["source"]["sha1"]), str(found["model"].get("name", "two-scale"))  # the only one before 2.0
     return None
 

@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
+from ...merl_io.archive import arrays
 from ...merl_io.binary import DIMS, Dims, Measurement, MerlError
 from ...merl_io.grid import MerlGrid, merl_grid
 from ...merl_io.scattered import ScatteredMeasurement
+from ...merl_io.source import opened
 from ..objective.weights import THETA_MAX
 from ..pipeline.run import chain_of
 from ..results.posterior import sha1_of_draws
 from ..results.schema import Model, Result
 from ..settings.config import ConfigError, parse
 from ..settings.models import layout_for
-from ..support.tables import UNSOUND
 from . import prediction
 
 Chain = Mapping[str, np.ndarray]
@@ -159,12 +160,13 @@ def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     """
     path = _place(result, path)
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as chain:
-            found = {name: chain[name] for name in ("names", "values", "weights")}
-            started = chain.get("fit_free")
-    except UNSOUND as error:
-        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no finished chain"
-        raise NoPicture(f"{path}: cannot be read ({why})") from None
+        with opened(path, NoPicture) as (file, _):
+            read = arrays(file, ("names", "values", "weights", "fit_free").__contains__, texts=("names",))
+        found, started = {name: read[name] for name in ("names", "values", "weights")}, read.get("fit_free")
+    except NoPicture:
+        raise
+    except (ValueError, KeyError):
+        raise NoPicture(f"{path}: cannot be read (it is damaged, or no finished chain)") from None
     if [str(n) for n in found["names"]] != [q.name for q in result.parameters]:
         raise NoPicture(f"{path}: is the chain of another fit")
     count, size = len(found["weights"].ravel()), len(result.parameters)
@@ -193,9 +195,9 @@ def _is_of(result: Result, draws: Chain, started: np.ndarray | None) -> bool:
 def states(result: Result, path: Path) -> np.ndarray | None:
     """All states of the walkers in free coordinates, (steps, walkers, P); None if the chain cannot be read."""
     try:
-        with _place(result, path).open("rb") as opened, np.load(opened, allow_pickle=False) as chain:
-            found = chain["chain_free"]
-    except UNSOUND:
+        with opened(_place(result, path), NoPicture) as (file, _):
+            found = arrays(file, "chain_free".__eq__)["chain_free"]
+    except (ValueError, KeyError):
         return None
     whole = found.ndim == 3 and found.shape[2] == len(result.parameters) and np.isfinite(found).all()
     return found if whole else None

@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import emcee
 import jax.numpy as jnp
 import numpy as np
-from numpy.lib.npyio import NpzFile
 
-from ...merl_io.archive import shape_of
+from ...merl_io.archive import arrays
 from ...merl_io.atomic import write_atomically
+from ...merl_io.source import opened
 from ..objective.transforms import Layout
-from ..support.tables import UNSOUND
 from .diagnosis import diagnose
 from .emulator import MOST_EVER, Emulator, log_posterior
 from .hamiltonian import LEAPS, Hamiltonian
@@ -37,6 +36,10 @@ EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not 
 DEPTH = 25.0  # of (heated) log posterior below the highest: deeper points teach nothing that matters
 LED = 0.8  # share of moves that are led; the others are differential evolution
 KEYS = 624  # of a Mersenne twister
+STATE = (  # arrays of a chain
+    "chain_free", "log_prob", "accepted", "root", "leap", "taught_free", "fit_free", "random_keys", "random_state",
+    "lessons",
+)  # fmt: skip
 GOLDEN = (np.sqrt(5) - 1) / 2
 LogProb = Callable[[np.ndarray], np.ndarray]
 Progress = Callable[[int, int], None]
@@ -94,32 +97,34 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
         ChainError: missing, damaged, or of another fit.
     """
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            theirs = _array(file, "fit_free", None)
-            size = len(theirs)
-            states = _array(file, "chain_free", None, None, size)
-            position, cached, normal = _array(file, "random_state", 3)
-            random = (_array(file, "random_keys", KEYS), int(position), int(cached), float(normal))
-            chain = Chain(
-                states, _array(file, "log_prob", *states.shape[:2]), float(_array(file, "accepted")),
-                _array(file, "root", size, size), float(_array(file, "leap")), _array(file, "taught_free", None, size),
-                random, theirs, int(_array(file, "lessons")) if "lessons" in file else 0,
-            )  # fmt: skip
-    except UNSOUND as error:
-        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is damaged, or no chain"
-        raise ChainError(f"{path}: cannot be continued ({why}); delete it to start a new chain") from None
+        with opened(path, ChainError) as (file, _):
+            found = arrays(file, lambda name: name in STATE)
+        theirs = _array(found, "fit_free", None)
+        size = len(theirs)
+        states = _array(found, "chain_free", None, None, size)
+        position, cached, normal = _array(found, "random_state", 3)
+        random = (_array(found, "random_keys", KEYS), int(position), int(cached), float(normal))
+        chain = Chain(
+            states, _array(found, "log_prob", *states.shape[:2]), float(_array(found, "accepted")),
+            _array(found, "root", size, size), float(_array(found, "leap")), _array(found, "taught_free", None, size),
+            random, theirs, int(_array(found, "lessons")) if "lessons" in found else 0,
+        )  # fmt: skip
+    except ChainError:
+        raise
+    except (ValueError, KeyError):
+        raise ChainError(
+            f"{path}: cannot be continued (it is damaged, or no chain); delete it to start a new chain"
+        ) from None
     if chain.fit.shape != fit.shape or not np.allclose(chain.fit, fit, atol=1e-6):
         raise ChainError(f"{path}: is the chain of another fit; delete it to start a new chain")
     return chain
 
 
-def _array(file: NpzFile, name: str, *shape: int | None) -> np.ndarray:
-    """Numbers of this shape, None for any size; one that says to be larger than it is takes no memory."""
-    archive: Any = file.zip  # there as long as the file is open
-    found = shape_of(archive, name)
-    if len(found) != len(shape) or any(size not in (None, at) for size, at in zip(shape, found, strict=True)):
+def _array(arrays: dict[str, np.ndarray], name: str, *shape: int | None) -> np.ndarray:
+    """Finite numbers of this shape, None for any size."""
+    array = arrays[name]
+    if array.ndim != len(shape) or any(size not in (None, at) for size, at in zip(shape, array.shape, strict=True)):
         raise ValueError(name)
-    array = file[name]
     if not np.isfinite(array[array != -np.inf] if name == "log_prob" else array).all():
         raise ValueError(name)
     return array

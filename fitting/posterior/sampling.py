@@ -10,14 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from ...merl_io.archive import arrays
 from ...merl_io.atomic import WriteError
 from ...merl_io.samples import Samples
+from ...merl_io.source import opened
 from ..assess.laplace import laplace_covariance
 from ..assess.outcome import Fitted
 from ..objective.problem import make_problem
 from ..objective.transforms import Layout
 from ..support.clock import Report, Stage, silent
-from ..support.tables import UNSOUND
 from ..support.threads import SHARES, one_core_a_call, side_by_side
 from .chain import Chain, ChainError, begin, extend, read_chain, write_chain
 from .diagnosis import diagnose
@@ -116,10 +117,10 @@ def draw(
         chain, least = replace(chain, lessons=0), found.wanted  # long enough once: it is not given up
 
 
-def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:
+def _unwritten(path: Path, found: dict[str, np.ndarray]) -> str:
     """Write a chain; in words why it cannot be written, which is no reason to give up the posterior."""
     try:
-        write_chain(path, arrays)
+        write_chain(path, found)
     except WriteError as error:
         return f"the chain is not kept: {error}"
     return ""
@@ -128,9 +129,11 @@ def _unwritten(path: Path, arrays: dict[str, np.ndarray]) -> str:
 def _drawn(path: Path) -> dict[str, np.ndarray]:
     """Weighted draws in the file of a chain, and what goes with them; nothing while it is unfinished."""
     try:
-        with np.load(path, allow_pickle=False) as chain:
-            return {name: chain[name] for name in chain.files if name in DRAWN or name.startswith("derived_")}
-    except UNSOUND:
+        with opened(path, ChainError) as (file, _):
+            return arrays(file, lambda name: name in DRAWN or name.startswith("derived_"))
+    except ChainError:
+        raise
+    except ValueError:
         raise ChainError(f"{path}: its draws are damaged; delete it to start a new chain") from None
 
 

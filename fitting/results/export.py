@@ -20,6 +20,7 @@ from pydantic import (
 from pydantic_core import from_json
 
 from ...merl_io.atomic import write_text
+from ...merl_io.source import whole
 from ...model.apparatus import Apparatus
 from ...model.effects import ANY
 from ...model.registry import models
@@ -82,16 +83,12 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     """
     path = Path(path)
     try:
-        if (size := path.stat().st_size) > LARGEST:
-            raise ResultError(f"{path}: is not a merlfit result: {size / 2**20:.0f} MiB are more than one has")
-        text = path.read_bytes().removeprefix(codecs.BOM_UTF8)
+        text = whole(path, ResultError, LARGEST).removeprefix(codecs.BOM_UTF8)
         version = _Versioned.model_validate_json(text).schema_version
         _check_version(path, version)
         result = (
             Result.model_validate(upgraded(from_json(text))) if version in OLDER else Result.model_validate_json(text)
         )
-    except OSError as error:
-        raise ResultError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValidationError as error:
         if path.suffix.lower() in MEASURED:
             raise ResultError(f"{path}: is a measured file, not a result: fit it first, merlfit fit {path}") from None

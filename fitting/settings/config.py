@@ -5,7 +5,6 @@
 
 import difflib
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, Unpack
@@ -13,6 +12,7 @@ from typing import Annotated, Any, TypedDict, Unpack
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
+from ...merl_io.source import toml
 from ...model.effects import PRESETS, TWO_SCALE, idle
 from ..objective.weights import RUNGS, Bend
 from .sections import (
@@ -124,7 +124,10 @@ def load(
     Raises:
         ConfigError: missing file, bad TOML, unknown key (the nearest known one is named), value out of range.
     """
-    data = _copied(path) if isinstance(path, Mapping) else {} if path is None else _read(Path(path))
+    if path is None or isinstance(path, Mapping):
+        data = _copied(path or {})
+    else:
+        data = toml(Path(path), "settings", ConfigError)
     if unknown := replaced.keys() - Replaced.__annotations__.keys():
         raise TypeError(f"no setting is called {', '.join(sorted(unknown))}: {', '.join(Replaced.__annotations__)}")
     places = {
@@ -144,17 +147,6 @@ def load(
 
 def _copied(data: Mapping[str, Any]) -> dict[str, Any]:
     return {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # some editors put a byte order mark first
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not TOML: {error}") from None
-    except RecursionError:
-        raise ConfigError(f"{path}: its lists or tables lie in each other too deeply for settings") from None
 
 
 def parse(data: dict[str, Any], where: str) -> Config:

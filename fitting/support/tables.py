@@ -2,20 +2,18 @@
 
 import hashlib
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from ...merl_io.archive import arrays
 from ...merl_io.atomic import write_atomically
+from ...merl_io.source import opened
 from ...model import chebyshev, convolution, numerics, quadrature, scaled
 from ...model.ndf import epd
 
 MAKERS = (scaled, convolution, chebyshev, epd, numerics, quadrature)
-# What reading a broken file raises.
-UNSOUND = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, RuntimeError, zlib.error)
 
 
 def keep_in(folder: Path | None) -> None:
@@ -49,8 +47,8 @@ def file_name() -> str:
 def stored(path: Path) -> np.ndarray | None:
     """The table in this file, or None where there is no sound one, which is then made anew."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = archive["table"]
-    except UNSOUND:
+        with opened(path) as (file, _):
+            found = arrays(file, "table".__eq__)["table"]
+    except (ValueError, KeyError):
         return None
     return found if found.shape == (2, *scaled.NODES) and np.all(np.isfinite(found)) else None

@@ -8,12 +8,12 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import psutil
 from merlfit.fitting.execution.journal import FileEnded, lines
 from merlfit.fitting.results.export import ResultError, read_result
-from merlfit.fitting.support.tables import UNSOUND
+from merlfit.merl_io.archive import arrays
 from merlfit.merl_io.atomic import UNFINISHED
+from merlfit.merl_io.source import opened
 
 STAND_IN = [sys.executable, str(Path(__file__).with_name("stand_in.py"))]
 MERLFIT = [sys.executable, "-m", "merlfit"]
@@ -95,9 +95,9 @@ def faults_of(folder, undisturbed):
             wrong.append(f"torn: {error}")
     for path in folder.glob("*.npz"):
         try:
-            with np.load(path, allow_pickle=False) as arrays:
-                [arrays[name] for name in arrays]
-        except UNSOUND as error:
+            with opened(path) as (file, _):
+                arrays(file, lambda _: True, texts=("names", "coordinates"))
+        except ValueError as error:
             wrong.append(f"torn: {path.name}: {error}")
     for line in lines(folder):
         if isinstance(line, FileEnded) and line.ended in FINISHED and found.get(line.material) is None:

@@ -293,7 +293,7 @@ def test_the_curve_over_incidence_adds_up_to_the_rmse():
     (["compare", "FILE", "--models", "ggz"], "there is no 'ggz'; the nearest is 'ggx'"),
     (["compare", "FILE", "--models", "ggx,ggx"], "should be different names, with commas between"),
     (["which", "nowhere.binary", "--models", "ggx"], "nowhere.binary"),
-    (["metrics", "nowhere.json", "--against", "FILE"], "nowhere.json: cannot be read"),
+    (["metrics", "nowhere.json", "--against", "FILE"], "nowhere.json: no such file"),
 ])  # fmt: skip
 def test_bad_input_is_told(words, said, file, tmp_path, monkeypatch):
     monkeypatch.setattr(comparisons, "use_persistent_cache", lambda: None)

@@ -151,7 +151,7 @@ def chain(**changed):
 @pytest.mark.parametrize(
     ("contents", "words"),
     [
-        (None, "No such file"),
+        (None, "no such file"),
         (b"", "is damaged, or no"),
         (b"PK\x03\x04 and more", "is damaged, or no"),
         (b"text", "is damaged, or no"),

@@ -118,7 +118,7 @@ def test_words_beside_pictures_change_none_of_their_pixels(tmp_path):
         ('model = "two-scale"\nsettings = { body = "any" }\n', "body should be"),
         (GGX.replace('"ggx"', '"gggx"'), "nearest is 'ggx'"),
         ('measured = "none.binary"\n', "none.binary: no such file"),
-        ('result = "none.json"\n', "none.json: cannot be read"),
+        ('result = "none.json"\n', "none.json: no such file"),
     ],
 )
 def test_materials_that_cannot_be_used(tmp_path, material, said):

@@ -1,6 +1,7 @@
 """Tables of scattered directions: what is read from CSV and NPZ, and what is refused in which words."""
 
 import io
+import os
 import tracemalloc
 import zipfile
 
@@ -9,6 +10,7 @@ import pytest
 from merlfit.merl_io import check, inputs
 from merlfit.merl_io.binary import MerlError
 from merlfit.merl_io.scattered import half_difference, order, scattered, thin
+from merlfit.merl_io.table import ANGLES
 
 HEAD = "theta_i_deg,theta_o_deg,phi_deg,450nm,0.55um,650.5nm"
 ROWS = ["0,30,0,1,2,3", "30, 30, 180, 10, 20, 30", "60,10,90,0.5,-1,0.25"]
@@ -322,3 +324,18 @@ def test_the_brightest_sample_on_the_lights_side_is_told(tmp_path):
     report = check.inspect_file(target)
     assert report.brightest == pytest.approx((30, 30, 0))
     assert any("on the light's own side, at azimuth 0" in line for line in report.told)
+
+
+@pytest.mark.parametrize("name", ["pipe.csv", "pipe.npz", "pipe.bsdf", "pipe.binary"])
+def test_a_pipe_is_refused_at_once(name, tmp_path):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(MerlError, match=f"{name}: is not a regular file"):
+        inputs.read(tmp_path / name)
+
+
+def test_an_archive_that_unpacks_to_more_than_its_length_may_hold_takes_no_memory(tmp_path):
+    """200 MiB of zeros are packed into 200 KiB."""
+    path = tmp_path / "x.npz"
+    np.savez_compressed(path, **{name: np.zeros(1) for name in ANGLES}, values=np.zeros((25 * 2**20, 1), np.uint8))
+    with pytest.raises(MerlError, match=r"x\.npz: is not a readable NPZ .*would take 200 MiB"):
+        inputs.read(path)
