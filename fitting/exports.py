@@ -24,7 +24,7 @@ from .scenes import of_result
 from .support.compilation import use_persistent_cache
 from .support.numbers import number
 from .support.outputs import OURS, refuse_others
-from .support.terminal import console, fail, progress_display, reporter, writable_folder
+from .support.terminal import PLAIN, console, fail, progress_display, reporter, writable_folder
 
 To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
 ENDINGS = {
@@ -127,7 +127,7 @@ def _colours(model: Model) -> str:
 
 def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path]:
     """Tables and a scene that renders at once: a sphere under a lamp in an even room."""
-    tables = out / f"{name}.mitsuba.npz"
+    tables = out / f"{_word(name)}.mitsuba.npz"
     write_tables(tables, material)
     text = SCENE.format(said=_comment(said), tables=quoteattr(tables.name))
     return [tables, _write_text(out / f"{name}.xml", text)]
@@ -199,9 +199,14 @@ def to_openpbr(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
     return _write_text(out / f"{name}.mtlx", text)
 
 
+def _word(name: str) -> str:
+    """Of a file that XML names: Mitsuba takes ``$`` for a parameter of the scene, and XML has no control codes."""
+    return re.sub(r"[$\x00-\x1f\x7f-\x9f]", "_", name)
+
+
 def _comment(text: str) -> str:
     """What XML allows in a comment."""
-    return re.sub("-{2,}", "-", text).replace("<", " ").replace("&", "and")
+    return re.sub("-{2,}", "-", text.translate(PLAIN)).replace("<", " ").replace("&", "and")
 
 
 def _write_json(path: Path, what: dict[str, Any]) -> Path:

@@ -12,6 +12,7 @@ from matplotlib.text import Annotation
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogFormatterMathtext, LogLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
+from ..pictures.style import own_style, plain
 from ..settings.choice import default_choice
 from .frontier import Frontier, Percentiles, pareto
 from .report import default_tier
@@ -36,6 +37,7 @@ NARROW, WIDE = 1.0, 1.5  # decades: fewer marks in each from these on
 Point = tuple[float, float]
 
 
+@own_style()
 def frontier_figure(frontier: Frontier) -> Figure:
     """Evaluation in three panels, one for each way of evaluating, and fits in a fourth; log-log.
 
@@ -67,7 +69,7 @@ def frontier_figure(frontier: Frontier) -> Figure:
         for k, q in enumerate(frontier.points, 1)
     ])  # fmt: skip
     title = f"What accuracy costs on {frontier.machine}. Evaluation: {frontier.directions}. Fits: {frontier.data}."
-    figure.suptitle("\n".join(textwrap.wrap(title, 150)), fontsize=FONT)
+    figure.suptitle(plain("\n".join(textwrap.wrap(title, 150))), fontsize=FONT)
     figure.draw_without_rendering()  # only now is it known where the marks are
     for axis, (points, others) in zip(axes, drawn, strict=True):
         number(axis, points, others)

@@ -18,7 +18,7 @@ from ...merl_io.atomic import write_text
 from ...model.two_scale import TwoScale
 from ..assess.outcome import POOR
 from ..assess.selection import ALIKE, SEEN, VISIBLE, least, lost
-from ..pictures.style import save
+from ..pictures.style import own_style, plain, save
 from ..pipeline.comparison import FIT, Row
 from ..support.numbers import number
 from ..support.outputs import OURS, as_csv
@@ -347,6 +347,7 @@ def _won(winners_: dict[str, tuple[str, float]], name: str) -> str:
     return f"{len(by)} ({number(float(np.median(by)), 3)})" if by else "0"
 
 
+@own_style()
 def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
     """HP17 Fig. 11: errors of every model, each sorted by itself; bars where there is one material."""
     labels = by_label(rows)
@@ -358,10 +359,10 @@ def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
             fitted = own[0].origin == FIT
             if several:
                 style = ("-" if k < 10 else "-.") if fitted else ":"
-                axis.plot(np.linspace(0, 100, len(found)), found, style, color=f"C{k % 10}", label=each,
+                axis.plot(np.linspace(0, 100, len(found)), found, style, color=f"C{k % 10}", label=plain(each),
                           linewidth=2.4 if each == "two-scale" else 1.2)  # fmt: skip
             else:
-                axis.barh(each, found, color="C0" if fitted else "C7")
+                axis.barh(plain(each), found, color="C0" if fitted else "C7")
         if several:
             axis.set(yscale="log", xlabel="materials, each model sorted by itself (%)", ylabel=FIGURES[name])
         else:
@@ -370,5 +371,5 @@ def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
         axis.grid(alpha=0.3)
     if several:
         figure.axes[0].legend(fontsize=7.5, ncols=2)
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(plain(title), fontsize=11)
     return figure

@@ -22,7 +22,7 @@ from ..assess import scattered
 from ..assess.metrics import Errors, by_incidence, errors
 from ..objective.residuals import predict_samples
 from ..objective.weights import THETA_MAX, weighted_samples
-from ..pictures.style import save
+from ..pictures.style import own_style, plain, save
 from ..pipeline.comparison import Row, row_of
 from ..results.export import ResultError
 from ..results.schema import UNSAID, UNSAID_SCATTERED, Model, Result, genuine_words
@@ -117,16 +117,26 @@ def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
         write_text(path, as_csv(list(table[0]), table))
         if not curves:
             return written[:1]
+    save(_by_incidence(found), written[2])
+    return written
+
+
+@own_style()
+def _by_incidence(found: Sequence[Assessed]) -> Figure:
+    """The RMSE over the light's angle."""
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axis = figure.subplots()
     for each in found:
         axis.plot(
-            np.degrees(each.incidence), each.rmse, "o-", markersize=3, label=f"{each.row.material}: {named(each.row)}"
+            np.degrees(each.incidence),
+            each.rmse,
+            "o-",
+            markersize=3,
+            label=plain(f"{each.row.material}: {named(each.row)}"),
         )
     axis.set(yscale="log", xlabel=r"$\theta_i$ (deg)", ylabel="RMSE (1/sr)")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     data = next((f.data for f in found if f.data != UNSAID), UNSAID)  # told by the fit of this very file
-    figure.suptitle(f"errors against {found[0].against.name} by the light's angle\ndata: {data}", fontsize=10)
-    save(figure, written[2])
-    return written
+    figure.suptitle(plain(f"errors against {found[0].against.name} by the light's angle\ndata: {data}"), fontsize=10)
+    return figure

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter, NullLocator
 
 from ..results.schema import ParameterResult
-from .style import COLUMN_INCHES, FITTED, LETTERS, PAGE_INCHES, SMALL, new, printable
+from .style import COLUMN_INCHES, FITTED, LETTERS, PAGE_INCHES, SMALL, new, plain, printable, symbol
 from .subject import Subject
 
 WIDE_AXIS = 8.0  # times its lower end, from which on a logarithmic axis has ticks at 1, 3 or 10
@@ -31,7 +31,7 @@ def corner(subject: Subject) -> Figure:
     middle = subject.model.channels[len(subject.model.channels) // 2]
     kept = [k for k, q in enumerate(subject.result.parameters) if q.channel in (None, middle)]
     return _corner(
-        subject, kept, COLUMN_INCHES, f"; channel {middle}" if len(kept) < len(subject.result.parameters) else ""
+        subject, kept, COLUMN_INCHES, f"; channel {plain(middle)}" if len(kept) < len(subject.result.parameters) else ""
     )
 
 
@@ -82,7 +82,7 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
     _table(figure, names, bounds, 1 - head / high)
     posterior = subject.result.posterior
     if posterior is not None and not posterior.sufficient:
-        _watermark(figure, posterior.message)
+        _watermark(figure, plain(posterior.message))
     return figure
 
 
@@ -107,7 +107,7 @@ def _table(figure: Figure, names: Sequence[ParameterResult], bounds: Sequence, t
 
 def label(q: ParameterResult) -> str:
     """Symbol and channel."""
-    return f"${q.symbol}$" + (f" {q.channel}" if q.channel else "")
+    return symbol(q.symbol, q.parameter) + (f" {plain(q.channel)}" if q.channel else "")
 
 
 def _ticks_of(axes: np.ndarray, k: int, ticks: list[float]) -> None:

@@ -51,7 +51,7 @@ def _lobes(axis: Axes, subject: Subject) -> None:
     axis.set(
         yscale="log", ylim=(brightest / 10**DECADES, 3 * brightest), ylabel="BRDF (1/sr)", xticks=[-90, -45, 0, 45, 90],
         xlabel=r"$\theta_o$ (deg)",
-        title=rf"channel {model.channels[middle]}, $\theta_i = {INCIDENCE_DEG}^\circ$",
+        title=rf"channel {subject.channels[middle]}, $\theta_i = {INCIDENCE_DEG}^\circ$",
     )  # fmt: skip
     axis.grid(alpha=0.25)
     axis.legend(loc="upper left")
@@ -59,7 +59,7 @@ def _lobes(axis: Axes, subject: Subject) -> None:
 
 def _shares(axis: Axes, subject: Subject, shares: dict[str, np.ndarray]) -> None:
     """Stacked bars, one a channel."""
-    channels = subject.model.channels
+    channels = subject.channels
     low = np.zeros(len(channels))
     for k, share in enumerate(shares.values()):
         axis.bar(

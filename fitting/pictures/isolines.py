@@ -21,7 +21,7 @@ DARKEST = 0.002  # share of the directions that are darker than the first isolin
 def isolines(subject: Subject) -> Figure:
     """Of the middle channel, file beside fit, a row an incidence; the cross is the mirror direction."""
     columns = 1 if subject.measurement is None else 2
-    middle = subject.model.channels[len(subject.model.channels) // 2]
+    middle = subject.channels[len(subject.channels) // 2]
     figure = new(1.6 * len(INCIDENCES_DEG) + 0.45)
     panels = figure.subplots(len(INCIDENCES_DEG), columns, squeeze=False)
     for row, degrees in zip(panels, INCIDENCES_DEG, strict=True):

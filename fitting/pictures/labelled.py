@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from .style import LETTERS, printable
+from .style import LETTERS, plain, printable
 
 DPI = 100
 MARGIN = 40  # pixels, for two lines of words
@@ -25,8 +25,10 @@ def labelled(
     """
     height, width, _ = pixels.shape
     said, beside = (
-        textwrap.wrap(words, max(int(room / LETTER), SHORTEST)) for words, room in ((across, width), (down, height))
+        [plain(line) for line in textwrap.wrap(words, max(int(room / LETTER), SHORTEST))]
+        for words, room in ((across, width), (down, height))
     )
+    columns, rows = ([plain(words) for words in each] for each in (columns, rows))
     left, top = (MARGIN + LINE * max(len(lines) - 1, 0) for lines in (beside, said))
     left = left if rows else 0
     across_pixels, down_pixels = width + left, height + top

@@ -85,7 +85,7 @@ def _legend(figure: Figure, axis: Axes, subject: Subject) -> None:
     what, mark = "file, fit" if subject.measurement else "fit", {"markersize": 2.5, "fillstyle": "none"}
     handles: list[Artist] = [
         axis.plot([], [], f"-{MARKS[c % 5]}", color=channel_colour(name, c), label=f"{name}: {what}", **mark)[0]
-        for c, name in enumerate(subject.model.channels)
+        for c, name in enumerate(subject.channels)
     ]
     if subject.model.measured.loses:
         handles += axis.plot([], [], "--", linewidth=0.6, color=FAINT, label="without the grazing loss")

@@ -71,7 +71,7 @@ def peak(subject: Subject) -> Figure:
     found, figure = peak_of(subject), new(2.35)
     whole, widths = figure.subplots(1, 2)
     near = found.theta_h_deg < found.reach_deg
-    for c, name in enumerate(subject.model.channels):
+    for c, name in enumerate(subject.channels):
         colour = channel_colour(name, c)
         mark = {"color": colour, "markersize": 2.0, "fillstyle": "none", "markeredgewidth": 0.5}
         whole.plot(found.theta_h_deg, found.fit[c], "-", color=colour)

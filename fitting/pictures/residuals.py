@@ -45,7 +45,7 @@ def residuals(subject: Subject) -> Figure:
         axis.grid(alpha=0.25)
     handles = [
         panels[1].plot([], [], "-", color=channel_colour(name, c), label=name)[0]
-        for c, name in enumerate(subject.model.channels)
+        for c, name in enumerate(subject.channels)
     ]
     if subject.model.measured.loses:
         handles += panels[1].plot([], [], "--", linewidth=0.6, color=FAINT, label="without the grazing loss")
@@ -64,7 +64,7 @@ def _ratios(panels: np.ndarray, subject: Subject, loss: bool) -> float:
     inside = (file.valid & grid.above & within(grid, subject.theta_max))[here]
     geometry = Geometry.from_half_difference(*map(jnp.asarray, where))
     fitted = prediction.brdf_of(subject.fitted, geometry, loss)
-    for c, name in enumerate(subject.model.channels):
+    for c, name in enumerate(subject.channels):
         data, colour = file.values[c][here], channel_colour(name, c)
         ratio = np.where(inside & (data > 0), fitted[c] / np.where(inside & (data > 0), data, 1.0), np.nan)
         for axis, angle, others in ((panels[0], grid.theta_h, (1, 2)), (panels[1], grid.theta_d[d], (0, 2))):

@@ -11,6 +11,7 @@ from ...merl_io.scattered import ScatteredSamples
 from ..objective.residuals import predict_samples
 from ..objective.weights import weighted_samples
 from ..results.schema import Result
+from .style import own_style, plain, symbol
 from .subject import NoPicture, Subject
 
 SHOWN = 3  # wavelengths whose samples are drawn
@@ -19,6 +20,7 @@ RATIOS = 1.02, 12.0  # of fit and file: how far the panels of ratios reach, at t
 CENTRAL = 0.99  # of the ratios is inside
 
 
+@own_style()
 def samples(subject: Subject) -> Figure:
     """Samples and fit over theta_h; their ratio over theta_h and theta_i; what is per channel over the wavelength."""
     m, result, measurement = subject.model, subject.result, subject.scattered
@@ -33,7 +35,7 @@ def samples(subject: Subject) -> Figure:
     above = [figure.add_subplot(each) for each in rows[0].subgridspec(1, 3)]
     colours = _colours(np.array(m.wavelengths_um))
     theta_h = np.maximum(np.degrees(samples.theta_h), LEAST_DEG)
-    _samples(above[0], theta_h, samples, fitted, m.channels, colours)
+    _samples(above[0], theta_h, samples, fitted, subject.channels, colours)
     _ratios(above[1], theta_h, samples, fitted, colours)
     above[1].set(xscale="log", xlabel=r"$\theta_h$ (deg), logarithmic", ylabel="fit over file")
     _ratios(above[2], np.degrees(np.arccos(np.clip(samples.cos_i, -1, 1))), samples, fitted, colours)
@@ -95,5 +97,7 @@ def _spectrum(axis: Axes, result: Result, name: str, wavelengths_um: list[float]
     error = np.array([q.standard_error or 0.0 for q in entries])[order]
     axis.plot(1e3 * um, value, "o-", markersize=3, linewidth=1.0, color="#2f5fb3")
     axis.fill_between(1e3 * um, value - error, value + error, alpha=0.25, linewidth=0, color="#2f5fb3")
-    axis.set(xlabel="wavelength (nm)", ylabel=f"${entries[0].symbol}$", title=f"{name}: {entries[0].meaning}")
+    axis.set(
+        xlabel="wavelength (nm)", ylabel=symbol(entries[0].symbol, name), title=plain(f"{name}: {entries[0].meaning}")
+    )
     axis.grid(alpha=0.2)

@@ -1,14 +1,17 @@
 """How pictures look: as wide as a column of a paper, with letters that are legible at that size, and safe colours."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
 
 from ...merl_io.atomic import write_atomically
+from ..support.terminal import PLAIN
 
 COLUMN_INCHES = 8.5 / 2.54
 PAGE_INCHES = 17.8 / 2.54  # both columns
@@ -34,7 +37,34 @@ TICKS: dict[str, Any] = {
     "pad": 1.5,
 }  # told to each axis: ticks are made when drawn
 
+OWN: dict[str, Any] = {**mpl.rcParamsDefault, "pdf.fonttype": 42, "ps.fonttype": 42}  # journals refuse Type 3 fonts
+del OWN["backend"]  # which shows figures, and is the user's
+
+PICTURED = dict.fromkeys(range(0x2400, 0x2422), 0xFFFD)  # pictures of control codes, which the fonts lack
+
 P = ParamSpec("P")
+
+
+@contextmanager
+def own_style(more: dict[str, Any] | None = None) -> Iterator[None]:
+    """Nothing of the user's settings of matplotlib in here, which may need a LaTeX that is not there."""
+    with mpl.rc_context(OWN | (more or {})):  # pyright: ignore[reportArgumentType] - its names of settings
+        yield
+
+
+def plain(text: str) -> str:
+    """Of a text from files: to be shown as it is, no formula of matplotlib's and no control code."""
+    shown = text.encode("utf-8", "backslashreplace").decode().translate(PLAIN).translate(PICTURED)
+    return shown.replace("$", r"\$")
+
+
+def symbol(tex: str, name: str) -> str:
+    """Of a parameter, as a formula; its name where a file holds no formula."""
+    try:
+        MathTextParser("path").parse(f"${tex}$")
+    except ValueError:
+        return plain(name)
+    return f"${tex}$"
 
 
 def printable(draw: Callable[P, Figure]) -> Callable[P, Figure]:
@@ -42,7 +72,7 @@ def printable(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def styled(*words: P.args, **named: P.kwargs) -> Figure:
-        with mpl.rc_context(STYLE):  # pyright: ignore[reportArgumentType] - its names of settings
+        with own_style(STYLE):
             figure = draw(*words, **named)
             for axis in figure.axes:
                 axis.tick_params("both", which="both", **TICKS)
@@ -72,4 +102,5 @@ def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
     """
     kind = path.suffix.removeprefix(".").lower() or "png"
     made_by = {"png": {"Software": "merlfit"}, "pdf": {"Creator": "merlfit"}, "svg": {"Creator": "merlfit"}}.get(kind)
-    write_atomically(path, lambda file: figure.savefig(file, format=kind, dpi=dpi or "figure", metadata=made_by))
+    with own_style():
+        write_atomically(path, lambda file: figure.savefig(file, format=kind, dpi=dpi or "figure", metadata=made_by))

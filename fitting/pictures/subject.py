@@ -20,6 +20,7 @@ from ..results.schema import Model, Result
 from ..settings.config import ConfigError, parse
 from ..settings.models import layout_for
 from . import prediction
+from .style import plain
 
 Chain = Mapping[str, np.ndarray]
 SAME = 1e-6  # in free coordinates: two fits of one model are farther apart
@@ -118,7 +119,12 @@ class Subject:
     def heading(self) -> str:
         """Material, model and what the data are, for over a picture."""
         words = f" fit of {self.result.model.material.words}" if self.result.model else ""
-        return wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}")
+        return plain(wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}"))
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of the channels, to be written into pictures."""
+        return [plain(name) for name in self.model.channels]
 
 
 def wrapped(*said: str) -> str:

@@ -5,7 +5,7 @@ import textwrap
 import numpy as np
 from matplotlib.figure import Figure
 
-from .style import OKABE_ITO, SMALL, new, printable
+from .style import OKABE_ITO, SMALL, new, plain, printable
 from .subject import NoPicture, Subject
 
 COLUMNS = 3
@@ -28,7 +28,7 @@ def trace(subject: Subject) -> Figure:
     for k, (panel, name) in enumerate(zip(panels, names, strict=False)):
         panel.fill_between(steps, low[:, k], high[:, k], alpha=0.3, linewidth=0, color=OKABE_ITO[0])
         panel.plot(steps, middle[:, k], linewidth=0.5, color=OKABE_ITO[0])
-        panel.set_title("\n".join(textwrap.wrap(name.replace("_", " "), 18)), fontsize=SMALL)
+        panel.set_title(plain("\n".join(textwrap.wrap(name.replace("_", " "), 18))), fontsize=SMALL)
     for panel in panels[len(names) :]:
         panel.set_visible(False)
     for panel in panels[max(0, len(names) - COLUMNS) : len(names)]:

@@ -11,6 +11,7 @@ from PIL import Image
 from ...merl_io.atomic import write_atomically
 from ..pictures.all import PICTURES
 from ..pictures.spheres import PARTS, of_file_and_fit, of_parts
+from ..pictures.style import own_style
 from ..pictures.subject import NoPicture, Subject
 
 FIGURES = ("isolines", "errors", "residuals", "corner", "corner-all", "trace")
@@ -61,5 +62,6 @@ def _drawn(subject: Subject, what: str) -> Image.Image:
     figure = PICTURES[what].draw(subject)
     figure.set_dpi(DPI)
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    with own_style():
+        canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from merlfit.fitting.output import inspection
 from merlfit.fitting.pictures import corner, prediction, residuals, style
 from merlfit.fitting.pictures.all import PICTURES
+from merlfit.fitting.pictures.labelled import labelled
 from merlfit.fitting.pictures.lobes import INCIDENCES_DEG
 from merlfit.fitting.pictures.spheres import of_file_and_fit, of_parts
 from merlfit.fitting.pictures.subject import NoPicture, Subject
@@ -25,6 +27,7 @@ from tests.support.compiled import evaluate as evaluated
 from tests.support.made_results import made
 
 LOBES = PICTURES["lobes"].draw
+ORIGIN = "synthetic: a constant, $3_ to 4^$, \\foo{"
 LEAST = 30  # CIELAB distance
 FILE = np.array([0.3, 0.2, 0.1])
 
@@ -50,7 +53,9 @@ def measurement():
 def subject(measurement, compiled_quickly):
     """With all that a picture may want, of all names that are long."""
     result = made("gold-metallic-paint3", posterior=True, model=Measured(TwoScale("lambert")))
-    result.config["input"] = {"origin": "synthetic: a constant, for tests of pictures"}
+    assert result.posterior is not None
+    result.posterior.message = f"too short: {ORIGIN}"
+    result.config["input"] = {"origin": ORIGIN}
     walkers = np.random.default_rng(0).normal(size=(40, 8, len(result.parameters)))
     return Subject(result, measurement, chain(result), walkers)
 
@@ -63,8 +68,12 @@ def few_draws(monkeypatch):
 
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_picture_can_be_printed(name, subject):
-    """It is as wide as a column, no letter is smaller than 6 points, none is cut off, and it says what the data are."""
-    figure = PICTURES[name].draw(subject)
+    """It is as wide as a column, no letter is smaller than 6 points, none is cut off, and it says what the data are.
+
+    Neither the user's settings of matplotlib nor what is a formula to it and is none in an origin changes that.
+    """
+    with mpl.rc_context({"text.usetex": True, "font.size": 30.0}):
+        figure = PICTURES[name].draw(subject)
     figure.draw_without_rendering()
     width = 17.8 if name == "corner-all" else 8.5
     assert figure.get_figwidth() * 2.54 == pytest.approx(width)
@@ -80,7 +89,7 @@ def test_a_picture_can_be_printed(name, subject):
         assert box.x1 < figure.bbox.x1 + 1, text
     words = " ".join(text.get_text() for text in said).replace("\n", " ")
     assert "gold-metallic-paint3" in words
-    assert "synthetic: a constant, for tests of pictures" in words
+    assert ORIGIN.replace("$", r"\$") in words  # which is how matplotlib shows a dollar
 
 
 # Machado, Oliveira & Fernandes 2009, severity 1, linear RGB
@@ -298,7 +307,7 @@ def test_inspect_draws_what_it_is_asked_for(tmp_path, subject, monkeypatch):
     monkeypatch.setattr(inspection, "use_persistent_cache", lambda: None)
     asked = ["lobes", "corner"]
     assert inspection.show(tmp_path / "x.json", subject.result, Path("x.binary"), tmp_path, "pdf", asked)
-    assert {p.name for p in tmp_path.iterdir()} == {f"gold-metallic-paint3.{name}.pdf" for name in asked}
+    assert {p.name for p in tmp_path.iterdir()} == {f"gold-metallic-paint3.two-scale.{name}.pdf" for name in asked}
 
 
 def test_pictures_show_what_the_model_says_at_every_bin(subject):
@@ -314,3 +323,26 @@ def test_pictures_show_what_the_model_says_at_every_bin(subject):
     np.testing.assert_allclose(sum(x[:, h, d, p] for x in subject.parts.values()), alone, rtol=2e-3)
     assert [*subject.parts] == ["specular", "diffracted", "body"]
     assert not subject.predicted[:, ~grid.above[..., :90]].any()
+
+
+@pytest.mark.parametrize("name", ["a $b$", "$\\foo{$", "a\x1b]0;b", "caf\udce9", "$", r"\$"])
+def test_a_name_is_shown_as_it_is(name, tmp_path):
+    """Whatever it holds, nothing of it is a formula; the same with the user's LaTeX switched on."""
+    with mpl.rc_context({"text.usetex": True}):
+        figure = labelled(np.zeros((40, 40, 3), np.uint8), [name], [name], name, name)
+        assert not any(text.get_usetex() or text._preprocess_math(text.get_text())[1] for text in figure.texts)
+        style.save(figure, tmp_path / "a.png")
+    shown = figure.texts[0]._preprocess_math(figure.texts[0].get_text())[0]
+    assert shown == name.replace("\x1b", "\ufffd").replace("\udce9", r"\udce9")
+
+
+def test_a_symbol_that_is_no_formula_is_replaced_by_the_name():
+    assert style.symbol(r"\sigma_s", "sigma_s") == r"$\sigma_s$"
+    assert style.symbol(r"\foo{", "si$gma") == r"si\$gma"
+
+
+def test_letters_of_a_pdf_are_outlines_that_journals_take(tmp_path):
+    with mpl.rc_context({"pdf.fonttype": 3}):
+        style.save(labelled(np.zeros((40, 40, 3), np.uint8), ["letters"]), tmp_path / "a.pdf")
+    assert b"/Type3" not in (tmp_path / "a.pdf").read_bytes()
+    assert b"/FontFile2" in (tmp_path / "a.pdf").read_bytes()
