@@ -42,7 +42,7 @@ def shown(*objects):
 
 
 def report(path):
-    return FileReport(Path(path), (90, 90, 180), 0.731, 123456, 7, 3, 12, (1234.5, 1187.25, 998.125), "nickel")
+    return FileReport(Path(path), (90, 90, 180), 0.731, 123456, 7, 3, 12, (1234.5, 1187.25, 998.125), "nickel", [])
 
 
 def test_check_is_readable_at_80_columns():

@@ -56,7 +56,8 @@ def test_they_are_fitted_found_again_and_drawn(file, fit, tmp_path):
     assert result.metrics.highlight == pytest.approx(1, abs=0.01)
     assert "1 of 1 files are done already" in call(*words).stdout
     assert call("inspect", folder / "coarse.json", "-o", tmp_path).exit_code == 0
-    assert (tmp_path / "coarse.two-scale.lobes.png").stat().st_size > 10_000
+    (lobes,) = tmp_path.glob(f"coarse.{result.model.name}.lobes.png")
+    assert lobes.stat().st_size > 10_000
     compared = call("compare", file, "--models", "ggx", "--dims", "30x30x60", "-o", tmp_path / "compared")
     assert compared.exit_code == 0, compared.stderr
     shown = call("metrics", folder / "coarse.json", "--against", file)
