@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.binary import DIMS, Dims, MerlError, write
@@ -80,7 +79,7 @@ def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
     m, params = result.model, result.values()
     model = m.measured if grazing_loss else m.material
-    values = tabulate(lambda g: coloured(jnp.maximum(evaluate(model, params, g, m.wavelengths_um), 0.0), m.bands))
+    values = np.maximum(tabulate(lambda g: coloured(evaluate(model, params, g, m.wavelengths_um), m.bands)), 0.0)
     said = f"synthetic MERL file from the {m.name} fit of {result.source.material}"
     if not m.measured.loses:
         return values, said
