@@ -63,7 +63,7 @@ def resample(
     spent = result.seconds.get("posterior", 0.0) + clock.seconds["posterior"]
     result = result.model_copy(
         update={
-            **posterior_parts(fitted, sampled, measurement.name),
+            **posterior_parts(result.parameters, fitted, sampled, measurement.name),
             "seconds": {**result.seconds, "posterior": round(spent, 3), "total": round(seconds, 3)},
         }
     )

@@ -68,7 +68,7 @@ def make_result(
         model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
         fit=fit_part, metrics=errors, identifiability=found, posterior=None, **common,
     )  # fmt: skip
-    more = {} if sampled is None else posterior_parts(fitted, sampled, measurement.name)
+    more = {} if sampled is None else posterior_parts(result.parameters, fitted, sampled, measurement.name)
     return result.model_copy(update={"numbers_sha1": result.digest, **more})
 
 
@@ -82,21 +82,26 @@ def unread(measurement: Input) -> list[str]:
     ]
 
 
-def parameter_results(fitted: Fitted, sampled: "Sampled | None" = None) -> list[schema.ParameterResult]:
-    """Every entry with value, Laplace standard error, posterior quantiles, bounds."""
+def parameter_results(fitted: Fitted) -> list[schema.ParameterResult]:
+    """Every entry with value, Laplace standard error and bounds."""
     layout, bounds = fitted.layout, fitted.at_bound
-    intervals = [None] * layout.size if sampled is None else _intervals(sampled, sampled.values)
     return [
         schema.ParameterResult(
             name=name, parameter=q.name, symbol=q.symbol, channel=name.rsplit("_", 1)[-1] if q.per_channel else None,
             meaning=q.meaning, unit=q.unit, value=float(fitted.values[i]),
             standard_error=export.finite(fitted.standard_errors[i]) if bounds[i] == "no" else None,
-            quantiles=intervals[i], lower=q.lower, upper=q.upper,
+            quantiles=None, lower=q.lower, upper=q.upper,
             at_bound=bounds[i],
             prior=layout.prior(q), source=q.source,
         )
         for i, (name, q) in enumerate(zip(layout.names, layout.entries, strict=True))
     ]  # fmt: skip
+
+
+def with_quantiles(parameters: list[schema.ParameterResult], sampled: "Sampled") -> list[schema.ParameterResult]:
+    """The fit's parameters, to the last digit, with their posterior quantiles."""
+    found = _intervals(sampled, sampled.values)
+    return [q.model_copy(update={"quantiles": each}) for q, each in zip(parameters, found, strict=True)]
 
 
 def _intervals(sampled: "Sampled", values: np.ndarray) -> list[schema.Quantiles | None]:
@@ -129,10 +134,13 @@ def _model_part(layout: Layout, z: np.ndarray, colour_space: ColourSpace) -> sch
     return schema.Model.of(measured, layout.values(jnp.asarray(z)), layout.bands, colour_space)
 
 
-def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, object]:
+def posterior_parts(
+    parameters: list[schema.ParameterResult], fitted: Fitted, sampled: "Sampled", name: str
+) -> dict[str, object]:
     """What sampling adds to a result, by field of it.
 
     Args:
+        parameters: of the fit.
         name: of the material, after which the file of the chain is named.
     """
     p, d = sampled.posterior, sampled.posterior.diagnosis
@@ -147,7 +155,7 @@ def posterior_parts(fitted: Fitted, sampled: "Sampled", name: str) -> dict[str, 
         draws_sha1=sha1_of_draws(sampled.values, p.weights),
     )  # fmt: skip
     return {
-        "parameters": parameter_results(fitted, sampled), "derived": derived_results(fitted, sampled),
+        "parameters": with_quantiles(parameters, sampled), "derived": derived_results(fitted, sampled),
         "posterior": posterior,
     }  # fmt: skip
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from merlfit.fitting.objective.weights import weighted_samples
-from merlfit.fitting.pipeline.result import parameter_results
+from merlfit.fitting.pipeline.result import parameter_results, with_quantiles
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.posterior.sampling import sample
 from merlfit.fitting.settings.config import load
@@ -48,7 +48,7 @@ def measure(path, body):
             "k": sampled.posterior.pareto_k,
             "parameters": {
                 q.name: [q.value, *((q.quantiles.q05, q.quantiles.q50, q.quantiles.q95) if q.quantiles else ())]
-                for q in parameter_results(fitted, sampled)
+                for q in with_quantiles(parameter_results(fitted), sampled)
             },
         }  # fmt: skip
     return found

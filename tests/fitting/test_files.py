@@ -196,10 +196,10 @@ def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
 
 
 def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monkeypatch):
-    monkeypatch.setattr("merlfit.fitting.output.synthesis.tabulate", lambda evaluate: evaluate)
+    monkeypatch.setattr("merlfit.fitting.output.synthesis.tabulate", lambda evaluate: evaluate(None))
     seen = []
-    monkeypatch.setattr("merlfit.fitting.output.synthesis.evaluate", lambda *words: seen.append(words[0]))
-    monkeypatch.setattr("merlfit.fitting.output.synthesis.write", lambda out, values: values(None))
+    monkeypatch.setattr("merlfit.fitting.output.synthesis.evaluate", lambda *words: seen.append(words[0]) or 0.0)
+    monkeypatch.setattr("merlfit.fitting.output.synthesis.write", lambda out, values: None)
     monkeypatch.setattr("merlfit.fitting.output.synthesis.use_persistent_cache", lambda: None)
     put_result(tmp_path)
     alone = call("synth", tmp_path / "nickel.json", "-o", tmp_path / "x.binary")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.assess.outcome import Fitted
-from merlfit.fitting.pipeline.result import parameter_results, posterior_parts
+from merlfit.fitting.pipeline.result import parameter_results, posterior_parts, with_quantiles
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.posterior.chain import WALKERS, Chain
 from merlfit.fitting.posterior.diagnosis import LEAST_SIZE, diagnose
@@ -45,7 +45,7 @@ def a_fit():
 def quantiles_of(posterior):
     """As the JSON has them."""
     sampled = SimpleNamespace(posterior=posterior, values=posterior.draws)
-    return [q.quantiles for q in parameter_results(a_fit(), sampled)]
+    return [q.quantiles for q in with_quantiles(parameter_results(a_fit()), sampled)]
 
 
 def test_draws_of_a_shifted_gaussian_are_weighed_to_the_right_mean_and_quantiles():
@@ -124,7 +124,7 @@ def test_too_short_a_chain_goes_into_json():
         posterior=found, values=found.draws, derived={k: x[:-1] for k, x in told.items()},
         at_fit={k: x[-1] for k, x in told.items()},
     )  # fmt: skip
-    told = posterior_parts(a_fit(), sampled, "x")["posterior"]
+    told = posterior_parts(parameter_results(a_fit()), a_fit(), sampled, "x")["posterior"]
     assert json.dumps(told.model_dump(mode="json"), allow_nan=False)
 
 
