@@ -1,7 +1,7 @@
 """Where the time of the tests goes: `MERLFIT_TEST_TIMES=FOLDER make test`, then `python -m tests.times FOLDER...`.
 
 A worker writes for each test what it took, its fixtures with it: seconds by the clock and of processors (user and
-system, children's too), programs that were compiled and that were read from the cache, and the seconds of both.
+system, children's too), programs that were compiled and that were read from the cache, the seconds of both, and those that reading saved.
 The command prints a table by file; of two or more folders, side by side. `--keep` enters what the files of the first
 folder took into results/test_times.json, by which the dearest are run first.
 """
@@ -17,9 +17,10 @@ import jax
 import pytest
 
 STORE = Path(__file__).parents[1] / "results" / "test_times.json"
-PARTS = ("clock", "cpu", "compiled", "compile_s", "read", "trace_s")
+PARTS = ("clock", "cpu", "compiled", "compile_s", "read", "saved_s", "trace_s")
 COMPILED, READ = "/jax/compilation_cache/cache_misses", "/jax/compilation_cache/cache_hits"
 COMPILING = "/jax/core/compile/backend_compile_duration"  # reading counts as well
+SAVED = "/jax/compilation_cache/compile_time_saved_sec"  # what programs took that were read, less the reading
 TRACING = ("/jax/core/compile/jaxpr_trace_duration", "/jax/core/compile/jaxpr_to_mlir_module_duration")
 
 
@@ -37,6 +38,7 @@ class Times:
 
     def _add(self, event, seconds, **_):
         self.so_far["compile_s"] += seconds * (event == COMPILING)
+        self.so_far["saved_s"] += seconds * (event == SAVED)
         self.so_far["trace_s"] += seconds * (event in TRACING)
 
     def _now(self):
@@ -85,7 +87,7 @@ def markdown(folders: list[Path]) -> str:
     """A row a file, the dearest of the first folder first; clock and processors of each folder."""
     found = [by_file(read(folder)) for folder in folders]
     files = sorted(set().union(*found), key=lambda file: -max(each.get(file, Counter())["cpu"] for each in found))
-    parts = ("tests", "clock", "cpu", "compiled", "read")
+    parts = ("tests", "clock", "cpu", "compiled", "read", "saved_s")
     heads = [f"{folder.name}: {part}" for folder in folders for part in parts]
     lines = [f"| file | {' | '.join(heads)} |", f"|---{'|---:' * len(heads)}|"]
     totals = [sum(each.values(), Counter()) for each in found]
