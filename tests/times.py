@@ -1,7 +1,8 @@
 """Where the time of the tests goes: `MERLFIT_TEST_TIMES=FOLDER make test`, then `python -m tests.times FOLDER...`.
 
 A worker writes for each test what it took, its fixtures with it: seconds by the clock and of processors (user and
-system, children's too), programs that were compiled and that were read from the cache, the seconds of both, and those that reading saved.
+system, children's too), programs that were compiled and that were read from the cache, the seconds of both, and those
+that reading saved.
 The command prints a table by file; of two or more folders, side by side. `--keep` enters what the files of the first
 folder took into results/test_times.json, by which the dearest are run first.
 """
