@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 
-.PHONY: report demo quick test test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults endurance cluster-cost spectral measured hard-cases tables lint types install schema docs docs-links clean
+.PHONY: report demo quick test proofs test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults endurance cluster-cost spectral measured hard-cases tables lint types install schema docs docs-links clean
 
 install: $(READY)
 
@@ -28,8 +28,14 @@ docs: install
 docs-links: install
 	$(BIN)/python -m sphinx --quiet --keep-going -D nb_execution_mode=off -b linkcheck -c docs . docs/_build/links
 
+# Groups of tests that have passed with these very sources are left out (tests/proofs.py).
 test: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" \
+		$$($(BIN)/python -m tests.proofs --left-out)
+
+# A quarter of an hour: clusters of Dask and hard cases of the models, whether or not their sources have changed.
+proofs: install
+	$(BIN)/python -m tests.proofs
 
 # A minute and a half: lint, types, and the tests that compile little.
 quick: lint types

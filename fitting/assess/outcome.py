@@ -136,12 +136,10 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
 
 
 def excess(fitted: Fitted) -> list[str]:
-    """A line where the material gives back more light than it receives; the conserving split never does."""
+    """A line where the material gives back more light than it receives."""
     material = fitted.material
-    if isinstance(material, TwoScale) and material.split == "conserving":
-        return []
     brightest = largest_albedo(material, fitted.layout.values(jnp.asarray(fitted.solution.z)), fitted.layout.bands)
-    if not brightest.excessive:
+    if brightest is None or not brightest.excessive:
         return []
     mend = "--preset conserving" if isinstance(material, TwoScale) else f"--model {TwoScale.name} --preset conserving"
     return [

@@ -10,7 +10,8 @@ halves the error that anybody sees. So the error of cube roots of the BRDF, whic
 with J the cost with its prior (which keeps an index of 3 from passing for a plastic), E the cube-root error and N the
 effective count. Kinds within `ALIKE` of the lowest score (strong evidence begins at 6, Kass & Raftery 1995), whose J
 and E are no more than `MARGIN` times the best one's, describe the file alike: the simplest is taken, that which comes
-first among the candidates, which are sorted by their number of parameters.
+first among the candidates, which are sorted by their number of parameters. One that gives back more light than it
+receives comes after all others of these.
 
 **Matter.** A complex index rises towards grazing incidence in ways that no dielectric's does, so that constants of no
 matter (`merlfit.model.plausible`: a bright body under a conductor, a conductor that hardly absorbs) describe a felt or
@@ -21,7 +22,7 @@ files that it was chosen on (docs/fitting.md).
 **Weights.** ``adaptive`` keeps the fit with the nearest picture (`picture`) among those that keep the highlight.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -93,12 +94,14 @@ def choose(
     scores: Sequence[float],
     matter: Sequence[bool] = (),
     dielectric: Sequence[bool] = (),
+    excessive: Callable[[int], bool] = lambda _: False,
 ) -> int:
     """Which of some fits to take, listed with the simplest first.
 
     Args:
         matter: whether their constants may be those of matter. dielectric: whether they are no conductor's. Empty if
             nothing is known of that.
+        excessive: whether one gives back more light than it receives; asked only of those that describe the file alike.
     """
     every = list(range(len(scores)))
     scored = np.nan_to_num(scores, nan=np.inf)
@@ -107,7 +110,8 @@ def choose(
         known = [k for k in every if matter[k] and (matter[best] or dielectric[k])]
         if own := [k for k in known if not beyond(best, k, objectives, cube_roots)]:
             every, best = own, min(own, key=lambda k: scored[k])
-    return next(k for k in every if k == best or alike(k, best, objectives, cube_roots, scores))
+    near = [k for k in every if k == best or alike(k, best, objectives, cube_roots, scores)]
+    return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
 
 
 def beyond(one: int, other: int, objectives: Sequence[float], cube_roots: Sequence[float]) -> bool:

@@ -18,6 +18,7 @@ from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.reflectance import Clues
 from ..assess import metrics
 from ..assess import scattered as scattered_metrics
+from ..assess.albedo import largest_albedo
 from ..assess.outcome import Fitted
 from ..assess.published import assess_prediction
 from ..assess.selection import choose, nearest, score
@@ -230,7 +231,12 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
         )
         for material, s, j, e, each, own in zip(materials, found, objectives, roots, scores, matter, strict=True)
     ]  # fmt: skip
-    return candidates, choose(objectives, roots, scores, matter, ["k" not in v for v in values])
+
+    def excessive(k: int) -> bool:
+        brightest = largest_albedo(materials[k], values[k], layouts[k].bands)
+        return brightest is not None and brightest.excessive
+
+    return candidates, choose(objectives, roots, scores, matter, ["k" not in v for v in values], excessive)
 
 
 def valued(layout: Layout, z: np.ndarray) -> dict[str, np.ndarray]:

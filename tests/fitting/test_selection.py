@@ -37,6 +37,15 @@ def test_the_simplest_of_those_alike():
     assert chosen([0.01 * x for x in alike], [0.02 * x for x in alike]) == KINDS[0]
 
 
+def test_of_those_alike_one_that_makes_no_light():
+    errors = [0.0101, 0.01, 0.01, 0.01, 0.0099], [0.02] * 5
+    scores = [score(j, e, COUNT) for j, e in zip(*errors, strict=True)]
+    assert choose(*errors, scores, excessive=lambda k: k in (0, 1)) == 2
+    assert choose(*errors, scores, excessive=lambda _: True) == 0, "the simplest of them"
+    scores[3] -= 2 * ALIKE
+    assert choose(*errors, scores, excessive=lambda k: 1 / 0) == 3, "asked of those alone that are alike"
+
+
 @pytest.mark.parametrize("which", [0, 1])
 def test_noticeably_worse_is_not_alike_however_few_residuals_count(which):
     """A few independent residuals cannot tell anything apart: twice the error must still be refused."""

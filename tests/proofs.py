@@ -1,0 +1,91 @@
+"""Tests that are not run again while nothing that they look at has changed: `make proofs`.
+
+`python -m tests.proofs GROUP...` runs groups of tests, and enters the digest of their sources into results/proofs.json
+if they pass. `make test`, in CI as well, leaves a group out whose sources have this digest; `--left-out` prints the
+options of pytest for it. Whoever changes a source, and does not run the group by hand, has it run there.
+"""
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+STORE = ROOT / "results" / "proofs.json"
+EVERYWHERE = ("constraints.txt", "tests/conftest.py", "tests/proofs.py")
+CLUSTERS = tuple(f"tests/fitting/test_{name}.py" for name in ("cluster", "cluster_faults", "cluster_fits", "slurm"))
+HARD_CASES = ("tests/test_hard_cases.py",)
+GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "cluster": (
+        CLUSTERS,
+        (
+            "fitting/execution",
+            "fitting/files.py",
+            "fitting/main",
+            "fitting/pipeline",
+            "fitting/results",
+            "fitting/settings",
+            "fitting/support",
+            "merl_io/atomic.py",
+            "tests/support/clusters.py",
+            "tests/support/worker_tasks.py",
+        ),
+    ),
+    "hard-cases": (HARD_CASES, ("model", "tests/hard_cases", "tests/oracles", "tests/support")),
+}
+"""Tests, and what they look at beside themselves and `EVERYWHERE`: files, or folders with all that is in them."""
+
+
+def files(group: str) -> list[Path]:
+    """All sources of a group."""
+    tests, sources = GROUPS[group]
+    named = [ROOT / name for name in (*tests, *sources, *EVERYWHERE)]
+    inside = (sorted(path.rglob("*")) if path.is_dir() else [path] for path in named)
+    return [path for each in inside for path in each if path.is_file() and "__pycache__" not in path.parts]
+
+
+def digest(group: str) -> str:
+    """SHA-1 of their names and contents."""
+    found = hashlib.sha1()
+    for path in files(group):
+        content = path.read_bytes()
+        found.update(f"{path.relative_to(ROOT)}\0{len(content)}\0".encode() + content)
+    return found.hexdigest()
+
+
+def kept() -> dict[str, dict[str, str | float]]:
+    """Of each group, with which sources it passed, when, and how long it took."""
+    return json.loads(STORE.read_text()) if STORE.is_file() else {}
+
+
+def proven() -> list[str]:
+    """Groups that have passed with these very sources."""
+    return [group for group, entry in kept().items() if group in GROUPS and entry["sources"] == digest(group)]
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("groups", nargs="*", choices=[*GROUPS, []], help="all of them without a name")
+    parser.add_argument("--left-out", action="store_true")
+    asked, failed = parser.parse_args(), []
+    if asked.left_out:
+        print(*(f"--ignore={name}" for group in proven() for name in GROUPS[group][0]))
+        return
+    for group in asked.groups or GROUPS:
+        sources, start = digest(group), time.perf_counter()
+        command = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadfile", *GROUPS[group][0]]
+        if subprocess.run(command, cwd=ROOT, check=False).returncode or sources != digest(group):
+            failed.append(group)
+            continue
+        seconds = round(time.perf_counter() - start)
+        entry = {"sources": sources, "passed": time.strftime("%Y-%m-%d"), "seconds": seconds}
+        STORE.write_text(json.dumps(kept() | {group: entry}, indent=1, sort_keys=True) + "\n")
+    sys.exit(f"not proven: {', '.join(failed)}" if failed else 0)
+
+
+if __name__ == "__main__":
+    main()
