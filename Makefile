@@ -33,7 +33,7 @@ test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" \
 		$$($(BIN)/python -m tests.proofs --left-out)
 
-# A quarter of an hour: clusters of Dask and hard cases of the models, whether or not their sources have changed.
+# Ten minutes: what `make test` leaves out while its sources are as they were when it passed; results/proofs.json.
 proofs: install
 	$(BIN)/python -m tests.proofs
 

@@ -35,21 +35,23 @@ SWITCHED = [
     {"fresnel": "schlick"}, {"masking": "height_correlated"}, {"masking": "none"}, {"renormalised": False},
     {"colour": "fresnel"}, {"fresnel": "schlick", "colour": "fresnel", "masking": "none", "renormalised": False},
 ]  # fmt: skip
-EVERY = [TwoScale(body, diffraction, index=index) for index, body in KINDS for diffraction in ("off", "lobe")]
-EVERY += [TwoScale(diffraction=tier) for tier in ("scaled", "zonal", "quadrature", "exact")]
-EVERY += [TwoScale(diffraction="lobe", **switched) for switched in SWITCHED]
-EVERY += [
-    TwoScale("subsurface", "lobe", split="conserving"),
+ASSEMBLED = [  # every body, tier, switch and loss, mixed; each alone is compared with its oracle
+    TwoScale("none", "lobe"),
+    TwoScale("none", "lobe", index="real", colour="fresnel"),
+    TwoScale("lambert", "lobe", index="complex", fresnel="schlick"),
     TwoScale("lambert", "off", masking="none", split="conserving"),
+    TwoScale("subsurface", "lobe", split="conserving"),
+    TwoScale("subsurface", "quadrature", masking="height_correlated", renormalised=False),
+    TwoScale("lambert", "scaled", renormalised=False),
+    TwoScale("none", "zonal", masking="height_correlated"),
+    TwoScale("none", "exact"),
+    TwoScale("none", "lobe", **SWITCHED[-1]),
+    Measured(TwoScale("plastic", "lobe"), "free"),
+    Measured(TwoScale("lambert", "lobe", masking="height_correlated"), "derived"),
+    Measured(TwoScale("plastic", "off", fresnel="schlick"), 0.3),
 ]
-EVERY += [
-    Measured(TwoScale("plastic", diffraction), how)
-    for diffraction in ("off", "lobe")
-    for how in ("free", "derived", 0.3)
-]
-EVERY += [TwoScale("none", "lobe", index="real")]
-DEAR = [e for e in EVERY if (m := material_of(e)).diffraction == "exact" or m.split == "conserving"]  # to compile
-DIFFERENTIATED = [e for e in EVERY if e not in DEAR]
+DEAR = [e for e in ASSEMBLED if (m := material_of(e)).diffraction == "exact" or m.split == "conserving"]  # to compile
+DIFFERENTIATED = [e for e in ASSEMBLED if e not in DEAR]
 DIFFERENTIATED += [TwoScale(diffraction="exact"), TwoScale("subsurface", "lobe", split="conserving")]
 
 
@@ -176,8 +178,7 @@ def test_against_the_oracle(index, body):
             assert value != pytest.approx(printed_q, rel=1e-3)
 
 
-@pytest.mark.parametrize("acquisition", ["free", 0.3])
-@pytest.mark.parametrize(("index", "body"), KINDS)
+@pytest.mark.parametrize(("index", "body", "acquisition"), [*((*kind, "free") for kind in KINDS), (*KINDS[0], 0.3)])
 def test_the_loss_is_that_of_each_lobe_and_not_of_the_body(index, body, acquisition):
     """Towards grazing angles, where p(i, o) of everything would be several per cent off and up to half of it."""
     i, o = random_directions(8, SEED + 1)
@@ -233,7 +234,7 @@ def test_derived_exponents_are_those_of_the_widths_of_both_lobes():
         assert np.max(np.abs(other / found - 1)) > 1e-3
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=repr)
+@pytest.mark.parametrize("effects", ASSEMBLED, ids=repr)
 def test_lists_and_grids_are_the_same_function(effects, table):
     exact = material_of(effects).diffraction == "exact"  # an integral by itself for each direction: fewer of them
     kept = tuple(slice(None, None, 2 if exact else 1) for _ in AXES)
@@ -263,13 +264,13 @@ def test_single_precision_on_a_grid_to_the_horizon(tier, table):
     np.testing.assert_allclose(found[:, shown], expected[:, shown], rtol=2e-3, atol=1e-6)
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=repr)
+@pytest.mark.parametrize("effects", ASSEMBLED, ids=repr)
 def test_reciprocity(effects, table):
     _, there, back, _ = evaluated(effects)
     np.testing.assert_allclose(there, back, rtol=1e-9)
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=repr)
+@pytest.mark.parametrize("effects", ASSEMBLED, ids=repr)
 def test_extreme_geometry_gives_finite_values(effects, table):
     assert np.all(np.isfinite(evaluated(effects)[3]))
 
@@ -312,7 +313,7 @@ def test_gradients_are_finite_at_the_edges_and_match_differences(effects):
         assert np.max(np.abs(slope - difference) / scale) < 5e-3
 
 
-@pytest.mark.parametrize("effects", EVERY, ids=repr)
+@pytest.mark.parametrize("effects", ASSEMBLED, ids=repr)
 def test_factors_depend_on_what_was_recorded(effects):
     s, read = setting(Geometry.from_vectors(*random_directions(5)), effects), reads(effects)
     factors = jax.jit(lambda v: {name: factor(v, s) for name, factor in effects.factors().items()})
