@@ -1,5 +1,6 @@
 """Models compared on files, as `merlfit compare`, `which` and `metrics` do it."""
 
+import traceback
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from .results.export import ResultError, read_result
 from .results.schema import Result
 from .settings.config import Config, ConfigError
 from .support.compilation import use_persistent_cache
-from .support.outputs import refuse_others
+from .support.outputs import log, log_of, refuse_others
 from .support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
@@ -103,7 +104,10 @@ def compare_files(
                 raise typer.Exit(stop.code) from None
             except Exception as error:  # of any kind: said with its name, and the next file has its turn
                 code = max(code, FAILED_FIT)
-                fail(f"{path}: failed unexpectedly: {type(error).__name__}: {error}")
+                log(log_of(out, path.stem), traceback.format_exc())
+                fail(
+                    f"{path}: failed unexpectedly: {type(error).__name__}: {error}; {log_of(out, path.stem)} says where"
+                )
             progress.remove_task(task)
     if rows:
         data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE

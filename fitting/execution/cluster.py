@@ -29,10 +29,11 @@ from ..pipeline.run import chain_of
 from ..results.export import versions, write_result
 from ..results.run import this_run
 from ..support.clock import Stage
+from ..support.outputs import log
 from .connection import CONNECT, SLURM, ClusterError, address_of, connected, library, line
 from .pool import PATIENCE, Note, Tell
 from .slurm import Queue
-from .unit import Ended, Kind, Task, Unit, fit_unit, log
+from .unit import Ended, Kind, Task, Unit, fit_unit
 from .watch import Watch
 
 if TYPE_CHECKING:
@@ -370,10 +371,10 @@ class Cluster:
 def written(unit: Unit, brought: Brought) -> Ended:
     """Write what a worker brought; the result last, so that one that is there is whole."""
     if brought.log:
-        log(unit, brought.log)
+        log(unit.log, brought.log)
     ended = brought.ended
     if ended.error:
-        log(unit, ended.error)
+        log(unit.log, ended.error)
     if ended.result is None:
         return ended
     try:

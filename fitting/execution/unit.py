@@ -1,6 +1,5 @@
 """One file to fit: all that it takes to do that in any process, and what came of it."""
 
-import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
@@ -8,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from ...merl_io.atomic import WriteError, append
+from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
 from ..output.keeping import place_of
 from ..pipeline.run import Finish, fit_file
@@ -17,6 +16,7 @@ from ..results.schema import Result
 from ..settings.config import Config
 from ..support.clock import Report, silent
 from ..support.compilation import make_room
+from ..support.outputs import log, log_of
 from ..support.terminal import Stopped
 
 
@@ -52,7 +52,7 @@ class Unit:
     @property
     def log(self) -> Path:
         """What was done when, and what libraries said in the meantime."""
-        return self.out / "logs" / f"{self.name}.log"
+        return log_of(self.out, self.name)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
             raise WriteError(f"{unit.out}: is there no more; make it again, and go on with --resume")
         with place_of(unit.out, unit.name) as place:
             result = fit_file(unit.path, place.folder, unit.settings, _logged(unit, report), unit.finish)
-        log(unit, f"{result.fit.status}, {result.seconds['total']:.1f} s")
+        log(unit.log, f"{result.fit.status}, {result.seconds['total']:.1f} s")
         return Ended(Kind.FITTED, result, said=place.said)
     except MerlError as error:
         return Ended(Kind.BAD_INPUT, error=str(error), said=place.said if place else "")
@@ -99,19 +99,10 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
                 kept = read_result(place.path)
         return Ended(Kind.STOPPED, kept, said=place.said if place else "", code=stop.code)
     except Exception as error:  # of any kind: said with its name, and the next file has its turn
-        log(unit, traceback.format_exc())
+        log(unit.log, traceback.format_exc())
         where = str(error) if place is None else str(error).replace(str(place.folder), str(place.path.parent))
         said = f"{unit.path}: failed unexpectedly: {type(error).__name__}: {where}"
         return Ended(Kind.FAILED, error=said, said=place.said if place else "")
-
-
-def log(unit: Unit, text: str) -> None:
-    """A line for the unit's log, if that can be written into the folder of results itself."""
-    with suppress(OSError):
-        unit.log.parent.mkdir(exist_ok=True)  # not the folder for results: one that goes away is not to come back empty
-        if not unit.log.parent.is_symlink():
-            line = f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n"
-            append(unit.log, line.encode(errors="backslashreplace"))
 
 
 def _logged(unit: Unit, report: Report) -> Report:
@@ -121,7 +112,7 @@ def _logged(unit: Unit, report: Report) -> Report:
     def reported(stage: str) -> None:
         if (begun := stage.split(":")[0]) != last[0]:
             last[0] = begun
-            log(unit, stage)
+            log(unit.log, stage)
         report(stage)
 
     return reported

@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from enum import IntEnum
 from itertools import count
 from pathlib import Path
@@ -71,26 +71,22 @@ def claimed(out: Path, alone: bool = True) -> Iterator[None]:
     Raises:
         Taken: another run has it.
     """
-    try:
-        import fcntl  # not on Windows
-
-        folder = os.open(out, os.O_RDONLY)
-    except (ImportError, OSError):
-        yield
-        return
-    try:
-        free = alone
+    with ExitStack() as stack:
         try:
+            import fcntl  # not on Windows
+
+            folder = os.open(out, os.O_RDONLY)
+            stack.callback(os.close, folder)
             fcntl.flock(folder, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
         except BlockingIOError:
             raise Taken(f"{out}: another merlfit is writing there; wait for it, or name another folder") from None
-        except OSError:  # a file system without locks
-            free = False
-        if free:
-            _clear(out)
+        except (ImportError, OSError) as error:  # a system, or a file system, without locks
+            why = getattr(error, "strerror", None) or "this system has no locks"
+            note(f"{out}: cannot be locked ({why}): take care that no other merlfit writes there")
+        else:
+            if alone:
+                _clear(out)
         yield
-    finally:
-        os.close(folder)
 
 
 def _clear(out: Path) -> None:

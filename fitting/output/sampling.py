@@ -1,5 +1,6 @@
 """`merlfit sample`: its progress, and what it says."""
 
+import traceback
 from pathlib import Path
 
 import typer
@@ -11,6 +12,7 @@ from ..posterior.chain import ChainError
 from ..results.export import ResultError, read_result
 from ..settings.config import ConfigError
 from ..support.compilation import use_persistent_cache
+from ..support.outputs import log, log_of
 from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter
 from .inspection import file_of
 from .keeping import claimed
@@ -29,7 +31,9 @@ def sample_result(result: Path, file: Path | None, max_steps: int | None) -> Non
     except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
         raise fail(str(error)) from None
     except RuntimeError as error:
-        fail(f"{error}; {result} is as it was")
+        where = log_of(result.parent, result.stem)
+        log(where, traceback.format_exc())
+        fail(f"{error}; {result} is as it was, {where} says where it failed")
         raise typer.Exit(FAILED_FIT) from None
     except Stopped as stop:
         note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` continues the chain so far")

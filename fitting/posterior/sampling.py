@@ -162,7 +162,7 @@ def sample(
     except ChainError:
         raise
     except Exception as error:  # raised again: what was fitted before is kept, and named by the caller
-        raise RuntimeError(f"the sampler: {error}") from error
+        raise RuntimeError(f"the sampler: {type(error).__name__}: {error}") from error
 
 
 def _sampled(

@@ -3,14 +3,30 @@
 import csv
 import io
 import re
+import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
-from ...merl_io.atomic import WriteError
+from ...merl_io.atomic import WriteError, append
 
 OURS = rb"merlfit"  # is in what tells who made a picture, a page or a JSON
 LOOK = 2**14  # bytes at both ends of a file
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would compute a cell that begins so
+
+
+def log_of(out: Path, name: str) -> Path:
+    """The log of a material in a folder of results: what was done when, and where in the code something went wrong."""
+    return out / "logs" / f"{name}.log"
+
+
+def log(path: Path, text: str) -> None:
+    """Add a line to a log, if that can be written into the folder of results itself."""
+    with suppress(OSError):
+        path.parent.mkdir(exist_ok=True)  # not the folder for results: one that goes away is not to come back empty
+        if not path.parent.is_symlink():
+            line = f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n"
+            append(path, line.encode(errors="backslashreplace"))
 
 
 def refuse_others(paths: Mapping[Path, bytes] | Iterable[Path], force: bool = False) -> None:

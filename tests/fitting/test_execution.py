@@ -14,10 +14,11 @@ import psutil
 import pytest
 from merlfit.fitting.execution import journal, pool
 from merlfit.fitting.execution.pool import Pool, jobs_for
-from merlfit.fitting.execution.unit import Ended, Kind, Unit, fit_unit, log
+from merlfit.fitting.execution.unit import Ended, Kind, Unit, fit_unit
 from merlfit.fitting.files import _done
 from merlfit.fitting.results.export import versions, write_result
 from merlfit.fitting.settings.config import Config, load
+from merlfit.fitting.support.outputs import log
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import DIMS, write
 
@@ -235,7 +236,7 @@ def test_no_more_processes_than_files_cores_and_memory(monkeypatch):
 
 def test_a_folder_that_went_away_does_not_come_back_empty(tmp_path):
     [unit] = units(tmp_path / "gone", "quick-a")
-    log(unit, "something")
+    log(unit.log, "something")
     came = fit_unit(unit)
     assert came.kind is Kind.FAILED
     assert came.error == f"{tmp_path / 'gone'}: is there no more; make it again, and go on with --resume"

@@ -1,5 +1,6 @@
 """Batches of files and the folder that they are written to; fits are stood in for, none is compiled."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -233,6 +234,18 @@ def test_python_may_write_to_a_folder_from_several_places_but_not_beside_a_comma
             pass
     with keeping.claimed(tmp_path):
         assert not half.exists()
+
+
+def test_a_folder_that_cannot_be_locked_is_told_and_nothing_is_cleared_away(tmp_path, monkeypatch, capsys):
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    half = unfinished(tmp_path)
+    half.touch()
+    with keeping.claimed(tmp_path):
+        assert half.exists(), "it may be of another run"
+    assert f"{tmp_path}: cannot be locked (No locks available): take care" in capsys.readouterr().err
 
 
 def test_what_is_not_of_a_run_is_not_cleared_away(tmp_path):

@@ -1,8 +1,10 @@
 """What stays of a posterior when its sampler, or the file of its chain, fails."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.importance import Posterior
@@ -33,15 +35,21 @@ def test_quantiles_stay_when_only_the_chain_cannot_be_written(tmp_path, monkeypa
 
 def test_a_sampler_that_fails_is_said_in_a_line(tmp_path, monkeypatch):
     def fail(*_):
-        raise RuntimeError("the sampler: out of memory")
+        raise KeyError("x")
 
+    monkeypatch.setattr(sampling, "_sampled", fail)
+    with pytest.raises(RuntimeError, match="the sampler: KeyError: 'x'"):
+        sampling.sample(None, None, 10, 0, tmp_path / "x.chain.npz")
     put_result(tmp_path)
     before = (tmp_path / "nickel.json").read_bytes()
-    monkeypatch.setattr("merlfit.fitting.output.sampling.resample", fail)
+    monkeypatch.setattr(
+        "merlfit.fitting.output.sampling.resample", lambda *_: sampling.sample(None, None, 10, 0, Path("x"))
+    )
     shown = call("sample", tmp_path / "nickel.json")
     assert shown.exit_code == FAILED_FIT
-    assert "the sampler: out of memory; " in shown.output.replace("\n", " ")
+    assert "the sampler: KeyError: 'x'; " in shown.output.replace("\n", " ")
     assert "Traceback" not in shown.output
+    assert "in fail\n" in (tmp_path / "logs" / "nickel.log").read_text(), "where it failed"
     assert (tmp_path / "nickel.json").read_bytes() == before
 
 
