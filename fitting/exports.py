@@ -145,7 +145,10 @@ def parameters_of(result: Result) -> dict[str, Any]:
         "citation": models()[m.name].citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
         "channels": m.channels, "wavelengths_um": m.wavelengths_um,
         "parameters": {
-            q.name: {"value": q.value, "unit": q.unit, "meaning": q.meaning, "standard_error": q.standard_error}
+            q.name: {
+                "value": q.value, "unit": q.unit, "meaning": q.meaning, "laplace": q.laplace and q.laplace.model_dump(),
+                "posterior": q.quantiles and q.quantiles.model_dump(),
+            }
             for q in result.parameters if not q.parameter.startswith("grazing_")
         },
         "note": f"BRDF in 1/sr, {m.colour_space}; without the apparatus's loss of light at grazing angles",

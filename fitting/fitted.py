@@ -21,7 +21,7 @@ from .pictures.subject import chain_file, subject_of
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of
 from .results.export import ResultError, write_result
-from .results.schema import Model, ParameterResult, Result
+from .results.schema import Model, ParameterResult, Quantiles, Result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
 from .support.terminal import PLAIN, Screen
@@ -72,7 +72,7 @@ class Fit:
 
     @property
     def parameters(self) -> dict[str, ParameterResult]:
-        """Every fitted number by its name (``beta``, ``eta_R``), with unit, standard error, quantiles and bounds."""
+        """Every fitted number by its name (``beta``, ``eta_R``), with unit, quantiles and bounds."""
         return {q.name: q for q in self.result.parameters}
 
     @property
@@ -84,12 +84,17 @@ class Fit:
         return Values(self.result.values())
 
     def table(self) -> list[dict[str, Any]]:
-        """One row a fitted number, for ``pandas.DataFrame`` and the like; quantiles are None without a posterior."""
+        """One row a fitted number, for ``pandas.DataFrame`` and the like.
+
+        ``q05``, ``q50`` and ``q95`` are quantiles of the posterior, None without one; ``low`` and ``high`` the 90 %
+        interval by the Laplace approximation, None at a bound and where the data do not decide.
+        """
         rows = []
         for q in self.result.parameters:
-            low, high = (q.quantiles.q05, q.quantiles.q95) if q.quantiles else (None, None)
+            low, high = (q.laplace.q05, q.laplace.q95) if q.laplace else (None, None)
+            quantiles = q.quantiles.model_dump() if q.quantiles else dict.fromkeys(Quantiles.model_fields)
             rows.append({
-                "name": q.name, "value": q.value, "standard_error": q.standard_error, "q05": low, "q95": high,
+                "name": q.name, "value": q.value, "low": low, "high": high, **quantiles,
                 "unit": q.unit, "at_bound": q.at_bound, "meaning": q.meaning,
             })  # fmt: skip
         return rows

@@ -105,8 +105,8 @@ def row(path, result, mitsuba):
     optical = [q for q in result.parameters if q.parameter in ("eta", "n", "k")]
     return found | {
         "status": result.fit.status, "index": settings.get("index"), "body": settings.get("body"),
-        "constants": {q.name: [q.value, q.standard_error] for q in optical}, "cost": result.fit.cost,
-        "cost_per_channel": result.fit.cost_per_channel, "smape": result.metrics.smape,
+        "constants": {q.name: [q.value, q.laplace and [q.laplace.q05, q.laplace.q95]] for q in optical},
+        "cost": result.fit.cost, "cost_per_channel": result.fit.cost_per_channel, "smape": result.metrics.smape,
         "seconds": result.seconds["total"], "cautions": list(result.fit.cautions),
     }  # fmt: skip
 
@@ -120,10 +120,10 @@ def far(row):
 
 
 def constants(row):
-    """Index in words, the standard errors where there are some."""
+    """Index in words, with 90 % intervals where the data decide."""
     found = {}
-    for name, (value, error) in row["constants"].items():
-        shown = f"{value:.3g}" + (f"±{error:.2g}" if error is not None else "")
+    for name, (value, ends) in row["constants"].items():
+        shown = f"{value:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "")
         found.setdefault(name.partition("_")[0], []).append(shown)
     return "; ".join(f"{name} {', '.join(each)}" for name, each in found.items()) or "-"
 
@@ -171,9 +171,10 @@ PAGE = """# Genuine measurements
 
 **Genuine measurements**, not reconstructions and not synthetic: isotropic materials of the RGL EPFL material database
 (Dupuy & Jakob 2018, doi:10.1145/3272127.3275059; RGB files, CC0), and sintered PTFE of NIST (Germer 2017, Applied
-Optics; 351, 532, 633 and 1064 nm; US government work). Seconds are of a machine of two cores that had other work; ±
-is a standard error. Cost is relative to the weighted energy of the measurement; largest albedo is that of the fitted
-material at 10, 28, 45, 60 and 75 degrees.
+Optics; 351, 532, 633 and 1064 nm; US government work). Seconds are of a machine of two cores that had other work.
+Behind a constant is its 90 % interval by the Laplace approximation, if it is at no bound and the data decide. Cost is
+relative to the weighted energy of the measurement; largest albedo is that of the fitted material at 10, 28, 45, 60 and
+75 degrees.
 
 {fits}
 

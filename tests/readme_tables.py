@@ -3,16 +3,17 @@
 import sys
 from pathlib import Path
 
-from merlfit.fitting.output.report import interval
+from merlfit.fitting.output.report import interval, median
 from merlfit.fitting.results.export import read_result
 from merlfit.fitting.support.numbers import number
 
 
 def parameters(result):
-    rows = ["| parameter | value | std. error | 5 .. 95 % | unit |", "|---|---|---|---|---|"]
+    rows = ["| parameter | value | 90 %, Laplace | median | 90 %, posterior | unit |", f"|{'---|' * 6}"]
     for q in result.parameters:
         unit = "" if q.unit == "1" else q.unit
-        rows.append(f"| {q.name} | {number(q.value)} | {number(q.standard_error, 2)} | {interval(q)} | {unit} |")
+        cells = [q.name, number(q.value), interval(q.laplace), median(q), interval(q.quantiles), unit]
+        rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
 
 

@@ -76,8 +76,11 @@ def test_result_obeys_the_shipped_schema(fitted):
     assert data["source"]["sha1"] == read(fitted[1]).sha1
     assert [q["name"] for q in data["parameters"]][:2] == ["beta", "p"]
     assert all(q["lower"] <= q["value"] <= q["upper"] for q in data["parameters"])
-    assert all((q["standard_error"] is None) == (q["at_bound"] != "no") for q in data["parameters"])
-    assert all(q["standard_error"] > 0 for q in data["parameters"] if q["at_bound"] == "no")
+    assert all(q["laplace"] is None for q in data["parameters"] if q["at_bound"] != "no")
+    known = [q for q in data["parameters"] if q["laplace"]]
+    assert {"beta", "p"} <= {q["name"] for q in known}
+    for q in known:
+        assert q["lower"] <= q["laplace"]["q05"] < q["value"] == q["laplace"]["q50"] < q["laplace"]["q95"] <= q["upper"]
     assert all(math.isfinite(x) for x in data["seconds"].values())
 
 

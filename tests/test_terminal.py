@@ -75,7 +75,7 @@ def test_inspect_is_readable_at_80_columns():
     print_result(printed, made(posterior=True))
     text = printed.file.getvalue()
     assert max(map(len, text.splitlines())) <= 80
-    for word in ("sigma_s", "grazing_exponent", "0.09 .. 0.11", "[0.001, 1]", "std. error"):
+    for word in ("sigma_s", "grazing_exponent", "0.09 .. 0.11", "grazing_exponent_diffracted", "median"):
         assert word in text
 
 

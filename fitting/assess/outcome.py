@@ -22,6 +22,8 @@ from .laplace import laplace_covariance
 from .selection import VISIBLE, alike, lost
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
+DECIDED = np.sqrt(0.5)  # of the prior's standard deviation: data leave as much that say as much as the prior
+NINETY = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
 UNREAL = ", but no matter is like that"
@@ -72,6 +74,26 @@ class Fitted:
     def standard_errors(self) -> np.ndarray:
         """Of the physical values, (P,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @cached_property
+    def laplace(self) -> list[tuple[float, float] | None]:
+        """90 % intervals of the physical values by the Laplace approximation; None where the data do not decide.
+
+        Each value is normal in its own free coordinate, given the others at the fit: with J the slopes and C the
+        covariance there, of the standard deviation sqrt((J C J^T)_ii) / J_ii. So an interval holds the value, keeps
+        within the bounds and is as skew as the coordinate. The data decide where this is below `DECIDED` of what
+        the prior alone, C = 1, leaves.
+        """
+        z, slopes = np.asarray(self.solution.z), np.asarray(self.layout.slopes(jnp.asarray(self.solution.z)))
+        own, prior = np.abs(np.diag(slopes)), np.linalg.norm(slopes, axis=1)
+
+        def end(k: int, steps: float) -> float:
+            return float(self.layout.flat(jnp.asarray(z).at[k].add(steps / own[k]))[k])
+
+        return [
+            (end(k, -NINETY * error), end(k, NINETY * error)) if error < DECIDED * prior[k] and own[k] > 0 else None
+            for k, error in enumerate(self.standard_errors)
+        ]
 
     @cached_property
     def at_bound(self) -> list[Bound]:
@@ -126,13 +148,20 @@ def cautions(fitted: Fitted, config: Config) -> list[str]:
         found.append(
             f"the model does not describe this file well: {fitted.solution.cost:.0%} of its weighted energy is left"
         )
-    names = fitted.layout.names
-    if bound := [f"{n} ({at})" for n, at in zip(names, fitted.at_bound, strict=True) if at != "no"]:
+    if bound := [_near(fitted, k) for k, at in enumerate(fitted.at_bound) if at != "no"]:
         found.append(f"at a bound, so that a value beyond it may fit better: {', '.join(bound)}")
     values = {name: fitted.values[s] for name, s in fitted.layout.slices.items()}
     bands = fitted.layout.bands
     found += fitted.material.cautions(values, bands.names, bands.wavelengths_um)
     return found + excess(fitted)
+
+
+def _near(fitted: Fitted, k: int) -> str:
+    """A name, and how near it is to the bound that it is at."""
+    q, value, at = fitted.layout.entries[k], fitted.values[k], fitted.at_bound[k]
+    away, bound = float(q.position(value)), q.lower if at == "lower" else q.upper
+    away = away if at == "lower" else 1 - away
+    return f"{fitted.layout.names[k]} ({at}, {bound:g}, to {max(away, 0.0):.1%} of the range)"
 
 
 def excess(fitted: Fitted) -> list[str]:

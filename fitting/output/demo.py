@@ -84,7 +84,7 @@ def truth_table(result: Result) -> Table:
     for head in ("parameter", "true", "fitted", "5 .. 95 %", "unit"):
         table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", overflow="fold")
     for q, x in zip(result.parameters, _true(result), strict=True):
-        table.add_row(q.name, number(x), number(q.value), interval(q), "-" if q.unit == "1" else q.unit)
+        table.add_row(q.name, number(x), number(q.value), interval(q.quantiles), "-" if q.unit == "1" else q.unit)
     return table
 
 

@@ -10,9 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..assess.identifiability import in_words
-from ..results.schema import Accuracy, DerivedResult, Model, ParameterResult, Result
+from ..results.schema import Accuracy, Model, ParameterResult, Quantiles, Result
 from ..support.numbers import number
 
+LAPLACE = "by the Laplace approximation"
 WIDE = 110  # columns, from which on a table has room for sentences
 
 
@@ -60,24 +61,39 @@ def _not_the_lowest(result: Result) -> str:
     return f"; taken: {taken}, the simplest of those that describe the file about as well as the lowest"
 
 
-def interval(q: ParameterResult | DerivedResult) -> str:
-    """The 90 % interval, or the reason why there is none."""
-    if q.quantiles is None:
-        return "-"
-    return f"{number(q.quantiles.q05)} .. {number(q.quantiles.q95)}"
+def interval(found: Quantiles | None) -> str:
+    """A 90 % interval; a dash where there is none."""
+    return "-" if found is None else f"{number(found.q05)} .. {number(found.q95)}"
+
+
+def median(q: ParameterResult) -> str:
+    """Of the posterior; a dash without one."""
+    return number(q.quantiles.q50) if q.quantiles else "-"
 
 
 def parameter_table(result: Result, width: int) -> Table:
-    """Parameters with intervals; what they mean only where the terminal has room for it."""
-    heads = ["parameter", "value", "std. error", "5 .. 95 %", "unit", "bounds", *(["meaning"] if width >= WIDE else [])]
-    table = Table(title=f"{result.source.material}: fitted parameters", title_justify="left", box=box.SIMPLE_HEAD)
+    """Parameters with one kind of interval; all bounds, and what they mean, only where the terminal has room for it.
+
+    Of the posterior where there is one, by the Laplace approximation where there is none: side by side the narrower
+    one would be believed.
+    """
+    sampled, wide = any(q.quantiles for q in result.parameters), width >= WIDE
+    heads = ["parameter", "value", *(["median"] if sampled else []), "5 .. 95 %", "unit"]
+    heads += ["bounds", "meaning"] if wide else ["at bound"]
+    said = f"fitted parameters; 90 % intervals {'of the posterior' if sampled else LAPLACE}"
+    table = Table(
+        title=f"{result.source.material}: {said}", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )  # fmt: skip
     for head in heads:
         left = head in ("parameter", "unit", "meaning")
         table.add_column(head, justify="left" if left else "right", overflow="fold")
     for q in result.parameters:
-        bounds = f"[{number(q.lower)}, {number(q.upper)}]" + (f" at {q.at_bound}" if q.at_bound != "no" else "")
+        at = "" if q.at_bound == "no" else f"{q.at_bound} {number(q.lower if q.at_bound == 'lower' else q.upper)}"
+        bounds = f"[{number(q.lower)}, {number(q.upper)}]{f' at {at}' if at else ''}" if wide else at
         unit = "-" if q.unit == "1" else q.unit
-        row = (q.name, number(q.value), number(q.standard_error, 2), interval(q), unit, bounds, q.meaning)
+        found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
+        row = (q.name, number(q.value), *found, unit, bounds, q.meaning)
         table.add_row(*row[: len(heads)])
     return table
 
@@ -165,7 +181,7 @@ def derived_table(result: Result) -> Table:
     for head in ("quantity", "value", "5 .. 95 %", "unit", "meaning"):
         table.add_column(head, justify="right" if head in ("value", "5 .. 95 %") else "left")
     for q in result.derived:
-        table.add_row(q.name, number(q.value), interval(q), "-" if q.unit == "1" else q.unit, q.meaning)
+        table.add_row(q.name, number(q.value), interval(q.quantiles), "-" if q.unit == "1" else q.unit, q.meaning)
     return table
 
 

@@ -89,14 +89,14 @@ def _ratios(axis: Axes, angle: np.ndarray, samples: ScatteredSamples, fitted: np
 
 
 def _spectrum(axis: Axes, result: Result, name: str, wavelengths_um: list[float]) -> None:
-    """A parameter over the wavelength, with its standard errors where there are any."""
+    """A parameter over the wavelength, with its 90 % interval by the Laplace approximation where there is one."""
     entries = [q for q in result.parameters if q.parameter == name]
     order = np.argsort(wavelengths_um)
     um = np.array(wavelengths_um)[order]
     value = np.array([q.value for q in entries])[order]
-    error = np.array([q.standard_error or 0.0 for q in entries])[order]
+    ends = np.array([(q.laplace.q05, q.laplace.q95) if q.laplace else (np.nan, np.nan) for q in entries])[order].T
     axis.plot(1e3 * um, value, "o-", markersize=3, linewidth=1.0, color="#2f5fb3")
-    axis.fill_between(1e3 * um, value - error, value + error, alpha=0.25, linewidth=0, color="#2f5fb3")
+    axis.fill_between(1e3 * um, *ends, alpha=0.25, linewidth=0, color="#2f5fb3")
     axis.set(
         xlabel="wavelength (nm)", ylabel=symbol(entries[0].symbol, name), title=plain(f"{name}: {entries[0].meaning}")
     )

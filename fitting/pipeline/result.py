@@ -83,14 +83,17 @@ def unread(measurement: Input) -> list[str]:
 
 
 def parameter_results(fitted: Fitted) -> list[schema.ParameterResult]:
-    """Every entry with value, Laplace standard error and bounds."""
+    """Every entry with value, interval by the Laplace approximation and bounds."""
     layout, bounds = fitted.layout, fitted.at_bound
+    intervals = [
+        schema.Quantiles(q05=ends[0], q50=float(value), q95=ends[1]) if ends and at == "no" else None
+        for ends, value, at in zip(fitted.laplace, fitted.values, bounds, strict=True)
+    ]
     return [
         schema.ParameterResult(
             name=name, parameter=q.name, symbol=q.symbol, channel=name.rsplit("_", 1)[-1] if q.per_channel else None,
             meaning=q.meaning, unit=q.unit, value=float(fitted.values[i]),
-            standard_error=export.finite(fitted.standard_errors[i]) if bounds[i] == "no" else None,
-            quantiles=None, lower=q.lower, upper=q.upper,
+            laplace=intervals[i], quantiles=None, lower=q.lower, upper=q.upper,
             at_bound=bounds[i],
             prior=layout.prior(q), source=q.source,
         )

@@ -26,7 +26,7 @@ from ..assess.identifiability import in_words
 from ..execution.pool import end_with_parent, jobs_for
 from ..output.comparison import group_of
 from ..output.inspection import file_of
-from ..output.report import accuracy_line, fitted_line, interval, number
+from ..output.report import accuracy_line, fitted_line, interval, median, number
 from ..pictures.corner import UNITS
 from ..pictures.prediction import PEAK_DIFFERENCE_DEG
 from ..pictures.subject import Subject, subject_of
@@ -184,7 +184,7 @@ def _page_of(job: Job, result: Result) -> Page:
     return {
         "result": result, "name": job.name, "before": job.before, "after": job.after, "json": os.path.relpath(
             job.path, job.out / "materials"), "fitted": None if m is None else fitted_line(m), "number": number,
-        "interval": interval, "symbol": _symbol, "spec": {}, "svg": {}, "pictures": {}, "widths": [],
+        "interval": interval, "median": median, "symbol": _symbol, "spec": {}, "svg": {}, "pictures": {}, "widths": [],
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
         "at_bound": [q.name for q in result.parameters if q.at_bound != "no"], "command": command,
@@ -219,14 +219,10 @@ def _index_row(row: Row, name: str | None, out: Path) -> Page:
     """What the index shows of a result, and what its charts need."""
     small = {kind: f"pictures/{name}.small-{kind}.webp" for kind in ("file", "fit")}
     parameters: Page = {}
-    for key in [str(k)[:-3] for k in row if str(k).endswith("_se")]:
-        value, error = row[key], row[f"{key}_se"]
-        low, high = row[f"{key}_q05"], row[f"{key}_q95"]
-        if value is None:
-            continue
-        if low is None and isinstance(error, float) and isinstance(value, float):
-            low, high = value - 1.645 * error, value + 1.645 * error
-        parameters[key] = value, low, high
+    for key in [str(k).removesuffix("_q50") for k in row if str(k).endswith("_q50")]:
+        kind = ("low", "high") if row[f"{key}_q50"] is None else ("q05", "q95")
+        if row[key] is not None:
+            parameters[key] = row[key], *(row[f"{key}_{end}"] for end in kind)
     return {
         **{key: row[key] for key in (*SHOWN, *FIGURES)},
         "group": group_of(str(row["material"])), "cautions": str(row["cautions"] or ""), "data": row["data"],

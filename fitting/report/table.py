@@ -56,8 +56,9 @@ def rows_of(folder: Path) -> list[Row]:
     """A row a result in a folder and those in it, and one a file that has none.
 
     Returns:
-        by material and model: the columns of ``HEADS``, then of each parameter its value, ``_se`` (standard error),
-        ``_q05`` and ``_q95`` (90 % interval of the posterior). What there is not is None.
+        by material and model: the columns of ``HEADS``, then of each parameter its value, ``_low`` and ``_high``
+        (90 % interval by the Laplace approximation), ``_q05``, ``_q50`` and ``_q95`` (of the posterior). What there is
+        not is None.
     """
     last = dict(_last(folder))
     found = [
@@ -121,7 +122,8 @@ def _parameters(result: Result) -> Mapping[str, float | None]:
     found: dict[str, float | None] = {}
     for p in result.parameters:
         found |= {
-            p.name: p.value, f"{p.name}_se": p.standard_error,
-            f"{p.name}_q05": p.quantiles and p.quantiles.q05, f"{p.name}_q95": p.quantiles and p.quantiles.q95,
+            p.name: p.value,
+            f"{p.name}_low": p.laplace and p.laplace.q05, f"{p.name}_high": p.laplace and p.laplace.q95,
+            **{f"{p.name}_{q}": p.quantiles and getattr(p.quantiles, q) for q in ("q05", "q50", "q95")},
         }  # fmt: skip
     return found

@@ -10,14 +10,14 @@ ROUNDING = 1e-9  # relative: by so much a value may lie beyond a bound
 
 
 class Quantiles(Strict):
-    """Posterior quantiles."""
+    """Of a distribution: a 90 % interval and what lies in the middle."""
 
     q05: float
-    """5 % of the posterior lie below it."""
+    """5 % lie below it."""
     q50: float
-    """Median of the posterior."""
+    """Median."""
     q95: float
-    """95 % of the posterior lie below it."""
+    """95 % lie below it."""
 
 
 class ParameterResult(Strict):
@@ -37,8 +37,9 @@ class ParameterResult(Strict):
     """Unit of the numbers; "um" is micrometres, "1" no unit."""
     value: float
     """Fitted value."""
-    standard_error: float | None
-    """By the Laplace approximation; null at a bound, where there is no normal distribution."""
+    laplace: Quantiles | None
+    """By the Laplace approximation in free coordinates, around the fitted value and within the bounds
+    (docs/statistics.md); null at a bound, where the prior says more than the data, and before version 2.3."""
     quantiles: Quantiles | None
     """Of the posterior; null without a posterior that is good enough."""
     lower: float

@@ -9,11 +9,13 @@ def upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
     """An older version as 2.3; what is missing or wrong is left for the reader of that to complain about.
 
     1.x knew the two-scale model alone, and had the acquisition among its effects; 2.0 lacked a field that may be null;
-    before 2.2 every file was MERL's.
+    before 2.2 every file was MERL's, before 2.3 parameters had standard errors, which the covariance holds still.
     """
     if not isinstance(data, dict):
         return data
     found = {**data, "schema_version": "2.3"}
+    if isinstance(parameters := data.get("parameters"), list):
+        found["parameters"] = [_parameter(each) for each in parameters]
     if isinstance(source := data.get("source"), dict):
         found["source"] = {"format": "MERL", "dims": DIMS, **source}
     if data.get("schema_version") in ("2.0", "2.1", "2.2"):
@@ -40,6 +42,12 @@ def _model(model: dict[str, Any]) -> dict[str, Any]:
         "grazing_loss": loss, "apparatus": apparatus if loss == "derived" else None, "exponents": exponents,
     }  # fmt: skip
     return {"name": "two-scale", **kept, "settings": effects, "acquisition": acquisition}
+
+
+def _parameter(parameter: Any) -> Any:  # noqa: ANN401 - plain data of JSON
+    if not isinstance(parameter, dict):
+        return parameter
+    return {"laplace": None} | {key: value for key, value in parameter.items() if key != "standard_error"}
 
 
 def _candidate(candidate: Any) -> Any:  # noqa: ANN401 - plain data of JSON

@@ -9,6 +9,7 @@ from merlfit.fitting.objective.problem import make_problem
 from merlfit.fitting.objective.residuals import Objective
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.results.schema import Quantiles
 from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured
@@ -33,7 +34,12 @@ def test_the_check_of_fits_sees_a_wrong_status_and_a_parameter_that_is_not_finit
     assert fits.complaints({**file, "status": ["NO_DATA"]}, found) == [f"status {found.fit.status}"]
     assert fits.complaints({**file, "near": 1e-2}, found)
     first, *rest = found.parameters
-    for update in ({"value": float("nan")}, {"value": first.upper + 1}, {"standard_error": float("inf")}):
+    beyond = Quantiles.model_construct(q05=0.0, q50=first.value, q95=float("nan"))
+    for update in (
+        {"value": float("nan")},
+        {"value": first.upper + 1},
+        {"laplace": beyond},
+    ):
         spoiled = found.model_copy(update={"parameters": [first.model_copy(update=update), *rest]})
         assert fits.complaints(file, spoiled)
     assert "**" in fits.markdown([fits.Row("a file", "CONVERGED", "so", ["status CONVERGED"])])

@@ -19,8 +19,10 @@ from merlfit.merl_io.bands import MERL
 from merlfit.merl_io.binary import DIMS
 from merlfit.model.measured import Measured
 from merlfit.model.plausible import METAL_FLOOR
+from merlfit.model.priors import PRIORS
 from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
+from scipy.stats import norm
 
 LAYOUT = layout_of(Measured(TwoScale("lambert", index="complex")))
 VALUES = {
@@ -57,7 +59,7 @@ def test_a_good_fit_needs_no_caution():
     (fitted({**VALUES, "sigma_s": 0.3}), ["sigma_s is more than half a wavelength"]),
     (fitted({**VALUES, "albedo": np.array([0.0, 2 * METAL_FLOOR, 0.0])}), ["no metal", "effective values"]),
     (fitted({**VALUES, "n": np.full(3, 0.8), "k": np.full(3, 0.9)}), ["no metal has n 0.8 with k 0.9 (R)"]),
-    (fitted({**VALUES, "p": 0.2005}), ["at a bound", "p (lower)"]),
+    (fitted({**VALUES, "p": 0.2005}), ["at a bound", "p (lower, 0.2, to 0.1% of the range)"]),
     (fitted(errors=replace(GOOD, highlight=0.3)), ["0.3 times as bright as the file's", "--weights adaptive"]),
     (fitted(converged=False), ["still falling"]),
     (fitted(errors=replace(GOOD, lamp=0.4, environment=5.8)), ["0.4 under a lamp, 5.8 under"]),
@@ -111,6 +113,40 @@ def test_an_albedo_is_at_no_bound():
     one = fitted({**VALUES, "albedo": np.full(3, 1e-5)})
     assert set(one.at_bound) == {"no"}
     assert np.all(np.isfinite(one.standard_errors))
+
+
+def test_intervals_are_those_of_the_free_coordinates():
+    """Against the priors' formulas; the prior of sigma_s moves with b and c."""
+    one, deviation = fitted(), 31**-0.5
+    found = dict(zip(LAYOUT.names, one.laplace, strict=True))
+    q = next(q for q in LAYOUT.parameters if q.name == "grazing_exponent")
+    z = norm.ppf((0.4 - q.lower) / (q.upper - q.lower))
+    expected = q.lower + norm.cdf(z + deviation * norm.ppf([0.05, 0.95])) * (q.upper - q.lower)
+    np.testing.assert_allclose(found["grazing_exponent"], expected, rtol=1e-4)
+    assert found["grazing_exponent"][1] < q.upper
+
+    q, prior = next(q for q in LAYOUT.parameters if q.name == "b"), PRIORS.b
+    low, high = (np.log(x / prior.median) / np.log(prior.factor) for x in (q.lower, q.upper))
+    cut = lambda p: norm.ppf(norm.cdf(low) + p * (norm.cdf(high) - norm.cdf(low)))  # noqa: E731
+    share = (norm.cdf(np.log(3.0 / prior.median) / np.log(prior.factor)) - norm.cdf(low)) / (
+        norm.cdf(high) - norm.cdf(low)
+    )
+    ends = norm.cdf(norm.ppf(share) + deviation * norm.ppf([0.05, 0.95]))
+    np.testing.assert_allclose(found["b"], prior.median * prior.factor ** cut(ends), rtol=1e-4)
+
+    z, at = one.solution.z, LAYOUT.names.index("sigma_s")
+    step = 1e-6 * np.eye(len(z))
+    slope = np.array([(LAYOUT.flat(z + s)[at] - LAYOUT.flat(z - s)[at]) / 2e-6 for s in step])
+    wide = deviation * np.linalg.norm(slope) / slope[at]
+    assert wide > 1.02 * deviation, "b and c move it"
+    ends = [LAYOUT.flat(z + side * 1.6449 * wide * np.eye(len(z))[at])[at] for side in (-1, 1)]
+    np.testing.assert_allclose(found["sigma_s"], ends, rtol=1e-5)
+
+
+def test_where_the_prior_says_more_than_the_data_there_is_no_interval():
+    undecided = [replace(fitted(), count=count).laplace for count in (3.0, 4.0)]  # precisions 0.9 and 1.2
+    assert set(undecided[0]) == {None}
+    assert None not in undecided[1]
 
 
 def test_other_kinds_are_named_by_the_rule_that_chooses():

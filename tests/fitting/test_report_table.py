@@ -47,9 +47,11 @@ def test_a_row_a_result_with_its_parameters_and_intervals(tmp_path):
     beta = sampled.parameters[0]
     found = rows[2]
     assert beta.name == "beta"
-    assert [float(found[head]) for head in ("beta", "beta_se", "beta_q05", "beta_q95")] == [
-        float(f"{x:.6g}") for x in (beta.value, beta.standard_error, beta.quantiles.q05, beta.quantiles.q95)
-    ]
+    assert [float(found[head]) for head in ("beta", "beta_low", "beta_high", "beta_q05", "beta_q50", "beta_q95")] == [
+        float(f"{x:.6g}") for x in (
+            beta.value, beta.laplace.q05, beta.laplace.q95, beta.quantiles.q05, beta.quantiles.q50, beta.quantiles.q95
+        )
+    ]  # fmt: skip
     assert (found["cautions"], found["posterior"], found["genuine_merl"]) == ("first, with a comma; second", "ok", "no")
     assert (float(found["rmse"]), float(found["seconds"]), float(found["cost"])) == (0.1, 2.5, 0.02)
     assert rows[0]["beta_q05"] == ""

@@ -89,7 +89,7 @@ def complaints(file: dict, result: Result) -> list[str]:
     }
     for q in result.parameters:
         wrong[q.name] = not (np.isfinite(q.value) and q.lower <= q.value <= q.upper)
-        wrong[f"standard error of {q.name}"] = q.standard_error is not None and not np.isfinite(q.standard_error)
+        wrong[f"interval of {q.name}"] = q.laplace is not None and not q.laplace.q05 < q.value < q.laplace.q95
     if "near" in file and result.parameters:
         found = result.values()
         wrong |= {f"{q} far off": not np.allclose(found[q], x, rtol=file["near"], atol=0) for q, x in TRUTH.items()}

@@ -13,8 +13,8 @@ from merlfit.model.two_scale import TwoScale
 DEFAULTS = {q.name: jnp.asarray(q.default) for q in Measured(TwoScale("none")).parameters}  # now: it compiles something
 
 
-def quantiles(value):
-    return schema.Quantiles(q05=0.9 * value, q50=value, q95=1.1 * value)
+def quantiles(value, width=0.1):
+    return schema.Quantiles(q05=(1 - width) * value, q50=value, q95=(1 + width) * value)
 
 
 def made(material="nickel", path="nickel.binary", model=None, posterior=None, sha1="0" * 40, succeeded=True):
@@ -24,7 +24,7 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
     parameters = [
         schema.ParameterResult(
             name=name, parameter=q.name, symbol=q.symbol, channel=name[-1] if q.per_channel else None,
-            meaning=q.meaning, unit=q.unit, value=q.default, standard_error=q.default / 10,
+            meaning=q.meaning, unit=q.unit, value=q.default, laplace=quantiles(q.default, 0.2),
             quantiles=quantiles(q.default) if posterior else None, lower=q.lower, upper=q.upper, at_bound="no",
             prior=layout.prior(q), source=q.source,
         )
