@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 STORE = ROOT / "results" / "proofs.json"
 EVERYWHERE = ("constraints.txt", "tests/conftest.py", *(f"tests/support/{name}.py" for name in (
-    "arrays", "chi_square", "clusters", "compiled", "lobes", "made_results", "worker_tasks"
+    "arrays", "chi_square", "clusters", "compiled", "lobes", "made_results", "plain_jacobian", "worker_tasks"
 )))  # fmt: skip
 EXECUTION = ("files.py", "execution", "main", "pipeline", "results", "settings", "support")
 GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -27,6 +27,12 @@ GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "models": (
         ("tests/model", "tests/rivals", "tests/test_oracles.py", "tests/test_hard_cases.py"),
         ("model", "merl_io", "fitting/support/tables.py", "tests/hard_cases", "tests/oracles", "tests/energy.py"),
+    ),
+    "objective": (
+        tuple(
+            f"tests/fitting/test_{name}.py" for name in ("models", "problem", "transforms", "trust_region", "weights")
+        ),
+        ("model", "merl_io", "fitting/objective", "fitting/settings", "fitting/solve", "tests/oracles"),
     ),
     "scenes": (("tests/scene", "tests/sampling"), ("scene", "model", "merl_io", "tests/oracles")),
 }

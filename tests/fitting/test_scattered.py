@@ -65,8 +65,7 @@ def test_weights_are_the_share_times_that_of_the_value(file):
         np.testing.assert_allclose(np.sort(found), np.sort(plane[inside]))
 
 
-@pytest.mark.parametrize("model", [Measured(TwoScale("none"), "off"), Measured(TwoScale("plastic"), 0.2)], ids=str)
-@pytest.mark.parametrize("columns", [1, 12])
+@pytest.mark.parametrize(("model", "columns"), [(Measured(TwoScale("none"), "off"), 12), (Measured(GGX()), 1)], ids=str)
 def test_cost_and_slopes_are_those_of_the_model_at_each_direction(file, model, columns):
     """What the fit looks up in tables is what each direction computes for itself; slopes are those of the cost."""
     samples = weighted_samples(inputs.read(file))
