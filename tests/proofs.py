@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 STORE = ROOT / "results" / "proofs.json"
 EVERYWHERE = ("constraints.txt", "tests/conftest.py", *(f"tests/support/{name}.py" for name in (
-    "arrays", "chi_square", "clusters", "compiled", "lobes", "made_results", "plain_jacobian", "worker_tasks"
+    "arrays", "chi_square", "clusters", "compiled", "lobes", "made_results", "worker_tasks"
 )))  # fmt: skip
 EXECUTION = ("files.py", "execution", "main", "pipeline", "results", "settings", "support")
 GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -32,7 +32,15 @@ GROUPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         tuple(
             f"tests/fitting/test_{name}.py" for name in ("models", "problem", "transforms", "trust_region", "weights")
         ),
-        ("model", "merl_io", "fitting/objective", "fitting/settings", "fitting/solve", "tests/oracles"),
+        (
+            "model",
+            "merl_io",
+            "fitting/objective",
+            "fitting/settings",
+            "fitting/solve",
+            "tests/oracles",
+            "tests/support/plain_jacobian.py",
+        ),
     ),
     "scenes": (("tests/scene", "tests/sampling"), ("scene", "model", "merl_io", "tests/oracles")),
 }
