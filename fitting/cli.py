@@ -311,7 +311,7 @@ def materials() -> None:
     """List the published tables that `merlfit synth` knows, and their materials."""
     from .output.synthesis import describe_sources
 
-    console.print(describe_sources(), soft_wrap=True)
+    console.print(describe_sources())
 
 
 @app.command(epilog="Example: merlfit models")
@@ -506,7 +506,7 @@ def demo(
         path = make(out, force)
     except (Occupied, MerlError) as error:
         raise fail(str(error)) from None
-    console.print(f"{path}: {SAID}", soft_wrap=True)
+    console.print(f"{path}: {SAID}")
     outcomes = fit_files([path], out, settings(seed))
     result = outcomes[0].result
     if result is not None:
@@ -515,4 +515,4 @@ def demo(
     if result is not None and result.model is not None:
         console.print(truth_table(result))
         console.print(verdict(result))
-    console.print(f"demo done in {time.perf_counter() - start:.0f} s; results in {out}/", soft_wrap=True)
+    console.print(f"demo done in {time.perf_counter() - start:.0f} s; results in {out}/")

@@ -90,7 +90,7 @@ def compare_files(
                 found, _ = compare_file(path, wanted, settings, out, say, with_published, placed)
                 rows += found
                 code = max(code, 0 if any(row.origin == FIT for row in found) else FAILED_FIT)
-                console.print(f"{label}: {verdict(found)}", soft_wrap=True)
+                console.print(f"{label}: {verdict(found)}")
             except ConfigError as error:
                 raise fail(str(error)) from None
             except MerlError as error:
@@ -117,7 +117,7 @@ def compare_files(
             written = write_tables(rows, out, NAME, title, data)
         except WriteError as error:
             raise fail(str(error)) from None
-        console.print(f"wrote {written[0]}, and .md, .html and .png beside it", soft_wrap=True)
+        console.print(f"wrote {written[0]}, and .md, .html and .png beside it")
     if code:
         raise typer.Exit(code)
 
@@ -140,7 +140,7 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)
     console.print(table_of(rows))
-    console.print(verdict(rows), soft_wrap=True)
+    console.print(verdict(rows))
 
 
 def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool = False) -> None:
@@ -159,4 +159,4 @@ def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool
         except WriteError as error:
             raise fail(str(error)) from None
         for path in written:
-            console.print(f"wrote {path}", soft_wrap=True)
+            console.print(f"wrote {path}")

@@ -83,7 +83,7 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
             written = _exported(path, to, out, say)
     except (ResultError, MerlError, SceneError, OSError) as error:
         raise fail(str(error)) from None
-    console.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
+    console.print("wrote " + ", ".join(map(str, written)))
 
 
 def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> list[Path]:

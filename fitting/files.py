@@ -49,7 +49,7 @@ def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim 
         chosen = aim(request(accuracy, within), settings)
     except ValueError as error:
         raise fail(str(error)) from None
-    console.print(chosen.summary, soft_wrap=True)
+    console.print(chosen.summary)
     return chosen
 
 
@@ -215,7 +215,7 @@ class _Run:
         if result is not None:
             console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s")
             if result.accuracy is not None:
-                console.print(f"{label}: {accuracy_line(result.accuracy)}", soft_wrap=True)
+                console.print(f"{label}: {accuracy_line(result.accuracy)}")
         else:
             fail(_with_command(self.units[k].path, ended.error))
         if ended.said:

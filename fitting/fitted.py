@@ -24,12 +24,12 @@ from .results.export import ResultError, write_result
 from .results.schema import Model, ParameterResult, Quantiles, Result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
-from .support.terminal import PLAIN, Screen
+from .support.terminal import PLAIN, Screen, console
 
 if TYPE_CHECKING:
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
 
-WIDTH = 118  # columns of a fit that is printed
+WIDTH = 118  # columns of a fit that is printed, at the most
 
 
 class Values(dict[str, Any]):
@@ -264,9 +264,9 @@ class Fit:
         return self.result.model
 
     def __str__(self) -> str:
-        console = Screen(width=WIDTH, color_system=None, highlight=False)
-        with console.capture() as capture:
-            print_result(console, self.result)
+        shown = Screen(width=min(console.width, WIDTH), force_terminal=True, color_system=None, highlight=False)
+        with shown.capture() as capture:
+            print_result(shown, self.result)
         return capture.get()
 
     def __repr__(self) -> str:

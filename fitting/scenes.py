@@ -27,6 +27,7 @@ from .results.export import ResultError, read_result
 from .results.schema import Result
 from .support.clock import Stage
 from .support.compilation import make_room, use_persistent_cache
+from .support.numbers import counted
 from .support.outputs import OURS, refuse_others
 from .support.terminal import (
     FAILED_FIT,
@@ -143,31 +144,28 @@ def plans_of(ready: Staged, say: Say) -> list[Plan]:
     return found
 
 
-def plan_table(plans: Sequence[Plan], scene: Scene) -> Table:
-    """For people."""
-    kind = "CIELAB" if scene.tolerance.cielab is not None else "of the radiance"
-    table = Table(title=f"effects within {allowed(scene.tolerance):g} ({kind}), worst of the pixels looked at")
-    for heading, justify in (
-        ("material", "left"), ("effect", "left"), ("", "left"), ("alone", "right"), ("with those before", "right"),
-        ("saves", "right"), ("instead", "left"),
-    ):  # fmt: skip
-        table.add_column(heading, justify=justify)  # pyright: ignore[reportArgumentType] - left or right
+def plan_tables(plans: Sequence[Plan], scene: Scene) -> list[Table]:
+    """For people, one a material."""
+    found, kind = [], "CIELAB" if scene.tolerance.cielab is not None else "of the radiance"
     for each in plans:
+        off = "measured, as it is" if each.reference is None else f"off by {each.off_by:.3g}"
+        looked = "all" if each.pixels == each.of else f"{each.pixels} of"
+        slow, fast = each.nanoseconds
+        table = Table(title=(
+            f"{each.name}: {off} (allowed {allowed(scene.tolerance):g}, {kind}, worst of {looked} "
+            f"{counted(each.of, 'pixel')}); {slow:.0f} -> {fast:.0f} ns a direction"
+        ))  # fmt: skip
+        for heading in ("effect", "", "alone", "with those\nbefore", "saves\n(ns)", "instead"):
+            table.add_column(heading, justify="left" if heading in ("effect", "", "instead") else "right")
         for row in each.rows:
             moot = row.together is None
-            together = "nothing left of it" if moot else f"{row.together:.3g}"
             table.add_row(
-                each.name, row.effect.name, "kept" if row.kept else "moot" if moot else "dropped", f"{row.alone:.3g}",
-                together, f"{row.nanoseconds:.0f} ns", "" if row.kept else row.effect.instead,
+                row.effect.name, "kept" if row.kept else "moot" if moot else "dropped", f"{row.alone:.3g}",
+                "-" if moot else f"{row.together:.3g}", f"{row.nanoseconds:.0f}",
+                "" if row.kept else row.effect.instead,
             )  # fmt: skip
-        looked = "all" if each.pixels == each.of else f"{each.pixels} of"
-        said = "measured, as it is" if each.reference is None else f"off by {each.off_by:.3g}"
-        slow, fast = each.nanoseconds
-        table.add_row(
-            each.name, f"[all: {said}]", "", "", f"{looked} {each.of} pixels", f"{slow - fast:.0f} ns",
-            f"{slow:.0f} -> {fast:.0f} ns a direction", end_section=True,
-        )  # fmt: skip
-    return table
+        found.append(table)
+    return found
 
 
 def as_json(plans: Sequence[Plan]) -> list[dict[str, Any]]:
@@ -275,7 +273,7 @@ def plan_scene(path: Path) -> None:
             found = plans_of(ready, say)
     except (SceneError, OSError) as error:
         raise fail(str(error)) from None
-    console.print(plan_table(found, ready.scene))
+    console.print(*plan_tables(found, ready.scene))
 
 
 REPORT = "render.json"
@@ -303,8 +301,8 @@ def render_scene(
     except (SceneError, OSError) as error:
         raise fail(str(error)) from None
     if plans is not None:
-        console.print(plan_table(plans, ready.scene))
-    console.print(f"wrote {out / 'picture.exr'} and .png: " + said_of(found, ready.scene), soft_wrap=True)
+        console.print(*plan_tables(plans, ready.scene))
+    console.print(f"wrote {out / 'picture.exr'} and .png: " + said_of(found, ready.scene))
     if not found.within:
         fail("the picture differs by more than the tolerance from that with all effects: use --all-effects")
         raise typer.Exit(FAILED_FIT)

@@ -156,7 +156,7 @@ def render_results(
                 refuse_others([target], force)
                 _render_result(path, target, vary, scene, say)
                 written.add(target)
-                console.print(f"wrote {target}", soft_wrap=True)
+                console.print(f"wrote {target}")
             except (SceneError, ResultError, MerlError, OSError) as error:
                 code = BAD_INPUT
                 fail(str(error))

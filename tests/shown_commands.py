@@ -155,7 +155,7 @@ def rewrite(page: Path, runner: Runner) -> None:
     done = [(block, runner.output(block, page.name)) for block in shown(text)]
     for block, printed in reversed(done):
         if block.output is not None and printed is not None and "..." not in block.output.splitlines():
-            kept = "\n".join(line.rstrip() for line in printed.strip("\n").splitlines()) + "\n"
+            kept = "\n".join(line.rstrip() for line in printed.splitlines()).strip("\n") + "\n"
             text = text[: block.place[0]] + kept + text[block.place[1] :]
     page.write_text(text)
 

@@ -1,5 +1,6 @@
 """What commands look like at 80 columns, and the first things that a newcomer types."""
 
+import dataclasses
 import io
 import re
 import subprocess
@@ -7,76 +8,178 @@ import sys
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer.main
-from merlfit.fitting import cli
+from merlfit.fitting import cli, fitted
+from merlfit.fitting.assess.metrics import Errors
 from merlfit.fitting.fitted import Fit
-from merlfit.fitting.output.checked import check_table
-from merlfit.fitting.output.report import Outcome, print_result, summary_table
+from merlfit.fitting.output.catalogue import models_table
+from merlfit.fitting.output.checked import check_table, scattered_table
+from merlfit.fitting.output.comparison import table_of, verdict
+from merlfit.fitting.output.demo import EFFECTS, truth_table
+from merlfit.fitting.output.metrics import Assessed, metrics_table
+from merlfit.fitting.output.report import Outcome, pictures_table, print_result, summary_table
+from merlfit.fitting.output.synthesis import describe_sources
+from merlfit.fitting.pictures.all import PICTURES
+from merlfit.fitting.pipeline.comparison import Row
+from merlfit.fitting.results import schema
+from merlfit.fitting.scenes import plan_tables
 from merlfit.fitting.support import compilation, terminal
 from merlfit.fitting.support.clock import Stage
 from merlfit.fitting.support.terminal import Screen
-from merlfit.merl_io.check import FileReport
+from merlfit.merl_io.check import FileReport, ScatteredReport
+from merlfit.model.measured import Measured
+from merlfit.model.two_scale import TwoScale
+from merlfit.scene import effects
+from merlfit.scene.description import load
 from rich.console import Console
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 from typer.testing import CliRunner
 
-from tests.support.made_results import made
+from tests.support.made_results import made, quantiles
 
 runner = CliRunner()
 
 
 def screen(width=80):
-    return Screen(width=width, file=io.StringIO())
+    return Screen(width=width, file=io.StringIO(), force_terminal=True, color_system=None)
 
 
 def shown(*objects):
     printed = screen()
     for each in objects:
         printed.print(each)
+    return whole(printed)
+
+
+def whole(printed):
+    """What was printed, of which no line is too long and nothing is left out."""
     text = printed.file.getvalue()
     assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
     return text
 
 
-def report(path):
-    return FileReport(Path(path), (90, 90, 180), 0.731, 123456, 7, 3, 12, (1234.5, 1187.25, 998.125), "nickel", [])
+LONGEST = "specular-violet-phenolic"  # of MERL's names
+ERRORS = Errors(**{f.name: 0.0123456 for f in dataclasses.fields(Errors)})
+DERIVED = schema.DerivedResult(
+    name="directional_albedo_10600nm", quantity="directional_albedo", unit="1/sr", channel="10600nm", value=1.234e-5,
+    meaning="share of the light at 30 degrees of incidence that the material gives back, without the apparatus's loss",
+    quantiles=quantiles(1.234e-5),
+)  # fmt: skip
 
 
-def test_check_is_readable_at_80_columns():
-    text = shown(check_table([report("a/same.binary"), report("b/gold-metallic-paint2.binary")]))
-    for word in (
-        "a/same.binary",
-        "b/gold-metallic-paint2.binary",
-        "90x90x180",
-        "73.1%",
-        "123456",
-        "1187",
-        "yes: nickel",
-    ):
-        assert word in text
-    assert "…" not in text
+def row(model="interfaced-lambertian", material=LONGEST):
+    return Row(
+        material, False, model, "real subsurface", "fit", 0.5, "AT_BOUND", 14, ERRORS, 0.00123, -1.2345e4,
+        123.4, {},
+    )  # fmt: skip
 
 
-def test_the_summary_is_readable_at_80_columns():
+def gridded():
+    largest = (1.2345e-12, 1187.25, 998.125)
+    reports = [
+        FileReport(Path(f"{k}/{LONGEST}.binary"), (90, 90, 180), 0.731, 123456, 7, 3, 12, largest, genuine, [])
+        for k, genuine in enumerate(("gold-metallic-paint2", None))
+    ]
+    return [check_table(reports)], [f"1/{LONGEST}.binary", "90x90x180", "123456", "1.235e-12", "yes: gold-metallic"]
+
+
+def scattered():
+    report = ScatteredReport(
+        Path(f"measured/{LONGEST}.csv"), "table", 123456, ("400nm", "1000nm", 195), 1860, 0.987, (0.0, 89.9),
+        (0.0, 88.8), (0.0, 77.7), 1.2345e-12, (45.1, 46.2, 359.3), [],
+    )  # fmt: skip
+    wanted = [f"measured/{LONGEST}.csv", "123456", "195 of 2055", "400nm to 1000nm", "0.0 89.9", "45.1 46.2 359.3"]
+    return [scattered_table([report])], wanted
+
+
+def summary():
     failed = Outcome(Path("x/missing.binary"), None, "x/missing.binary: no such file", bad_input=True)
-    outcomes = [Outcome(Path("gold-metallic-paint2.binary"), made("gold-metallic-paint2", posterior=False)), failed]
-    text = shown(summary_table(outcomes))
-    for word in ("gold-metallic-paint2", "CONVERGED", "missing", "2.5"):
-        assert word in text
-    assert "bad input" in text
-    assert "no such file" not in text  # said on stderr when it happened
+    outcomes = [Outcome(Path(f"{LONGEST}.binary"), made(LONGEST, posterior=False)), failed]
+    return [summary_table(outcomes)], [LONGEST, "CONVERGED", "missing", "2.5", "bad input"]
 
 
-def test_inspect_is_readable_at_80_columns():
+def one_result():
+    result = made(LONGEST, posterior=True).model_copy(update={"derived": [DERIVED]})
+    wanted = ["sigma_s", "grazing_exponent_diffracted", "0.09 .. 0.11", "[0.001, 1]", "median", "falloff exponent"]
     printed = screen()
-    print_result(printed, made(posterior=True))
-    text = printed.file.getvalue()
-    assert max(map(len, text.splitlines())) <= 80
-    for word in ("sigma_s", "grazing_exponent", "0.09 .. 0.11", "grazing_exponent_diffracted", "median"):
-        assert word in text
+    print_result(printed, result)
+    return [*printed.file.getvalue().splitlines()], [*wanted, "share of the light", DERIVED.name, "1.111e-05"]
+
+
+def printed_fit():
+    return [str(Fit(made(LONGEST), Path("x.json")))], [LONGEST, "falloff exponent", "[0.001, 1]"]
+
+
+def compared():
+    rows = [row(), row("two-scale")]
+    wanted = ["interfaced-lambertian", "two-scale", "0.0123", "-1.234e+04", "lamp", "room", "peak"]
+    return [table_of(rows), table_of([*rows, row(material="other")]), verdict(rows)], wanted
+
+
+def of_metrics():
+    found = Assessed(Path(f"fits/{LONGEST}.json"), row(), Path("x"), "", np.zeros(0), np.zeros(0))
+    wanted = [f"fits/{LONGEST}.json", "sMAPE", "cube-root", "lamp", "theta_h = 0", "0.0123"]
+    return [metrics_table([found], Path(f"{LONGEST}.binary"))], wanted
+
+
+def plans():
+    rows = tuple(
+        effects.Row(each, kept, 0.000255, together, -353.2)
+        for each, kept, together in zip(effects.TWO_SCALE, [True, False] * 5, [0.106, None] * 5, strict=True)
+    )
+    plan = effects.Plan(LONGEST, TwoScale(), TwoScale(), rows, 0.599, 6912, 39330, (804.0, 229.0))
+    wanted = [LONGEST, "colour of diffraction", "that of reflection", "6912 of 39330 pixels", "moot", "-353"]
+    return plan_tables([plan, plan], load(Path("configs/scenes/metal.toml"))), wanted
+
+
+def drawn():
+    written = {Path(f"fits/{LONGEST}.two-scale.{name}.png"): picture.words for name, picture in PICTURES.items()}
+    return [pictures_table(written)], [f"{LONGEST}.two-scale.corner-all.png", "fits"]
+
+
+def models():
+    return [models_table()], ["sgd-microfacet", "diffuse_albedo (RGB)", "10.1111/j.1467-8659.2012.03147.x"]
+
+
+def published():
+    return [describe_sources()], ["color-changing-paint1", "cook_torrance_ngan:", "red-specular-plastic"]
+
+
+def demonstrated():
+    return [truth_table(made("x", posterior=True, model=Measured(EFFECTS, "off")))], ["eta_R", "0.27 .. 0.33"]
+
+
+MADE = [gridded, scattered, summary, one_result, printed_fit, compared, of_metrics, plans, drawn, models, published]
+
+
+@pytest.mark.parametrize("made_of", [*MADE, demonstrated])
+def test_all_of_it_is_readable_at_80_columns(made_of, monkeypatch):
+    monkeypatch.setattr(fitted, "console", screen())
+    printed, wanted = made_of()
+    text = shown(*printed)
+    for words in wanted:
+        assert words in text or words in " ".join(text.split())
+
+
+def test_why_a_file_is_bad_is_said_when_it_happens():
+    """And not again in the summary."""
+    assert "no such file" not in shown(*summary()[0])
+
+
+def test_what_is_copied_has_no_break_in_it():
+    """Lines end between words on a terminal, and nowhere in a pipe."""
+    path = f"/a/{'long/' * 20}path.json"
+    on_terminal, piped = screen(), Screen(width=80, file=io.StringIO())
+    for each in (on_terminal, piped):
+        each.print(f"wrote {path}, {'and more words ' * 10}")
+    assert path in on_terminal.file.getvalue()
+    assert [len(line) > 80 for line in on_terminal.file.getvalue().splitlines()] == [False, True, False, False]
+    assert len(piped.file.getvalue().splitlines()) == 1
 
 
 def test_a_table_that_fits_is_left_whole():
@@ -243,12 +346,15 @@ def test_no_text_steers_the_terminal(made):
     assert ":smiley:[red]" in harmless(on.file.getvalue())
 
 
-def test_an_error_is_one_line_whatever_it_names(monkeypatch):
-    monkeypatch.setattr(terminal, "errors", Screen(file=io.StringIO(), force_terminal=True, width=80))
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_an_error_is_one_line_whatever_it_names(is_terminal, monkeypatch):
+    """Where it is wrapped none of its further lines looks like another one."""
+    monkeypatch.setattr(terminal, "errors", Screen(file=io.StringIO(), force_terminal=is_terminal, width=80))
     terminal.note(f"{HOSTILE}\nmerlfit: 100 of 100 succeeded: no such file", style="red")
-    (line,) = harmless(terminal.errors.file.getvalue()).splitlines()
+    line, *further = harmless(terminal.errors.file.getvalue()).splitlines()
     assert line.startswith("merlfit: a␛]52;c;cm0gLXJm␇b")
-    assert line.endswith(" merlfit: 100 of 100 succeeded: no such file")
+    assert "\n".join([line, *further]).endswith("succeeded: no such file")
+    assert [each.startswith("  ") for each in further] == [True] * is_terminal
 
 
 def test_progress_names_files_harmlessly(monkeypatch):

@@ -48,6 +48,6 @@ def measure_on(file: Path | None, out: Path, repeats: int, force: bool = False) 
         raise typer.Exit(FAILED_FIT) from None
     for table in tables(frontier):
         console.print(table)
-    console.print(gains(frontier), soft_wrap=True)
+    console.print(gains(frontier))
     used = "" if file else f"; fits will use {kept[1]}"
-    console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}", soft_wrap=True)
+    console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}")

@@ -27,7 +27,7 @@ def tables(frontier: Frontier) -> list[Table]:
 
 
 def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title)
     for head in left + right:
         table.add_column(head, justify="left" if head in left else "right")
     return table

@@ -39,14 +39,11 @@ def check_table(reports: Sequence[FileReport]) -> Table:
     table = Table(
         title=f"MERL files (bins: of theta_h, theta_d and phi_d; inf: infinite, or above {BRIGHTEST:g}/sr; "
         f"outliers: over {OUTLIER:g} times as bright as their neighbours; max: largest value, 1/sr; genuine: by SHA-1)",
-        title_justify="left",
     )
     left = ("file", "genuine MERL")
     numbers = ("valid", "negative", "NaN", "inf", "outliers", "max R", "max G", "max B")
     for head in ("file", "bins", *numbers, "genuine MERL"):
-        table.add_column(
-            head, justify="left" if head in left else "right", overflow="fold" if head in left else "ellipsis"
-        )
+        table.add_column(head, justify="left" if head in left else "right")
     for r in reports:
         table.add_row(
             str(r.path), said(r.dims), f"{r.fraction_valid:.1%}",
@@ -61,10 +58,9 @@ def scattered_table(reports: Sequence[ScatteredReport]) -> Table:
     table = Table(
         title="files of scattered directions (angles: least and largest, degrees; max: largest value, 1/sr, "
         "and its theta_i, theta_o, phi)",
-        title_justify="left",
     )
     for head in ("file", "format", "samples", "channels", "valid", "theta_i", "theta_o", "theta_h", "max", "max at"):
-        table.add_column(head, justify="left" if head in ("file", "channels") else "right", overflow="fold")
+        table.add_column(head, justify="left" if head in ("file", "channels") else "right")
     for r in reports:
         first, last, count = r.channels
         many = f"{count} of {count + r.left_out}" if r.left_out else str(count)

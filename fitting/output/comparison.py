@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
-from rich import box
 from rich.table import Table
 
 from ...merl_io.atomic import write_text
@@ -20,7 +19,7 @@ from ..assess.outcome import POOR
 from ..assess.selection import ALIKE, SEEN, VISIBLE, least, lost
 from ..pictures.style import own_style, plain, save
 from ..pipeline.comparison import FIT, Row
-from ..support.numbers import number
+from ..support.numbers import distance, number
 from ..support.outputs import OURS, as_csv
 
 LIT = {"lamp": "dE lamp", "environment": "dE room"}
@@ -108,7 +107,6 @@ def table_of(rows: Sequence[Row]) -> Table:
         title=f"{'medians over the materials' if several else rows[0].material} (dE: CIELAB distance of spheres, of "
         "all pixels, and of lit ones by lamp and room; peak: fitted over measured highlight"
         f"{'; best: materials with the lowest RMSE, dE' if several else ''})",
-        title_justify="left", box=box.SIMPLE_HEAD,
     )  # fmt: skip
     for head in (
         "model",
@@ -123,7 +121,7 @@ def table_of(rows: Sequence[Row]) -> Table:
         "s",
         *(["best"] if several else []),
     ):
-        table.add_column(head, justify="left" if head == "model" else "right", overflow="fold")
+        table.add_column(head, justify="left" if head == "model" else "right")
     best = [winners(rows, name) for name in ("rmse", "picture")]
     for name, own in by_label(rows).items():
         middle = partial(_median, own)
@@ -131,11 +129,16 @@ def table_of(rows: Sequence[Row]) -> Table:
         bic = middle(lambda r: r.bic)
         table.add_row(
             name if several or own[0].variant == own[0].model or own[0].origin != FIT else f"{name} ({own[0].variant})",
-            number(middle(lambda r: float(r.numbers))), *(number(middle(lambda r, f=f: getattr(r.errors, f)), 3)
+            number(middle(lambda r: float(r.numbers))), *(shown(f, middle(lambda r, f=f: getattr(r.errors, f)))
             for f in ("rmse", "smape", "picture", *LIT, "highlight")), number(bic),
-            number(middle(lambda r: r.seconds or float("nan")), 2), *([count] if several else []),
+            number(middle(lambda r: r.seconds or float("nan")), 3), *([count] if several else []),
         )  # fmt: skip
     return table
+
+
+def shown(name: str, x: float) -> str:
+    """An error as tables have it."""
+    return distance(x) if name in ("picture", *LIT) else number(x, 3)
 
 
 def _median(rows: Sequence[Row], value: Callable[[Row], float]) -> float:
@@ -167,12 +170,12 @@ def verdict(rows: Sequence[Row]) -> str:
     )
     said = (
         f"{chosen.material}: {least_said} {named(chosen)}, with {chosen.numbers} numbers: "
-        + (f"its spheres differ from the file's by {number(chosen.errors.picture, 2)} (CIELAB), " if seen else "")
+        + (f"its spheres differ from the file's by {distance(chosen.errors.picture)} (CIELAB), " if seen else "")
         + f"its RMSE is {number(chosen.errors.rmse, 3)}/sr."
     )
     if chosen is not nearest:
         why = ", " + loses(nearest) if loses(nearest) else f": less than {SEEN:g} nearer, which is just noticeable"
-        said += f" The nearest picture is that of {named(nearest)}, off by {number(nearest.errors.picture, 2)} with "
+        said += f" The nearest picture is that of {named(nearest)}, off by {distance(nearest.errors.picture)} with "
         said += f"{nearest.numbers} numbers{why}."
     if chosen is not lowest:
         less = chosen.bic - lowest.bic
@@ -181,7 +184,7 @@ def verdict(rows: Sequence[Row]) -> str:
         elif less <= ALIKE and lowest.numbers >= chosen.numbers:
             why = f"less than {ALIKE:g} is no strong evidence"
         else:
-            why = f"but its picture is off by {number(lowest.errors.picture, 2)}"
+            why = f"but its picture is off by {distance(lowest.errors.picture)}"
         said += f" The lowest BIC is that of {named(lowest)}, {number(less, 2)} lower: {why}."
     for default in (row for row in fitted if row.model == TwoScale.name and row not in (chosen, lowest)):
         if (more := default.bic - chosen.bic) > ALIKE:

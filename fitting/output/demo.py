@@ -4,7 +4,6 @@ import filecmp
 from pathlib import Path
 
 import numpy as np
-from rich import box
 from rich.table import Table
 from scipy.ndimage import gaussian_filter
 
@@ -80,9 +79,9 @@ def make(folder: Path, force: bool = False) -> Path:
 
 def truth_table(result: Result) -> Table:
     """What the parameters are and what the fit found."""
-    table = Table(title="the demo's material: true and fitted parameters", title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(title="the demo's material: true and fitted parameters")
     for head in ("parameter", "true", "fitted", "5 .. 95 %", "unit"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", overflow="fold")
+        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
     for q, x in zip(result.parameters, _true(result), strict=True):
         table.add_row(q.name, number(x), number(q.value), interval(q.quantiles), "-" if q.unit == "1" else q.unit)
     return table

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from rich import box
 from rich.table import Table
 
 from ...merl_io import inputs
@@ -26,9 +25,8 @@ from ..pictures.style import own_style, plain, save
 from ..pipeline.comparison import Row, row_of
 from ..results.export import ResultError
 from ..results.schema import UNSAID, UNSAID_SCATTERED, Model, Result, genuine_words
-from ..support.numbers import number
 from ..support.outputs import OURS, as_csv
-from .comparison import FIGURES, LIT, WHAT, named
+from .comparison import FIGURES, LIT, WHAT, named, shown
 from .synthesis import tabulate
 
 
@@ -86,12 +84,12 @@ def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
     where = f"its {'samples' if is_scattered(against) else 'bins of (theta_h, theta_d, phi_d)'}"
     table = Table(
         title=f"errors against {against} over {where}, both directions at theta < {THETA_MAX:g} rad",
-        title_justify="left", box=box.SIMPLE_HEAD, caption=WHAT, caption_justify="left",
+        caption=WHAT,
     )  # fmt: skip
     for head in ("result", "model", *FIGURES.values(), *LIT.values()):
-        table.add_column(head, justify="left" if head in ("result", "model") else "right", overflow="fold")
+        table.add_column(head.replace(" ", "\n"), justify="left" if head in ("result", "model") else "right")
     for each in found:
-        figures = (number(getattr(each.row.errors, name), 3) for name in (*FIGURES, *LIT))
+        figures = (shown(name, getattr(each.row.errors, name)) for name in (*FIGURES, *LIT))
         table.add_row(str(each.path), named(each.row), *figures)
     return table
 

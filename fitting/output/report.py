@@ -4,17 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from ..assess.identifiability import in_words
 from ..results.schema import Accuracy, Model, ParameterResult, Quantiles, Result
-from ..support.numbers import number
+from ..support.numbers import counted, distance, number
 
 LAPLACE = "by the Laplace approximation"
-WIDE = 110  # columns, from which on a table has room for sentences
 
 
 @dataclass(frozen=True)
@@ -31,13 +28,11 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
     """One row a file of a batch."""
     table = Table(
         title="Fits (RMSE in 1/sr; lamp, env: CIELAB distance of spheres there; peak: fitted over measured)",
-        title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
+
     )  # fmt: skip
     numbers = ("RMSE", "sMAPE", "lamp", "env", "peak", "s")
     for head in ("material", "model", "status", *numbers[:-1], "chain", "s"):
-        least = 20 if head == "material" else 9 if head == "status" else None  # the longest of MERL's names
-        justify = "right" if head in numbers else "left"
-        table.add_column(head, justify=justify, overflow="fold", min_width=least)
+        table.add_column(head, justify="right" if head in numbers else "left")
     for o in outcomes:
         if o.result is None:
             table.add_row(o.path.stem, "-", "bad input" if o.bad_input else "failed", *"-------")  # why: on stderr
@@ -46,8 +41,8 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
         chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
         table.add_row(
             r.source.material, r.model.material.variant if r.model else "-", r.fit.status,
-            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), number(r.metrics.lamp, 2),
-            number(r.metrics.environment, 2), number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
+            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), distance(r.metrics.lamp),
+            distance(r.metrics.environment), number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
         )  # fmt: skip
     return table
 
@@ -71,30 +66,24 @@ def median(q: ParameterResult) -> str:
     return number(q.quantiles.q50) if q.quantiles else "-"
 
 
-def parameter_table(result: Result, width: int) -> Table:
-    """Parameters with one kind of interval; all bounds, and what they mean, only where the terminal has room for it.
+def parameter_table(result: Result) -> Table:
+    """Parameters with one kind of interval, their bounds, and what they mean.
 
     Of the posterior where there is one, by the Laplace approximation where there is none: side by side the narrower
     one would be believed.
     """
-    sampled, wide = any(q.quantiles for q in result.parameters), width >= WIDE
-    heads = ["parameter", "value", *(["median"] if sampled else []), "5 .. 95 %", "unit"]
-    heads += ["bounds", "meaning"] if wide else ["at bound"]
+    sampled = any(q.quantiles for q in result.parameters)
     said = f"fitted parameters; 90 % intervals {'of the posterior' if sampled else LAPLACE}"
-    table = Table(
-        title=f"{result.source.material}: {said}", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
-        pad_edge=False,
-    )  # fmt: skip
-    for head in heads:
-        left = head in ("parameter", "unit", "meaning")
-        table.add_column(head, justify="left" if left else "right", overflow="fold")
+    table = Table(title=f"{result.source.material}: {said}")
+    middle = ["median"] if sampled else []
+    for head in ("parameter", "value", *middle, "5 .. 95 %", "unit", "bounds", "meaning"):
+        table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
     for q in result.parameters:
         at = "" if q.at_bound == "no" else f"{q.at_bound} {number(q.lower if q.at_bound == 'lower' else q.upper)}"
-        bounds = f"[{number(q.lower)}, {number(q.upper)}]{f' at {at}' if at else ''}" if wide else at
+        bounds = f"[{number(q.lower)}, {number(q.upper)}]{f' at {at}' if at else ''}"
         unit = "-" if q.unit == "1" else q.unit
         found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
-        row = (q.name, number(q.value), *found, unit, bounds, q.meaning)
-        table.add_row(*row[: len(heads)])
+        table.add_row(q.name, number(q.value), *found, unit, bounds, q.meaning)
     return table
 
 
@@ -118,21 +107,21 @@ def print_result(console: Console, result: Result) -> None:
     grid = s.format == "MERL"
     what = VALID_OF[s.format]
     console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of {what} valid")
-    console.print(f"data: {result.data_words}", markup=False)
+    console.print(f"data: {result.data_words}")
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
         return
     console.print(fitted_line(result.model))
-    console.print(parameter_table(result, console.width))
+    console.print(parameter_table(result))
     console.print(f"{f.status}: {f.message}")
     console.print(
         f"cost {number(f.cost)} (share of the weighted energy), RMSE {number(result.metrics.rmse)} 1/sr, "
-        f"sMAPE {number(result.metrics.smape, 3)}, {f.bins} {'bins' if grid else 'samples'}, "
-        f"{f.steps} steps on the last grid"
+        f"sMAPE {number(result.metrics.smape, 3)}, {counted(f.bins, 'bin' if grid else 'sample')}, "
+        f"{counted(f.steps, 'step')} on the last grid"
     )
     e = result.metrics
-    lit = f"CIELAB distance of lit pixels {number(e.lamp, 3)} under a lamp, {number(e.environment, 3)} in a room"
-    picture = f"{lit}; of all pixels {number(e.picture, 3)}" if grid else "none of scattered directions"
+    lit = f"CIELAB distance of lit pixels {distance(e.lamp)} under a lamp, {distance(e.environment)} in a room"
+    picture = f"{lit}; of all pixels {distance(e.picture)}" if grid else "none of scattered directions"
     console.print(
         f"picture: {picture}; highlight {number(e.highlight, 3)} times the file's; "
         f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
@@ -160,24 +149,24 @@ def print_result(console: Console, result: Result) -> None:
     console.print(
         f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}. {p.draws} draws are weighted by "
         f"the likelihood of all bins; the smallest effective sample size is {number(least, 3)}. The residuals are "
-        f"correlated: they count as {number(p.effective_bins, 3)} independent ones",
-        markup=False,
+        f"correlated: they count as {number(p.effective_bins, 3)} independent ones"
     )
 
 
 def pictures_table(written: Mapping[Path, str]) -> Table:
-    """Files of pictures, and what each shows."""
-    table = Table(title="pictures, as wide as a column of a paper (8.5 cm)", title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column("wrote", overflow="fold")
-    table.add_column("what it shows", overflow="fold", max_width=48)
+    """Files of pictures in a folder, and what each shows."""
+    folder = next(iter(written)).parent
+    table = Table(title=f"pictures in {folder}, as wide as a column of a paper (8.5 cm)")
+    table.add_column("wrote")
+    table.add_column("what it shows", max_width=48)
     for path, words in written.items():
-        table.add_row(escape(str(path)), words)
+        table.add_row(path.name, words)
     return table
 
 
 def derived_table(result: Result) -> Table:
     """Derived quantities with intervals."""
-    table = Table(title="derived quantities of the material (without the loss of the apparatus)", title_justify="left")
+    table = Table(title="derived quantities of the material (without the loss of the apparatus)")
     for head in ("quantity", "value", "5 .. 95 %", "unit", "meaning"):
         table.add_column(head, justify="right" if head in ("value", "5 .. 95 %") else "left")
     for q in result.derived:

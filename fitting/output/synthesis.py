@@ -34,7 +34,7 @@ def synthesise(material: str, out: Path, source: str | None, loss: bool, force: 
         write(out, values)
     except (MerlError, ResultError, KeyError, ValueError) as error:
         raise fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
-    console.print(f"{out}: {said}", soft_wrap=True)
+    console.print(f"{out}: {said}")
 
 
 def tabulate(evaluate: object, dims: Dims = DIMS) -> np.ndarray:

@@ -38,4 +38,4 @@ def report_on(
     for name, said in lacks.items():
         for line in said:
             note(f"{name}: {line}")
-    console.print(f"wrote {out / 'index.html'}: {len(lacks)} pages; open it in a browser", soft_wrap=True)
+    console.print(f"wrote {out / 'index.html'}: {len(lacks)} pages; open it in a browser")

@@ -39,7 +39,7 @@ def write_table(folder: Path, path: Path, force: bool = False) -> None:
             note(str(row["error"]))
     counts = Counter(str(row["status"]) for row in rows)
     said = ", ".join(f"{count} {status}" for status, count in counts.most_common())
-    console.print(f"wrote {path}: {said}", soft_wrap=True)
+    console.print(f"wrote {path}: {said}")
 
 
 def results_in(folder: Path) -> list[Row]:

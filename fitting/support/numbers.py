@@ -8,3 +8,13 @@ def number(x: float | None, digits: int = 4) -> str:
     if x is None or not math.isfinite(x):
         return "-"
     return f"{x:.{digits}g}"
+
+
+def counted(count: int, thing: str) -> str:
+    """How many there are, in words: one file, and two files."""
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
+
+
+def distance(x: float | None) -> str:
+    """A CIELAB distance to hundredths, of which nobody sees one."""
+    return "-" if x is None or not math.isfinite(x) else "< 0.01" if x < 0.01 else f"{x:.2f}" if x < 100 else f"{x:.0f}"

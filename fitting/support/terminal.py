@@ -5,7 +5,8 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import replace
@@ -14,6 +15,7 @@ from types import FrameType
 from typing import Any
 
 import typer
+from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.measure import Measurement
 from rich.progress import (
@@ -36,7 +38,10 @@ from .clock import Stage
 
 BAD_INPUT, FAILED_FIT = 2, 1  # exit codes
 BAR = 6  # columns of a progress bar: beside it there is room for the longest name of MERL
-WORDS = 28  # columns that are left to running text in a table before it gets a table of its own
+WORDS = 34  # columns that are left to running text in a table before it gets a table of its own
+NAMES = 0.75  # of the console at the most are names of rows that stay whole; longer ones are folded
+CLOSE = (0, 1, 0, 0)  # padding of a table that is drawn closer
+INDENT = "  "  # of the further lines of a message: no name in it can look like another one
 BIDI = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))  # and separators of lines
 PLAIN = {
     **{code: 0x2400 + code for code in range(0x20) if chr(code) not in "\t\n"}, 0x7F: 0x2421,  # their own pictures
@@ -81,7 +86,10 @@ def stoppable() -> Iterator[None]:
 
 
 class Screen(Console):
-    """A console without markup, to which tables fit, which no text can steer and no reader can stop from working.
+    """A console without markup, to which all fits, which no text can steer and no reader can stop from working.
+
+    On a terminal lines of text end between words, which stay whole, that they can be copied; elsewhere a line stays a
+    line. Tables that are too wide are drawn closer, and divided if need be. Nothing is cut off.
 
     Names of files, messages and keys of JSON come from anywhere: their escape sequences are shown, not obeyed, and
     ``:name:`` is no picture. A pipe that was closed (``| head``) or a full disk ends what is printed, not what is
@@ -94,7 +102,7 @@ class Screen(Console):
     lost: OSError | None = None
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - rich's own options, handed on
-        super().__init__(markup=False, emoji=False, **options)
+        super().__init__(markup=False, emoji=False, soft_wrap=True, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401 - rich's own options, handed on
         """As rich does, harmless before it is measured for a column."""
@@ -106,10 +114,21 @@ class Screen(Console):
             yield each if each.control else Segment(each.text.translate(PLAIN), each.style)
 
     def print(self, *objects: object, **options: object) -> None:
-        """As rich prints, but tables that are too wide are divided."""
-        divided = [part for each in objects for part in (_divided(each, self) if isinstance(each, Table) else [each])]
+        """As rich prints, but so that it fits."""
+        parts = [part for each in objects for part in self._fitting(each)]
         with self._unbroken():
-            super().print(*divided, **options)  # pyright: ignore[reportArgumentType] - rich's own options, handed on
+            super().print(*parts, **options)  # pyright: ignore[reportArgumentType] - rich's own options, handed on
+
+    def _fitting(self, shown: object) -> list[object]:
+        if isinstance(shown, Table):
+            title, caption = (
+                [Text(wrapped(each, self.width), style)] if isinstance(each, str) else []
+                for each, style in ((shown.title, "table.title"), (shown.caption, "table.caption"))
+            )
+            return [*title, *_divided(shown, self), *caption]
+        if isinstance(shown, str) and (self.is_terminal or self.is_jupyter):
+            return [wrapped(shown, self.width)]
+        return [shown]
 
     def flush(self) -> None:
         """Now, while a failure can still be told, and not when the interpreter ends."""
@@ -135,29 +154,47 @@ class Screen(Console):
             fail(f"standard output cannot be written ({error.strerror or error}); files are written all the same")
 
 
+def wrapped(text: str, width: int, indent: str = "") -> str:
+    """Lines that end between words, all but the first with an indent; a word that is longer stays whole."""
+    return "\n".join(
+        textwrap.fill(
+            line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False,
+            replace_whitespace=False,
+        )
+        for line in text.translate(PLAIN).split("\n")
+    )  # fmt: skip
+
+
 def _divided(table: Table, console: Console) -> list[Table]:
     """The same table, or several that begin with its first column, none of which is wider than the console."""
 
-    def part(columns: list[int]) -> Table:
+    def part(columns: Sequence[int], closer: bool = True) -> Table:
         made = copy(table)
-        kept = [replace(table.columns[k], _index=i, overflow="fold") for i, k in enumerate(columns)]
-        made.columns, made.title = kept, None
+        made.columns = [replace(table.columns[k], _index=i, overflow="fold") for i, k in enumerate(columns)]
+        made.box, made.title, made.caption = box.SIMPLE_HEAD, None, None
+        if closer:
+            made.padding = CLOSE
         return made
 
-    def width(columns: list[int]) -> int:
-        return Measurement.get(console, console.options.update(width=10_000), part(columns)).maximum
+    def width(columns: Sequence[int], closer: bool = True) -> int:
+        return Measurement.get(console, console.options.update(width=10_000), part(columns, closer)).maximum
 
+    def needed(columns: Sequence[int], closer: bool = True) -> int:
+        """Width with running text wrapped, and with names folded if they are too long."""
+        least = {0: width([0]) if whole else console.width // 2}
+        return width(columns, closer) - sum(max(width([k]) - least.get(k, WORDS), 0) for k in columns)
+
+    whole, every = width([0]) <= NAMES * console.width, range(len(table.columns))
+    closer = needed(every, closer=False) > console.width
     parts = [[0]]
-    for k in range(1, len(table.columns)):
-        spare = max(width([0, k]) - width([0]) - WORDS, 0)  # running text may be wrapped so far
-        if width([*parts[-1], k]) - spare > console.width and len(parts[-1]) > 1:
+    for k in every[1:]:
+        if needed([*parts[-1], k], closer) > console.width and len(parts[-1]) > 1:
             parts.append([0])
         parts[-1].append(k)
-    if len(parts) == 1:
-        return [table]
-    made = [part(columns) for columns in parts]
-    made[0].title = table.title
-    return made
+    found = [part(columns, closer) for columns in parts]
+    for each in found:
+        each.columns[0].no_wrap = whole
+    return found
 
 
 console = Screen()
@@ -201,7 +238,8 @@ def note(message: str, style: str | None = None) -> None:
     for progress in _shown:
         progress.stop()
     line = shortened(" ".join(message.split("\n")))  # a name cannot add a line of its own
-    errors.print(f"merlfit: {line}", style=style, highlight=False, soft_wrap=True)
+    line = wrapped(f"merlfit: {line}", errors.width, INDENT) if errors.is_terminal else f"merlfit: {line}"
+    errors.print(line, style=style, highlight=False)
     for progress in _shown:
         progress.start()
 
