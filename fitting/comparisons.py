@@ -10,7 +10,7 @@ from ..merl_io.atomic import WriteError
 from ..merl_io.binary import MerlError
 from ..merl_io.inputs import Input
 from ..model.registry import made, models
-from .files import refuse_same_names
+from .files import numbered, refuse_same_names
 from .output.comparison import NAME, by_label, compared_in, table_of, verdict, write_tables
 from .output.keeping import Taken, claimed, place_of
 from .output.metrics import assessed_result, metrics_in, metrics_table, write_metrics
@@ -19,7 +19,8 @@ from .pipeline.run import fit_file
 from .results.export import ResultError, read_result
 from .results.schema import Result
 from .settings.config import Config, ConfigError
-from .support.compilation import use_persistent_cache
+from .support.compilation import programs_told, use_persistent_cache
+from .support.numbers import counted
 from .support.outputs import log, log_of, refuse_others
 from .support.terminal import (
     BAD_INPUT,
@@ -82,15 +83,15 @@ def compare_files(
         except Taken as error:
             raise fail(str(error)) from None
         progress = stack.enter_context(progress_display())
-        for k, path in enumerate(files, 1):
+        for k, path in enumerate(files):
             task = progress.add_task(path.name, total=None)
-            label = f"[{k}/{len(files)}] {path.stem}"
-            say = reporter(progress, task, label)
+            say = reporter(progress, task, numbered(k, len(files), path.stem))
             try:
-                found, _ = compare_file(path, wanted, settings, out, say, with_published, placed)
+                with programs_told(say) as told:
+                    found, _ = compare_file(path, wanted, settings, out, told, with_published, placed)
                 rows += found
                 code = max(code, 0 if any(row.origin == FIT for row in found) else FAILED_FIT)
-                console.print(f"{label}: {verdict(found)}")
+                console.print(numbered(k, len(files), verdict(found)))
             except ConfigError as error:
                 raise fail(str(error)) from None
             except MerlError as error:
@@ -111,7 +112,8 @@ def compare_files(
             progress.remove_task(task)
     if rows:
         data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE
-        title = f"{len({row.material for row in rows})} materials, {len(by_label(rows))} models"
+        materials = len({row.material for row in rows})
+        title = f"{counted(materials, 'material')}, {counted(len(by_label(rows)), 'model')}"
         console.print(table_of(rows))
         try:
             written = write_tables(rows, out, NAME, title, data)
@@ -130,7 +132,8 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     try:
         with claimed(out), progress_display() as progress:
             task = progress.add_task(path.name, total=None)
-            rows, _ = compare_file(path, wanted, settings, out, reporter(progress, task, path.stem), False, placed)
+            with programs_told(reporter(progress, task, path.stem)) as told:
+                rows, _ = compare_file(path, wanted, settings, out, told, False, placed)
     except (MerlError, WriteError, ConfigError) as error:
         raise fail(str(error)) from None
     except Stopped as stop:

@@ -28,6 +28,7 @@ from .pipeline.run import settled
 from .results.export import valid_result
 from .results.schema import Result
 from .settings.config import Config
+from .support.numbers import counted
 from .support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
@@ -51,6 +52,11 @@ def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim 
         raise fail(str(error)) from None
     console.print(chosen.summary)
     return chosen
+
+
+def numbered(k: int, of: int, name: str) -> str:
+    """Which of several files it is; of one its name is enough."""
+    return f"[{k + 1}/{of}] {name}" if of > 1 else name
 
 
 def refuse_same_names(files: list[Path]) -> None:
@@ -138,7 +144,8 @@ def fit_files(
             for k, outcome in found.items():
                 journal.ended(units[k], Ended(Kind.FITTED, outcome.result), kept=True)
             if found:
-                console.print(f"{len(found)} of {len(files)} files are done already: same data, settings and versions")
+                done = f"{len(found)} of {counted(len(files), 'file')}"
+                console.print(f"done already: {done}, of the same data, settings and versions")
             run = _Run(units, left, progress, journal)
             try:
                 for k, ended in executor.ended([units[k] for k in left], run.tell):
@@ -158,7 +165,7 @@ def fit_files(
             except ClusterError as error:
                 journal.closed(True, time.perf_counter() - start)
                 fail(str(error))
-                left = f"{len(run.left) - run.done} of {len(files)} files were not fitted"
+                left = f"not fitted: {len(run.left) - run.done} of {counted(len(files), 'file')}"
                 _say_left([left], len(files), [found[k] for k in sorted(found)])
                 raise typer.Exit(FAILED_FIT) from None
             journal.closed(False, time.perf_counter() - start)
@@ -199,7 +206,7 @@ class _Run:
         self.tasks: dict[int, tuple[TaskID, Callable[[str], None]]] = {}
 
     def label(self, k: int) -> str:
-        return f"[{k + 1}/{len(self.units)}] {self.units[k].name}"
+        return numbered(k, len(self.units), self.units[k].name)
 
     def tell(self, k: int, stage: str) -> None:
         k = self.left[k]
@@ -227,7 +234,7 @@ class _Run:
         return Outcome(self.units[k].path, result, ended.error or None, ended.kind is Kind.BAD_INPUT)
 
     def _count(self) -> None:
-        words = f"{self.done} of {len(self.left)} files"
+        words = f"{self.done} of {counted(len(self.left), 'file')}"
         self.progress.update(self.batch, completed=self.done, description=words)
 
 
@@ -244,7 +251,7 @@ def _say_stopped(stop: Stopped, run: _Run, outcomes: list[Outcome]) -> None:
     left = len(run.left) - run.done - len(begun)
     words = [_kept(run.units[k], ended) for k, ended in sorted(run.stopped, key=lambda each: each[0])]
     if left:
-        words.append(f"{left} of {len(run.units)} files were not begun")
+        words.append(f"not begun: {left} of {counted(len(run.units), 'file')}")
     outcomes = outcomes + [Outcome(run.units[k].path, e.result) for k, e in run.stopped if e.result is not None]
     _say_left(words, len(run.units), outcomes, f"stopped by {stop}: ")
 

@@ -57,7 +57,7 @@ def test_who_stops_a_batch_is_told_what_is_kept(number, word, tmp_path):
     kept = f"{tmp_path}/slow.json"
     assert said == (
         f"merlfit: stopped by {word}: {kept} holds a fit without a posterior; `merlfit sample {kept}` samples it; "
-        "1 of 3 files were not begun; the same command with --resume goes on\n"
+        "not begun: 1 of 3 files; the same command with --resume goes on\n"
     )
     assert "quick" in printed.split("Fits")[1]  # the summary of what is done
     assert read_result(tmp_path / "quick.json").fit.succeeded

@@ -267,17 +267,19 @@ def test_a_damaged_program_is_deleted_and_told_once(tmp_path, told, monkeypatch)
 
 
 def test_jax_is_told_to_compile_once_and_repairs_what_is_damaged(tmp_path):
+    """What is compiled at once is not told."""
     program = """
-import jax, jax.numpy as jnp
-from merlfit.fitting.support.compilation import use_persistent_cache
-use_persistent_cache()
+import jax, jax.numpy as jnp, sys
+from merlfit.fitting.support import compilation
+compilation.SLOW = float(sys.argv[1])
+compilation.use_persistent_cache()
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.jit(lambda x: jnp.sin(x) @ x)(jnp.ones((8, 8)))
 """
 
-    def run():
+    def run(slow="0"):
         environment = {"MERLFIT_CACHE_DIR": str(tmp_path), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+        done = subprocess.run([sys.executable, "-c", program, slow], capture_output=True, text=True, env=environment)
         assert done.returncode == 0
         return done.stderr
 
@@ -287,10 +289,38 @@ jax.jit(lambda x: jnp.sin(x) @ x)(jnp.ones((8, 8)))
     entries = list((tmp_path / "xla").glob("jit_*-cache"))
     for entry in entries:
         entry.write_bytes(entry.read_bytes()[:40])
-    repaired = run()
+    repaired = run("60")
     assert repaired.count("damaged programs") == 1
-    assert "Warning" not in repaired
+    assert not re.search("Warning|compiling, once", repaired)
     assert run() == ""
+
+
+def test_what_is_compiled_is_told_while_it_takes_long(monkeypatch):
+    """Programs that were kept are counted, and no reason to speak; stages go on, with the share of programs."""
+    programs, told = compilation.Programs(), []
+    monkeypatch.setattr(compilation, "_programs", programs)
+
+    def ready(seconds, new):
+        if new:
+            programs.event(compilation.NEW)
+        programs.duration("/jax/core/compile/jaxpr_trace_duration", 9.0)
+        programs.duration(compilation.READY, seconds)
+
+    with compilation.programs_told(told.append, of=5) as report:
+        report("coarse grid: complex none")
+        for seconds, new in ((9.0, False), (1.5, True), (1.0, True), (0.1, False), (20.0, True), (1.0, True)):
+            ready(seconds, new)
+        report(Stage("posterior: step 9", 0.5))
+        ready(1.0, new=True)
+    ready(1.0, new=True)
+    assert [(str(each), getattr(each, "share", None)) for each in told] == [
+        ("coarse grid: complex none", None),
+        ("coarse grid: 3 of about 5 programs compiled", 0.6),
+        ("coarse grid: 5 of about 5 programs compiled", 1.0),
+        ("coarse grid: 6 programs compiled", None),
+        ("posterior: step 9", 0.5),
+        ("posterior: 7 programs compiled", 0.5),
+    ]
 
 
 def test_progress_says_how_much_is_done_and_how_long_it_will_take(monkeypatch):

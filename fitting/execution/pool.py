@@ -199,11 +199,16 @@ def _work(pipe: Connection, task: Task, cores: list[int]) -> None:
 
     jax.devices()  # makes its threads
     spread(cores)
-    use_persistent_cache(lambda text: pipe.send(_Note(text)))
+    one = threading.Lock()  # several threads compile, and tell of it
+
+    def send(message: _Note | str) -> None:
+        with one, suppress(OSError):
+            pipe.send(message)
 
     def tell(stage: str) -> None:
-        with suppress(OSError):
-            pipe.send(stage if isinstance(stage, Stage) else str(stage))
+        send(stage if isinstance(stage, Stage) else str(stage))
+
+    use_persistent_cache(lambda text: send(_Note(text)))
 
     with suppress(EOFError, OSError, Stopped), stoppable():
         while True:

@@ -9,13 +9,14 @@ from pathlib import Path
 
 from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
+from ...model.two_scale import TwoScale
 from ..output.keeping import place_of
 from ..pipeline.run import Finish, fit_file
 from ..results.export import ResultError, read_result
 from ..results.schema import Result
 from ..settings.config import Config
 from ..support.clock import Report, silent
-from ..support.compilation import make_room
+from ..support.compilation import FIRST_FIT, FIRST_RIVAL, make_room, programs_told
 from ..support.outputs import log, log_of
 from ..support.terminal import Stopped
 
@@ -85,7 +86,9 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
         if not unit.out.is_dir():
             raise WriteError(f"{unit.out}: is there no more; make it again, and go on with --resume")
         with place_of(unit.out, unit.name) as place:
-            result = fit_file(unit.path, place.folder, unit.settings, _logged(unit, report), unit.finish)
+            of = FIRST_FIT if unit.settings.model.name == TwoScale.name else FIRST_RIVAL
+            with programs_told(_logged(unit, report), of) as told:
+                result = fit_file(unit.path, place.folder, unit.settings, told, unit.finish)
         log(unit.log, f"{result.fit.status}, {result.seconds['total']:.1f} s")
         return Ended(Kind.FITTED, result, said=place.said)
     except MerlError as error:

@@ -11,7 +11,7 @@ from ..pipeline.resampling import resample
 from ..posterior.chain import ChainError
 from ..results.export import ResultError, read_result
 from ..settings.config import ConfigError
-from ..support.compilation import use_persistent_cache
+from ..support.compilation import programs_told, use_persistent_cache
 from ..support.outputs import log, log_of
 from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter
 from .inspection import file_of
@@ -26,8 +26,8 @@ def sample_result(result: Path, file: Path | None, max_steps: int | None) -> Non
         read = read_result(result)
         with claimed(result.parent), progress_display() as progress:
             task = progress.add_task(result.name)
-            report = reporter(progress, task, read.source.material)
-            found = resample(result, read, file or file_of(result, read), max_steps, report)
+            with programs_told(reporter(progress, task, read.source.material)) as told:
+                found = resample(result, read, file or file_of(result, read), max_steps, told)
     except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
         raise fail(str(error)) from None
     except RuntimeError as error:

@@ -22,6 +22,7 @@ from ..results.export import finite, valid_result
 from ..results.schema import Result
 from ..settings.config import Config, ConfigError, parse
 from ..support.clock import Report, Stage, silent
+from ..support.numbers import counted
 from .run import fit_file, settled
 
 KEYS = ("material", "model", "variant", "origin", "weights", "status", "numbers")
@@ -106,7 +107,7 @@ def compare_file(
         settings, with_published = [settled(measurement.path, each) for each in settings], False
     results: dict[str, Result] = {}
     for k, name in enumerate(names):
-        report(Stage(f"{name} ({k + 1} of {len(names)} models)", k / len(names)))
+        report(Stage(f"{name} ({k + 1} of {counted(len(names), 'model')})", k / len(names)))
         own = settings[k]
         kept = valid_result(out / name / f"{measurement.name}.json", measurement.sha1, own)
         results[name] = fit(measurement, out / name, own) if kept is None else kept

@@ -4,6 +4,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from ...merl_io.atomic import WriteError
+from ..support.numbers import counted
 from ..support.terminal import Stopped, console, fail, note, progress_display, reporter, writable_folder
 from .site import refuse_foreign, write_site
 from .table import results_in
@@ -38,4 +39,4 @@ def report_on(
     for name, said in lacks.items():
         for line in said:
             note(f"{name}: {line}")
-    console.print(f"wrote {out / 'index.html'}: {len(lacks)} pages; open it in a browser")
+    console.print(f"wrote {out / 'index.html'}: {counted(len(lacks), 'page')}; open it in a browser")

@@ -34,6 +34,7 @@ from ..results.export import read_result
 from ..results.schema import Result
 from ..support.clock import Report, silent
 from ..support.compilation import use_persistent_cache
+from ..support.numbers import counted
 from ..support.outputs import is_ours, refuse_others
 from . import charts, pictures
 from . import rows as rows_of_charts
@@ -116,7 +117,7 @@ def write_site(
     lacks: dict[str, list[str]] = {}
     for k, (name, said) in enumerate(_made(list(work.values()), jobs_for(len(work), jobs)), 1):
         lacks[name] = said
-        say(f"{k} of {len(work)} pages")
+        say(f"{k} of {counted(len(work), 'page')}")
     if origin is not None:
         rows = [{**row, "data": f"{origin} (stated, not checked)"} if row["genuine_merl"] == "no" else row
                 for row in rows]  # fmt: skip

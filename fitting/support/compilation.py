@@ -4,18 +4,24 @@ import glob
 import os
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from threading import Lock, get_ident
 from typing import TextIO
 
 import jax
 import platformdirs
 
 from . import tables
+from .clock import Report, Stage
 from .terminal import note
 
 NEW = "/jax/compilation_cache/cache_misses"  # JAX's event when it has compiled a program that is kept
+READY = "/jax/core/compile/backend_compile_duration"  # and after that, or when it has loaded one
+SLOW = 2.0  # seconds of compiling that are worth a word
+FIRST_FIT, FIRST_RIVAL = 130, 90  # programs of a first fit of a MERL file, about: of the two-scale model, of others
 DAMAGED = re.compile("Error reading persistent compilation cache entry for '([^']+)'")
 
 
@@ -46,17 +52,85 @@ def use_cache() -> None:
         use_persistent_cache()
 
 
+class Programs:
+    """Programs of this process.
+
+    Attributes:
+        ready: how many there are, compiled or loaded. seconds: it took to compile those that were not kept.
+        hear: are called with how many are ready, when one was compiled and that takes long.
+    """
+
+    def __init__(self) -> None:
+        self.ready, self.seconds = 0, 0.0
+        self.hear: list[Callable[[int], None]] = []
+        self._new: set[int] = set()  # threads that have compiled one
+
+    def event(self, event: str, **_: str | int) -> None:
+        """Of JAX."""
+        if event == NEW:
+            self._new.add(get_ident())
+
+    def duration(self, event: str, duration_secs: float, **_: str | int) -> None:
+        """Of JAX."""
+        if event != READY:
+            return
+        self.ready += 1
+        if get_ident() not in self._new:
+            return
+        self._new.remove(get_ident())
+        self.seconds += duration_secs
+        if self.seconds > SLOW:
+            for hear in [*self.hear]:
+                hear(self.ready)
+
+
+_programs = Programs()
+
+
+@contextmanager
+def programs_told(report: Report, of: int | None = None) -> Iterator[Report]:
+    """The same reports, and while programs are compiled how many are ready.
+
+    Args:
+        of: how many there will be, about, if that is known.
+    """
+    last, one = [Stage("")], Lock()  # several threads compile
+
+    def reported(stage: str) -> None:
+        last[0] = stage if isinstance(stage, Stage) else Stage(stage)
+        with one:
+            report(stage)
+
+    def hear(ready: int) -> None:
+        count, share = str(ready), last[0].share
+        if of is not None and ready <= of:
+            count, share = f"{ready} of about {of}", ready / of
+        with one:
+            report(Stage(f"{last[0].split(':')[0]}: {count} programs compiled", share))
+
+    _programs.hear.append(hear)
+    try:
+        yield reported
+    finally:
+        _programs.hear.remove(hear)
+
+
 @cache
 def _tell_of_compilation(folder: Path, say: Callable[[str], None]) -> None:
-    """Once a process, and only if there is something to compile."""
-    told = []
+    """Once a process, and only if there is much to compile."""
 
-    def listen(event: str, **_: str | int) -> None:
-        if event == NEW and not told:
-            told.append(True)
-            say(f"compiling, once: this can take some minutes; later runs reuse the programs in {folder}")
+    def hear(_: int) -> None:
+        _programs.hear.remove(hear)
+        say(f"compiling, once: this can take some minutes; later runs reuse the programs in {folder}")
 
-    jax.monitoring.register_event_listener(listen)
+    _programs.hear.append(hear)
+    _listen()
+
+
+@cache
+def _listen() -> None:
+    jax.monitoring.register_event_listener(_programs.event)
+    jax.monitoring.register_event_duration_secs_listener(_programs.duration)
 
 
 @cache

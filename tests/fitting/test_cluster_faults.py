@@ -212,5 +212,5 @@ def test_ctrl_c_ends_a_run_whatever_its_cluster_does(state, tmp_path, without):
     assert "Traceback" not in said
     assert "the same command with --resume goes on" in said
     if running.returncode == 1:
-        assert said.splitlines()[-1].startswith("merlfit: 2 of 2 files were not fitted; ")
+        assert said.splitlines()[-1].startswith("merlfit: not fitted: 2 of 2 files; ")
     assert Path(tmp_path / "out/patient-a.json").exists() == (state == "at work")

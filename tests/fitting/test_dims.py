@@ -54,7 +54,7 @@ def test_they_are_fitted_found_again_and_drawn(file, fit, tmp_path):
         np.testing.assert_allclose(found, TRUTH[name], rtol=2e-3, err_msg=name)
     assert result.metrics.picture < 0.1
     assert result.metrics.highlight == pytest.approx(1, abs=0.01)
-    assert "1 of 1 files are done already" in call(*words).stdout
+    assert "done already: 1 of 1 file, " in call(*words).stdout
     assert call("inspect", folder / "coarse.json", "-o", tmp_path).exit_code == 0
     (lobes,) = tmp_path.glob(f"coarse.{result.model.name}.lobes.png")
     assert lobes.stat().st_size > 10_000

@@ -152,7 +152,7 @@ def test_ctrl_c_ends_all_workers_and_says_how_to_go_on(tmp_path):
     printed, said = running.communicate(timeout=180)  # beside compilers of other tests
     assert running.returncode == 128 + signal.SIGINT
     assert said.startswith(f"merlfit: stopped by Ctrl-C: {tmp_path}/slow-a.json holds a fit without a posterior")
-    assert said.endswith("1 of 4 files were not begun; the same command with --resume goes on\n")
+    assert said.endswith("not begun: 1 of 4 files; the same command with --resume goes on\n")
     assert "quick" in printed.split("Fits")[1]
     assert not psutil.wait_procs(workers, timeout=10)[1]
     events = list(journal.lines(tmp_path))

@@ -175,7 +175,7 @@ def test_the_commands_take_a_table(file, tmp_path):
     assert result.metrics.picture is None
     assert result.metrics.highlight == pytest.approx(1, abs=1e-3)
     assert result.metrics.rmse < 1e-3
-    assert "1 of 1 files are done already" in call(*words).stdout
+    assert "done already: 1 of 1 file, " in call(*words).stdout
     told = call("inspect", path)
     assert told.exit_code == 0, told.stderr
     assert "a table of scattered directions" in " ".join(told.stdout.split())

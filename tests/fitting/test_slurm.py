@@ -107,7 +107,7 @@ def test_what_sbatch_says_of_a_job_that_it_refuses_ends_the_run(tmp_path):
         running = start(environment, tmp_path / "out", "quick-a", count=2)
         _, said = running.communicate(timeout=BOUND)
     assert running.returncode == 1
-    assert said == f"merlfit: dask-slurm: sbatch took no job ({REFUSAL})\nmerlfit: 1 of 1 files were not fitted\n"
+    assert said == f"merlfit: dask-slurm: sbatch took no job ({REFUSAL})\nmerlfit: not fitted: 1 of 1 file\n"
     began, last = lines(tmp_path / "out")
     assert (began.executor, began.jobs) == ("dask-slurm", 2)
     assert (last.event, last.stopped) == ("ended", True)
