@@ -48,9 +48,9 @@ class Source(NamedTuple):
 SOURCES: dict[str, Source] = {
     "sgd": Source(BAGHER, ShiftedGamma(), "bagher_sgd"),
     "smooth": Source(LOEW, Smooth(), "low_lowsmooth_E2"),
-    "abc_microfacet": Source(LOEW, ABCMicrofacet(), "low_lowmicrofacet_E2"),
-    "cook_torrance": Source(LOEW, CookTorrance("loew"), "low_cooktorrance_E2"),
-    "cook_torrance_ngan": Source(NGAN, CookTorrance("ngan"), "ngan_cooktorrance", MERL_SCALE),
+    "abc-microfacet": Source(LOEW, ABCMicrofacet(), "low_lowmicrofacet_E2"),
+    "cook-torrance": Source(LOEW, CookTorrance("loew"), "low_cooktorrance_E2"),
+    "cook-torrance-ngan": Source(NGAN, CookTorrance("ngan"), "ngan_cooktorrance", MERL_SCALE),
     "he": Source(NGAN, He(), "ngan_he", MERL_SCALE),
 }
 
@@ -115,7 +115,7 @@ def published(material: str, source: str = "sgd", *, rescaled: bool = False) -> 
     if source == "sgd":
         entry["F0"], entry["F1"] = entry.pop("eta")
         del entry["K"]
-    if source == "cook_torrance_ngan":
+    if source == "cook-torrance-ngan":
         entry["F0"] = entry.pop("eta")
     if rescaled and "albedo" in entry:
         scale = np.asarray(SOURCES[source].channel_scale)

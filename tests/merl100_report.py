@@ -29,8 +29,8 @@ from .bench.record import RECONSTRUCTIONS, cell, machine
 
 OBJECTIVES = ("compressive", "adaptive", "none")
 SETS = {
-    "sgd": "SGD", "smooth": "Smooth", "cook_torrance": "Cook-Torrance (E2)", "he": "He",
-    "cook_torrance_ngan": "Cook-Torrance (Ngan)",
+    "sgd": "SGD", "smooth": "Smooth", "cook-torrance": "Cook-Torrance (E2)", "he": "He",
+    "cook-torrance-ngan": "Cook-Torrance (Ngan)",
 }  # fmt: skip
 BINS = np.ix_(np.arange(1, 90, 3), np.arange(1, 90, 3), np.arange(3, 180, 12))
 SIDE = 44  # pixels of a sphere on the contact sheet

@@ -41,7 +41,7 @@ def fitted(tmp_path_factory):
     """A published material synthesised, fitted with a short chain, all through the command line."""
     folder = tmp_path_factory.mktemp("cli")
     file = folder / "blue-metallic-paint.binary"
-    assert call("synth", "blue-metallic-paint", "--source", "abc_microfacet", "-o", file).exit_code == 0
+    assert call("synth", "blue-metallic-paint", "--source", "abc-microfacet", "-o", file).exit_code == 0
     settings = folder / "short.toml"
     settings.write_text('[effects]\nbody = "none"\n[fit]\nstarts = 2\n[posterior]\nmax_steps = 100\n')
     with pytest.MonkeyPatch.context() as patch:

@@ -147,7 +147,7 @@ def models():
 
 
 def published():
-    return [describe_sources()], ["color-changing-paint1", "cook_torrance_ngan:", "red-specular-plastic"]
+    return [describe_sources()], ["color-changing-paint1", "cook-torrance-ngan:", "red-specular-plastic"]
 
 
 def demonstrated():

@@ -42,9 +42,9 @@ PLAUSIBLE = {
 NOISE = 0.03  # standard deviation of the logarithm
 DRAWN = range(10)  # seeds
 PUBLISHED = (
-    ("nickel", "abc_microfacet"), ("chrome", "smooth"), ("alum-bronze", "cook_torrance"), ("gold-paint", "sgd"),
-    ("green-metallic-paint", "cook_torrance_ngan"), ("blue-rubber", "sgd"), ("red-fabric", "smooth"),
-    ("cherry-235", "abc_microfacet"), ("pvc", "cook_torrance"), ("white-acrylic", "he"),
+    ("nickel", "abc-microfacet"), ("chrome", "smooth"), ("alum-bronze", "cook-torrance"), ("gold-paint", "sgd"),
+    ("green-metallic-paint", "cook-torrance-ngan"), ("blue-rubber", "sgd"), ("red-fabric", "smooth"),
+    ("cherry-235", "abc-microfacet"), ("pvc", "cook-torrance"), ("white-acrylic", "he"),
 )  # fmt: skip
 WHAT = (
     f"{len(DRAWN) + len(PUBLISHED)} synthetic materials ({len(DRAWN)} of random parameters of the model itself with "

@@ -65,7 +65,7 @@ def group_of(material: str) -> str:
 
 def label(row: Row) -> str:
     """Name of a column or line: the model, and where its parameters are from."""
-    return row.model if row.origin == FIT else f"{row.origin.replace('_', '-')} (published)"
+    return row.model if row.origin == FIT else f"{row.origin} (published)"
 
 
 def by_label(rows: Iterable[Row]) -> dict[str, list[Row]]:

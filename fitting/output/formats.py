@@ -1,10 +1,11 @@
 """What glTF 2.0 and OpenPBR draw of their parameters, by their own formulas, and which parameters look nearest.
 
-glTF: specification 2.0, Appendix B (``metal_brdf``, ``dielectric_brdf``: B.2; D, V and F: B.3), its index of refraction
-by KHR_materials_ior. OpenPBR: specification 1.1, sections "Microfacet model" (GGX, Smith's masking, Fresnel's exact
-factor of a dielectric), "Metal" (F82-tint, which with a white ``specular_color`` is Schlick's factor) and "Layering"
-(the diffuse slab weighed by one minus the albedo of the gloss above it). Neither with light of several bounces between
-facets, which some renderers add: rough metals are brighter there.
+glTF: specification 2.0.1, Appendix B: "Metals" (B.2.1), "Dielectrics" (B.2.2), "Specular BRDF" (B.3.2: D, and masking
+in its separable form; the text of December 2025 and the Khronos renderer have the height-correlated one), "Fresnel"
+(B.3.4); its index of refraction by KHR_materials_ior. OpenPBR: specification 1.1, sections "Microfacet model" (GGX,
+Smith's masking), "Dielectric base" (Fresnel's exact factor), "Metal" (F82-tint, which with a white ``specular_color``
+is Schlick's factor) and "Layering" (albedo-scaling: the diffuse slab weighed by one minus the albedo of the gloss above
+it). Neither with light of several bounces between facets, which some renderers add: rough metals are brighter there.
 """
 
 from collections.abc import Callable
@@ -46,7 +47,7 @@ Format = Callable[[Angles, float, float | None], Brdf]
 
 
 def gltf(a: Angles, roughness: float, ior: float | None) -> Brdf:
-    """glTF 2.0: B.3.2 with separable masking; B.2.1 for metals, B.2.2's ``fresnel_mix`` for dielectrics."""
+    """glTF 2.0: ``specular_brdf`` of B.3.2, in ``metal_brdf`` of B.2.1 or in ``dielectric_brdf`` of B.2.2."""
     alpha2 = roughness**4
     masked = [x + np.sqrt(alpha2 + (1 - alpha2) * x**2) for x in (a.i, a.o)]
     facets = _ggx(a.h, alpha2) / (masked[0] * masked[1])

@@ -30,7 +30,8 @@ def synthesise(material: str, out: Path, source: str | None, loss: bool, force: 
         raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
     use_persistent_cache()
     try:
-        values, said = from_result(Path(material), loss) if fitted else from_published(material, source or "sgd")
+        table = (source or "sgd").replace("_", "-")  # as tables were named before
+        values, said = from_result(Path(material), loss) if fitted else from_published(material, table)
         write(out, values)
     except (MerlError, ResultError, KeyError, ValueError) as error:
         raise fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None

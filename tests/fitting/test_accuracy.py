@@ -27,7 +27,7 @@ from tests.support.frontiers import fit, measurement, point
 
 runner = CliRunner()
 HELD = [f"drawn-{1000 + seed}" for seed in range(16)]  # every body four times
-HELD += ["aluminium.smooth", "red-plastic.sgd", "brass.cook_torrance", "green-latex.abc_microfacet"]
+HELD += ["aluminium.smooth", "red-plastic.sgd", "brass.cook-torrance", "green-latex.abc-microfacet"]
 WANTED = (1e-1, 1e-2, 3e-3, 1e-3)
 
 

@@ -118,9 +118,9 @@ def test_rows_of_a_file_have_one_count_and_the_published_sets_beside_them(file, 
         FIT,
         "sgd",
         "smooth",
-        "abc_microfacet",
-        "cook_torrance",
-        "cook_torrance_ngan",
+        "abc-microfacet",
+        "cook-torrance",
+        "cook-torrance-ngan",
         "he",
     ]
     assert all(len(r.values) == r.numbers > 0 for r in rows), "parameters, of published sets too"

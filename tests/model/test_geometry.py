@@ -44,7 +44,7 @@ def test_whole_angles_give_the_same_brdf():
 
 
 def test_whole_angles_give_the_same_brdf_of_a_rival():
-    values = published("nickel", "cook_torrance")
+    values = published("nickel", "cook-torrance")
     found, expected = (evaluate(CookTorrance(), values, by_hand(kind)) for kind in (jnp.int32, jnp.float64))
     assert found.dtype == jnp.float64
     np.testing.assert_array_equal(found, expected)

@@ -12,11 +12,11 @@ from merlfit.model.published import _table as published_table
 TARGETS = {
     "smooth": (0.045, 0.100),
     "sgd": (0.049, 0.134),
-    "cook_torrance": (0.061, 0.160),
+    "cook-torrance": (0.061, 0.160),
     "he": (0.060, 0.252),
 }
-MEASURED_HERE = {"abc_microfacet": (0.042, 0.093), "cook_torrance_ngan": (0.085, 0.249)}
-MEASURED_RESCALED = {"he": (0.055, 0.209), "cook_torrance_ngan": (0.080, 0.188)}
+MEASURED_HERE = {"abc-microfacet": (0.042, 0.093), "cook-torrance-ngan": (0.085, 0.249)}
+MEASURED_RESCALED = {"he": (0.055, 0.209), "cook-torrance-ngan": (0.080, 0.188)}
 
 
 # --- the tables
@@ -80,7 +80,7 @@ def test_unknown_names_are_answered_with_the_nearest():
         materials("foo")
     with pytest.raises(KeyError, match="'sgd' has no material 'zzz'; nor one of a name like it"):
         published("zzz")
-    with pytest.raises(KeyError, match="of the other tables sgd, smooth, abc_microfacet, cook_torrance have it"):
+    with pytest.raises(KeyError, match="of the other tables sgd, smooth, abc-microfacet, cook-torrance have it"):
         published("white-marble", "he")
     with pytest.raises(KeyError, match="nearest is 'nickel'"):
         evaluate("nikel", "he", Geometry.from_half_difference(0.1, 0.1, 0.1))
@@ -90,7 +90,7 @@ def test_ngan_tables_lack_the_channel_factors_of_merl():
     """Beside Loew's diffuse albedos theirs are low by 1, 1.15 and 1.66; ``rescaled`` makes that good."""
 
     def ratio(rescaled):
-        pairs = [(published(m, "he", rescaled=rescaled), published(m, "cook_torrance")) for m in materials("he")]
+        pairs = [(published(m, "he", rescaled=rescaled), published(m, "cook-torrance")) for m in materials("he")]
         ratios = np.median([a["diffuse_albedo"] / b["diffuse_albedo"] for a, b in pairs], 0)
         return ratios / ratios[0]
 
@@ -211,20 +211,20 @@ def specular(predicted, source):
 
 def test_medians_notice_a_wrong_constant(reference, predictions):
     """Cook & Torrance divided by 4 instead of pi, as later microfacet models are."""
-    right = predictions("cook_torrance")
-    lobes = specular(right, "cook_torrance")
+    right = predictions("cook-torrance")
+    lobes = specular(right, "cook-torrance")
     wrong = {m: right[m] - (1 - np.pi / 4) * lobes[m] for m in right}
     with pytest.raises(AssertionError):
-        check_medians(reference, wrong, TARGETS["cook_torrance"], rtol=0.012)
+        check_medians(reference, wrong, TARGETS["cook-torrance"], rtol=0.012)
     check_medians(reference, wrong, (0.068, 0.166), rtol=0.012)  # cook_torrance.py
 
 
 def test_ngan_specular_constant_is_the_one_that_fits(reference, predictions):
     """The specular weight that fits best beside the published diffuse term is the published one."""
     best = []
-    for m, lobe in specular(predictions("cook_torrance_ngan"), "cook_torrance_ngan").items():
+    for m, lobe in specular(predictions("cook-torrance-ngan"), "cook-torrance-ngan").items():
         measured = reference.measured(m) / np.array(MERL_SCALE)
-        rest = measured - published(m, "cook_torrance_ngan")["diffuse_albedo"] / np.pi
+        rest = measured - published(m, "cook-torrance-ngan")["diffuse_albedo"] / np.pi
         weight = reference.weight[:, None] * np.array(MERL_SCALE) ** 2 * np.isfinite(measured)
         rest = np.where(np.isfinite(measured), rest, 0.0)
         best.append(np.sum(weight * rest * lobe) / np.sum(weight * lobe**2))

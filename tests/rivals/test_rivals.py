@@ -20,9 +20,9 @@ DRAWN = {
             "theta0": (0.05, 0.6), "F0": (0.02, 0.9), "F1": (0.01, 0.3), "albedo": (0.1, 1),
             "diffuse_albedo": (0.01, 0.4)},
     "smooth": {"A": (1, 100), "B": (5, 5e3), "C": (0.3, 2), "eta": (1.05, 4), "diffuse_albedo": (0.01, 0.4)},
-    "abc_microfacet": {"A": (1, 100), "B": (10, 1e5), "C": (0.3, 2), "eta": (1.05, 8), "diffuse_albedo": (0.01, 0.4)},
-    "cook_torrance": {"roughness": (0.2, 1), "eta": (1.05, 8), "albedo": (0.01, 0.3), "diffuse_albedo": (0.01, 0.4)},
-    "cook_torrance_ngan": {"roughness": (0.2, 1), "F0": (0.01, 0.9), "albedo": (0.01, 0.9),
+    "abc-microfacet": {"A": (1, 100), "B": (10, 1e5), "C": (0.3, 2), "eta": (1.05, 8), "diffuse_albedo": (0.01, 0.4)},
+    "cook-torrance": {"roughness": (0.2, 1), "eta": (1.05, 8), "albedo": (0.01, 0.3), "diffuse_albedo": (0.01, 0.4)},
+    "cook-torrance-ngan": {"roughness": (0.2, 1), "F0": (0.01, 0.9), "albedo": (0.01, 0.9),
                            "diffuse_albedo": (0.01, 0.4)},
     "he": {"roughness": (0.05, 3.0), "autocorrelation": (2, 12), "eta": (1.05, 8), "albedo": (0.1, 3),
            "diffuse_albedo": (0.01, 0.4)},
@@ -30,17 +30,17 @@ DRAWN = {
 RIGHT = {
     "sgd": oracle.sgd,
     "smooth": oracle.smooth,
-    "abc_microfacet": oracle.abc_microfacet,
-    "cook_torrance": oracle.cook_torrance,
-    "cook_torrance_ngan": oracle.cook_torrance_ngan,
+    "abc-microfacet": oracle.abc_microfacet,
+    "cook-torrance": oracle.cook_torrance,
+    "cook-torrance-ngan": oracle.cook_torrance_ngan,
     "he": oracle.he,
 }
 WRONG = {
     "sgd": partial(oracle.sgd, fresnel=oracle.sgd_fresnel_without_f0),
     "smooth": partial(oracle.smooth, cosine=oracle.facet_cosine),
-    "abc_microfacet": partial(oracle.abc_microfacet, normalisation=1),  # the paper's Eq. 15
-    "cook_torrance": partial(oracle.cook_torrance, masking=oracle.no_masking),
-    "cook_torrance_ngan": partial(oracle.cook_torrance_ngan, normalisation=1),
+    "abc-microfacet": partial(oracle.abc_microfacet, normalisation=1),  # the paper's Eq. 15
+    "cook-torrance": partial(oracle.cook_torrance, masking=oracle.no_masking),
+    "cook-torrance-ngan": partial(oracle.cook_torrance_ngan, normalisation=1),
     "he": partial(oracle.he, shadowing=oracle.he_shadowing_as_printed),  # the 1991 print
 }
 MODELS = list(SOURCES)
