@@ -31,6 +31,7 @@ from .support.terminal import (
     note,
     progress_display,
     reporter,
+    unexpected,
     writable_folder,
 )
 
@@ -106,9 +107,7 @@ def compare_files(
             except Exception as error:  # of any kind: said with its name, and the next file has its turn
                 code = max(code, FAILED_FIT)
                 log(log_of(out, path.stem), traceback.format_exc())
-                fail(
-                    f"{path}: failed unexpectedly: {type(error).__name__}: {error}; {log_of(out, path.stem)} says where"
-                )
+                fail(f"{unexpected(path, error)}; {log_of(out, path.stem)} says where")
             progress.remove_task(task)
     if rows:
         data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE
@@ -147,13 +146,27 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
 
 
 def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool = False) -> None:
-    """Print the errors of results against a file; with a folder, write them and the curves over theta_i."""
+    """Print the errors of results against a file; with a folder, write them and the curves over theta_i.
+
+    Exits with 2 if one of them has none; the others are assessed.
+    """
     use_persistent_cache()
     try:
         refuse_others({} if out is None else metrics_in(out), force)
-        found = [assessed_result(path, read_result(path), against) for path in results]
-    except (MerlError, ResultError, WriteError, ValueError) as error:
+    except WriteError as error:
         raise fail(str(error)) from None
+    found, said = [], {}
+    for path in results:
+        try:
+            found.append(assessed_result(path, read_result(path), against))
+        except (MerlError, ResultError) as error:
+            said[str(error)] = None  # once, if it is about the file
+        except Exception as error:  # of any kind: said with its name, and the next result has its turn
+            said[unexpected(path, error)] = None
+    for line in said:
+        fail(line)
+    if not found:
+        raise typer.Exit(BAD_INPUT)
     console.print(metrics_table(found, against))
     if out is not None:
         writable_folder(out)
@@ -163,3 +176,5 @@ def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool
             raise fail(str(error)) from None
         for path in written:
             console.print(f"wrote {path}")
+    if said:
+        raise typer.Exit(BAD_INPUT)

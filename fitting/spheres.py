@@ -25,7 +25,16 @@ from .results.schema import Result
 from .scenes import Say, changed, grey, of_result
 from .support.compilation import use_persistent_cache
 from .support.outputs import refuse_others
-from .support.terminal import BAD_INPUT, console, fail, note, progress_display, reporter, writable_folder
+from .support.terminal import (
+    BAD_INPUT,
+    console,
+    fail,
+    note,
+    progress_display,
+    reporter,
+    unexpected,
+    writable_folder,
+)
 
 LARGEST_SHOWN = 10.0  # CIELAB distance that is white in a picture of differences
 STUDIO = Scene(
@@ -160,6 +169,9 @@ def render_results(
             except (SceneError, ResultError, MerlError, OSError) as error:
                 code = BAD_INPUT
                 fail(str(error))
+            except Exception as error:  # of any kind: said with its name, and the next result has its turn
+                code = BAD_INPUT
+                fail(unexpected(path, error))
     if code:
         raise typer.Exit(code)
 

@@ -42,12 +42,12 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 atomically.
+    """Write UTF-8 atomically; what of a name is none is a question mark.
 
     Raises:
         WriteError: as of `write_atomically`.
     """
-    write_bytes(path, text.encode())
+    write_bytes(path, text.encode(errors="replace"))
 
 
 def append(path: Path, data: bytes) -> None:

@@ -105,8 +105,8 @@ def draw(subject: Subject, out: Path, kind: str, names: Sequence[str], force: bo
             continue
         except WriteError as error:
             raise fail(str(error)) from None
-        except ValueError as error:  # text that was edited into what is no formula
-            note(f"{target}: cannot be drawn ({str(error).strip().splitlines()[0]})")
+        except Exception as error:  # of any kind, text that was edited into what is no formula say
+            note(f"{target}: cannot be drawn ({type(error).__name__}: {str(error).strip()})")
             continue
         written[target] = ({**PICTURES, **SCATTERED})[name].words
     for why, those in missing.items():

@@ -113,7 +113,7 @@ class Subject:
     @property
     def theta_max(self) -> float:
         """Up to which angle (rad) the file was fitted."""
-        return float(self.result.config["fit"].get("theta_max", THETA_MAX))
+        return self.result.theta_max or THETA_MAX
 
     @property
     def heading(self) -> str:

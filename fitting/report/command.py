@@ -3,17 +3,21 @@
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
+import typer
+
 from ...merl_io.atomic import WriteError
 from ..support.numbers import counted
-from ..support.terminal import Stopped, console, fail, note, progress_display, reporter, writable_folder
+from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
 from .site import refuse_foreign, write_site
-from .table import results_in
+from .table import results_in, tell_errors
 
 
 def report_on(
     folder: Path, out: Path, files: Path | None, jobs: int | None, origin: str | None, force: bool = False
 ) -> None:
     """Write the pages and say where they begin; ends with an error line where there is nothing.
+
+    Exits with 2 if a result cannot be read, with 1 if a page cannot be made; the others are.
 
     Args:
         force: write over any file.
@@ -26,7 +30,7 @@ def report_on(
         refuse_foreign(out, force)
         with progress_display() as progress:
             task = progress.add_task("pages", total=None)
-            lacks = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"), origin)
+            made = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"), origin)
     except WriteError as error:
         raise fail(str(error)) from None
     except BrokenProcessPool:
@@ -36,7 +40,12 @@ def report_on(
     except Stopped as stop:
         note(f"stopped by {stop}: {out} is not whole; the same command writes it anew")
         raise SystemExit(stop.code) from None
-    for name, said in lacks.items():
-        for line in said:
-            note(f"{name}: {line}")
-    console.print(f"wrote {out / 'index.html'}: {counted(len(lacks), 'page')}; open it in a browser")
+    code = tell_errors(rows)
+    for page in made:
+        for line in (page.error, *(f"{page.name}: {said}" for said in page.lacks)):
+            if line:
+                note(line)
+        code = code or (FAILED_FIT if page.error else 0)
+    console.print(f"wrote {out / 'index.html'}: {counted(len(made), 'page')}; open it in a browser")
+    if code:
+        raise typer.Exit(code)

@@ -70,8 +70,7 @@ def left_out(result: Result) -> list[str]:
             said.append("masking and shadowing: switched off")
     if result.model.measured.lobes and not result.model.measured.loses:
         said.append("loss of light at grazing angles by the apparatus")
-    limit = result.config["fit"].get("theta_max")
-    if limit is not None:
+    if (limit := result.theta_max) is not None:
         said.append(f"directions past {np.degrees(limit):.0f} degrees from the normal: neither fitted nor assessed")
     return [*said, *NEVER]
 

@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from ...merl_io.atomic import write_text
 from ...model.registry import models
@@ -36,6 +36,7 @@ from ..support.clock import Report, silent
 from ..support.compilation import use_persistent_cache
 from ..support.numbers import counted
 from ..support.outputs import is_ours, refuse_others
+from ..support.terminal import unexpected
 from . import charts, pictures
 from . import rows as rows_of_charts
 from .simulated import left_out, reproducing, simulated
@@ -69,7 +70,21 @@ class Job:
     origin: str | None = None
 
 
+@dataclass(frozen=True)
+class Made:
+    """A page that was made.
+
+    Attributes:
+        lacks: what there is not on it, and why. error: why it holds nothing, if so.
+    """
+
+    name: str
+    lacks: list[str]
+    error: str | None = None
+
+
 FOLDERS = ("materials", "pictures", "assets")
+LONGEST = 200  # bytes of a page's name
 FIRST = "<!doctype html><title>merlfit</title><p>These pages are being written, or were not written to the end.\n"
 
 
@@ -89,8 +104,8 @@ def refuse_foreign(out: Path, force: bool = False) -> None:
 def write_site(
     rows: Sequence[Row], folder: Path, out: Path, files: Path | None = None, jobs: int | None = None,
     say: Report = silent, origin: str | None = None,
-) -> dict[str, list[str]]:  # fmt: skip
-    """Pages of all results of a folder.
+) -> list[Made]:  # fmt: skip
+    """Pages of all results of a folder; whatever one runs into, the others are made.
 
     Args:
         rows: of the folder's table. files: folder with the measurements, if they are not where the results say.
@@ -98,7 +113,7 @@ def write_site(
             files are, in words, if the fits were not told.
 
     Returns:
-        what each page lacks, by its name.
+        the pages, as they were done.
 
     Raises:
         merlfit.merl_io.atomic.WriteError: something cannot be written.
@@ -114,9 +129,9 @@ def write_site(
             work[name] = Job(folder / str(row["result"]), out, name, file, *beside, origin)
     for place in FOLDERS:
         (out / place).mkdir(parents=True, exist_ok=True)
-    lacks: dict[str, list[str]] = {}
-    for k, (name, said) in enumerate(_made(list(work.values()), jobs_for(len(work), jobs)), 1):
-        lacks[name] = said
+    made: list[Made] = []
+    for k, page in enumerate(_made(list(work.values()), jobs_for(len(work), jobs)), 1):
+        made.append(page)
         say(f"{k} of {counted(len(work), 'page')}")
     if origin is not None:
         rows = [{**row, "data": f"{origin} (stated, not checked)"} if row["genuine_merl"] == "no" else row
@@ -133,19 +148,18 @@ def write_site(
         out / "compare.html",
         _templates().get_template("compare.html").render(rows=_with_page(shown), numbers=_json(_compared(shown))),
     )
-    return lacks
+    return made
 
 
-def _made(jobs: list[Job], count: int) -> Iterator[tuple[str, list[str]]]:
-    """Names of pages as they are done, and what each lacks."""
+def _made(jobs: list[Job], count: int) -> Iterator[Made]:
+    """Pages as they are done."""
     if count <= 1:
-        yield from ((job.name, make_page(job)) for job in jobs)
+        yield from map(make_page, jobs)
         return
     pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_watch_parent)
     try:
-        running = {pool.submit(make_page, job): job for job in jobs}
-        for done in as_completed(running):
-            yield running[done].name, done.result()
+        for done in as_completed([pool.submit(make_page, job) for job in jobs]):
+            yield done.result()
     finally:
         pool.shutdown(cancel_futures=True)  # whoever stops it does not wait for all other pages
 
@@ -155,12 +169,23 @@ def _watch_parent() -> None:
     threading.Thread(target=end_with_parent, daemon=True).start()
 
 
-def make_page(job: Job) -> list[str]:
-    """Write the page of a result, and its pictures.
+def make_page(job: Job) -> Made:
+    """Write the page of a result, and its pictures; where that fails a page that says so, to which links lead."""
+    try:
+        return Made(job.name, _page(job))
+    except Exception as error:  # of any kind: said with its name, and the next page has its turn
+        said = unexpected(job.path, error)
+        why = f"<!doctype html><title>{escape(job.name)}</title><p>{escape(said)}<p><a href='../index.html'>index</a>\n"
+        write_text(_html(job), why)
+        return Made(job.name, [], said)
 
-    Returns:
-        what it lacks, and why.
-    """
+
+def _html(job: Job) -> Path:
+    return job.out / "materials" / f"{job.name}.html"
+
+
+def _page(job: Job) -> list[str]:
+    """Write the page of a result, and its pictures; what it lacks, and why."""
     use_persistent_cache()
     result = read_result(job.path)
     if job.origin is not None:
@@ -174,7 +199,7 @@ def make_page(job: Job) -> list[str]:
         lacks = [f"{said[what]}: {why}" for what, why in subject.lacks.items() if what != "chain" or result.posterior]
         page |= _charts(subject) | pictures.write(subject, job.out, job.name)
     page["lacks"] = lacks
-    write_text(job.out / "materials" / f"{job.name}.html", _templates().get_template("material.html").render(page))
+    write_text(_html(job), _templates().get_template("material.html").render(page))
     return lacks
 
 
@@ -182,9 +207,10 @@ def _page_of(job: Job, result: Result) -> Page:
     """What is said of a result."""
     m, f, run = result.model, result.fit, result.run
     command = " ".join(_quoted(word) for word in reproducing(result)) if run is not None else ""
+    json_file = os.path.relpath(job.path, job.out / "materials")
     return {
-        "result": result, "name": job.name, "before": job.before, "after": job.after, "json": os.path.relpath(
-            job.path, job.out / "materials"), "fitted": None if m is None else fitted_line(m), "number": number,
+        "result": result, "name": job.name, "before": job.before, "after": job.after, "json": json_file,
+        "json_link": quote(os.fsencode(json_file)), "fitted": None if m is None else fitted_line(m), "number": number,
         "interval": interval, "median": median, "symbol": _symbol, "spec": {}, "svg": {}, "pictures": {}, "widths": [],
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
@@ -207,10 +233,14 @@ def _charts(subject: Subject) -> Page:
 
 
 def _page_names(rows: Sequence[Row]) -> list[str | None]:
-    """Of each row's page: its result's path without the ending, once; None where there is nothing to show."""
+    """Of each row's page: its result's path without the ending, once; None where there is nothing to show.
+
+    As far as pictures named after it have names that file systems take.
+    """
     names: list[str | None] = []
     for row in rows:
-        name = "--".join(Path(str(row["result"])).with_suffix("").parts)
+        whole = "--".join(Path(str(row["result"])).with_suffix("").parts)
+        name = whole.encode(errors="replace")[:LONGEST].decode(errors="ignore")
         free = (each for each in chain([name], (f"{name}.{k}" for k in count(2))) if each not in names)
         names.append(None if row["result"] is None or row["status"] == UNREADABLE else next(free))
     return names

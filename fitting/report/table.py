@@ -4,6 +4,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import typer
+
 from ...merl_io.atomic import WriteError, write_text
 from ..execution.journal import NAME as MANIFEST
 from ..execution.journal import FileEnded, lines
@@ -11,7 +13,7 @@ from ..execution.unit import Kind
 from ..results.export import ResultError, read_result
 from ..results.schema import Metrics, Result
 from ..support.outputs import as_csv, refuse_others
-from ..support.terminal import console, fail, note
+from ..support.terminal import BAD_INPUT, console, fail, note, unexpected
 
 UNREADABLE = "unreadable"
 HEADS = (
@@ -25,6 +27,8 @@ Row = dict[str, str | float | None]
 def write_table(folder: Path, path: Path, force: bool = False) -> None:
     """Write the table of a folder and say what it holds; ends with an error line where there is nothing.
 
+    Exits with 2 if a result cannot be read; the others are in the table.
+
     Args:
         force: write over any file.
     """
@@ -34,12 +38,20 @@ def write_table(folder: Path, path: Path, force: bool = False) -> None:
         write_csv(rows, path)
     except WriteError as error:
         raise fail(str(error)) from None
-    for row in rows:
-        if row["error"]:
-            note(str(row["error"]))
+    code = tell_errors(rows)
     counts = Counter(str(row["status"]) for row in rows)
     said = ", ".join(f"{count} {status}" for status, count in counts.most_common())
     console.print(f"wrote {path}: {said}")
+    if code:
+        raise typer.Exit(code)
+
+
+def tell_errors(rows: Sequence[Row]) -> int:
+    """Say what is wrong, a line a row; the exit code that follows from results that cannot be read."""
+    for row in rows:
+        if row["error"]:
+            note(str(row["error"]))
+    return BAD_INPUT if any(row["status"] == UNREADABLE for row in rows) else 0
 
 
 def results_in(folder: Path) -> list[Row]:
@@ -88,7 +100,8 @@ def _last(folder: Path) -> Iterator[tuple[Path, FileEnded]]:
 
 
 def _shown(path: Path, folder: Path) -> bool:
-    return not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+    return not hidden and not path.name.endswith(".material.json")  # of `merlfit export`
 
 
 def _blank() -> Row:
@@ -103,11 +116,17 @@ def _row(path: Path, folder: Path, last: FileEnded | None) -> Row:
         "error": last.error if last else None,
     }
     try:
-        result = read_result(path)
+        return row | _found(read_result(path))
     except ResultError as error:
         return row | {"status": UNREADABLE, "error": str(error)}
+    except Exception as error:  # of any kind: said with its name, and the next result has its row
+        return row | {"status": UNREADABLE, "error": unexpected(path, error)}
+
+
+def _found(result: Result) -> Row:
+    """What a result says."""
     material, posterior = result.model.material if result.model else None, result.posterior
-    return row | {
+    return {
         "material": result.source.material, "status": result.fit.status, "model": material and material.name,
         "variant": material and material.variant, "genuine_merl": result.source.genuine_merl or "no",
         "data": result.data_words, "cost": result.fit.cost, **result.metrics.model_dump(),

@@ -105,7 +105,8 @@ def _check_version(path: Path, version: str) -> None:
     if version in known:
         return
     numbers = [version.split("."), known[-1].split(".")]
-    if all(part.isdecimal() for part in numbers[0]) and [int(x) for x in numbers[0]] > [int(x) for x in numbers[1]]:
+    ranks = [[(len(x.lstrip("0")), x.lstrip("0")) for x in parts] for parts in numbers]  # of any number of digits
+    if all(part.isdecimal() and part.isascii() for part in numbers[0]) and ranks[0] > ranks[1]:
         raise ResultError(
             f"{path}: was written by a newer merlfit (schema {version}, this one knows {known[-1]} at the most): "
             "update merlfit"

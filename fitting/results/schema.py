@@ -21,16 +21,7 @@ __all__ = [
     "Run", "Source", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
 SCHEMA_VERSION = "2.3"
-OLDER = (
-    "1.0",
-    "1.1",
-    "1.2",
-    "1.3",
-    "1.4",
-    "2.0",
-    "2.1",
-    "2.2",
-)  # versions that are read, too: `upgraded` makes them this one
+OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1", "2.2")  # are read, too: `upgraded` makes them this one
 EDITED = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
 UNSAID_SCATTERED = "a file of scattered directions, whose origin is not stated"
@@ -98,6 +89,22 @@ class Result(Strict):
             if not least <= q.value <= most or (kind.scale == "log" and q.value == least):
                 raise ValueError(f"{q.name} {q.value:g} is impossible, whatever its bounds")
         return self
+
+    @model_validator(mode="after")
+    def _settings_can_be_used(self) -> Self:
+        """What others take from tables of any content."""
+        if "total" not in self.seconds:
+            raise ValueError("seconds.total: is missing")
+        limit = self.theta_max
+        if limit is not None and (not isinstance(limit, int | float) or not 0.5 <= limit <= 1.571):
+            raise ValueError("config.fit.theta_max: should be an angle between 0.5 and 1.571 rad")
+        return self
+
+    @property
+    def theta_max(self) -> float | None:
+        """Directions past it (rad) were neither fitted nor assessed; None where the settings name none."""
+        section = self.config.get("fit")
+        return section.get("theta_max") if isinstance(section, dict) else None
 
     @property
     def digest(self) -> str:

@@ -233,6 +233,11 @@ def fail(message: str) -> typer.Exit:
     return typer.Exit(BAD_INPUT)
 
 
+def unexpected(path: Path, error: Exception) -> str:
+    """One line on what nobody foresaw, which ends the work on this file and on no other."""
+    return f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
+
+
 def note(message: str, style: str | None = None) -> None:
     """Print one line where errors go, clear of the progress display."""
     for progress in _shown:
