@@ -53,7 +53,7 @@ def test_a_hot_sample_changes_neither_values_nor_errors(fitted):
 
 def test_the_far_infrared(fitted):
     result = fitted("13/co2.csv")
-    assert (result.model.channels, result.fit.status) == (("10600nm",), "CONVERGED")
+    assert (result.model.channels, result.fit.status) == (["10600nm"], "CONVERGED")
     close(result, alpha=0.149, F0_10600nm=0.04, albedo_10600nm=0.2)
 
 
