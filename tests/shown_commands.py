@@ -32,6 +32,7 @@ ELSEWHERE = {  # commands that are not run here, and where they are
     r"dask |merlfit fit .*--executor": "tests/fitting/test_cluster.py",
     r"python -m merlfit.scene.mitsuba": "tests/scene/test_mitsuba.py",
 }
+ONCE = "merlfit: compiling, once"  # and in which folder of this machine: no page shows it
 BORDERS, NUMBER = re.compile("[\u2500-\u257f]+"), re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 
 
@@ -155,7 +156,8 @@ def rewrite(page: Path, runner: Runner) -> None:
     done = [(block, runner.output(block, page.name)) for block in shown(text)]
     for block, printed in reversed(done):
         if block.output is not None and printed is not None and "..." not in block.output.splitlines():
-            kept = "\n".join(line.rstrip() for line in printed.splitlines()).strip("\n") + "\n"
+            lines = [line.rstrip() for line in printed.splitlines() if not line.startswith(ONCE)]
+            kept = "\n".join(lines).strip("\n") + "\n"
             text = text[: block.place[0]] + kept + text[block.place[1] :]
     page.write_text(text)
 

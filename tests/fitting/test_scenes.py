@@ -84,7 +84,7 @@ def test_a_scene_is_planned_rendered_and_compared(tmp_path):
 def test_effects_of_a_result_in_a_scene(tmp_path, result):
     found = call("effects", scene(tmp_path, f'result = "{result.name}"\nparameters = {{ sigma_s = 1e-6 }}\n'))
     assert found.exit_code == 0, found.output
-    rows = [line for line in found.output.splitlines() if "│ diffraction " in line]
+    rows = [line for line in found.output.splitlines() if line.startswith("  diffraction ")]
     assert len(rows) == 1
     assert "dropped" in rows[0]
 
