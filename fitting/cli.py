@@ -1,5 +1,6 @@
 """The command line: parses, calls, prints."""
 
+import logging
 import os
 import time
 from importlib import metadata
@@ -65,6 +66,7 @@ Force = Annotated[
 
 def main() -> None:
     """Entry point of the ``merlfit`` command."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts concerns nobody
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # all cores have threads of ours, which its own would hinder
     run(app)
 

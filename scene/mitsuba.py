@@ -16,6 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from ..merl_io.archive import arrays
+from ..merl_io.source import MerlError, opened
+
 LIBRARIES = tuple(
     f"/usr/lib/{folder}/libLLVM{end}"
     for folder in ("x86_64-linux-gnu", "llvm-19/lib", "aarch64-linux-gnu")
@@ -36,6 +39,7 @@ mi: Any = mitsuba
 CELLS, LINEAR, STEEPEST = 256, 2e-4, 1e3
 GRAZING, INCIDENCES, NEWTON, SMALLEST = np.radians(89.9), 48, 5, 1e-6
 LONGEST = float(np.arcsinh(STEEPEST / LINEAR))
+TABLES = {"brdf", "share", "below"}
 PASS = 4  # samples of a pixel, between two words of a scalar variant
 
 
@@ -48,8 +52,11 @@ def make() -> type:
         def __init__(self, props: Any) -> None:  # noqa: ANN401 - of Mitsuba
             mi.BSDF.__init__(self, props)
             self.path = str(mi.file_resolver().resolve(props["filename"]))  # beside the scene
-            with np.load(self.path) as arrays:
-                brdf, share, below = (arrays[name] for name in ("brdf", "share", "below"))
+            with opened(Path(self.path)) as (file, _):
+                found = arrays(file, TABLES.__contains__)
+            if missing := TABLES - found.keys():
+                raise MerlError(f"{self.path}: has no {', '.join(sorted(missing))}, as `merlfit export` writes them")
+            brdf, share, below = (found[name] for name in ("brdf", "share", "below"))
             linear, nearest = dr.FilterMode.Linear, dr.FilterMode.Nearest
             self.brdf = mi.Texture3f(mi.TensorXf(brdf), filter_mode=linear, wrap_mode=dr.WrapMode.Clamp)
             self.share, self.below = (
@@ -214,7 +221,7 @@ def main() -> None:
     register()
     try:
         scene = mi.load_file(asked.scene)
-    except (RuntimeError, OSError) as error:  # of a file that is missing, no scene, or of what it names
+    except (RuntimeError, ValueError, OSError) as error:  # of a file that is missing, no scene, or of what it names
         parser.error(f"{asked.scene}: cannot be read as a scene ({' '.join(str(error).split())})")
     mi.util.write_bitmap(asked.out, rendered(scene, asked.samples or scene.sensors()[0].sampler().sample_count()))
     print(f"wrote {asked.out}")

@@ -130,3 +130,48 @@ def test_the_sampler_does_not_print_its_walkers_when_it_is_stopped(capsys):
     with pytest.raises(Stopped):
         _advance(stopped, [(emcee.moves.StretchMove(), 1.0)], now, 1, lambda *_: None)
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("place", "code", "said"),
+    [
+        ("typer", -signal.SIGINT, ""),  # while the program begins: shells call it 130
+        ("jax", 128 + signal.SIGINT, "merlfit: stopped by Ctrl-C; files that were written before are whole\n"),
+        ("exit", -signal.SIGINT, ""),
+    ],
+)
+def test_who_stops_it_while_it_begins_or_ends_sees_no_traceback(place, code, said):
+    """JAX's extension makes an ImportError of whatever is raised while it is imported."""
+    program = f"""
+import atexit, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+class Stops:
+    def find_spec(self, name, path=None, target=None):
+        if name == {place!r}:
+            sys.meta_path.remove(self)
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except BaseException:
+                raise ImportError(name) from None
+
+sys.meta_path.insert(0, Stops())
+if {place!r} == "exit":
+    atexit.register(os.kill, os.getpid(), signal.SIGINT)
+from merlfit.__main__ import main
+sys.argv = ["merlfit", "models"]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (code, said)
+
+
+def test_without_a_folder_for_programs_a_line_says_so():
+    environment = {k: v for k, v in os.environ.items() if k != "MERLFIT_CACHE_DIR"} | {"HOME": "/dev/null"}
+    program = "import matplotlib.pyplot, jax; from merlfit.fitting.support.compilation import use_persistent_cache"
+    program += "; use_persistent_cache(); jax.jit(lambda x: x + 1)(1.0); jax.jit(lambda x: x - 1)(1.0)"
+    program = f"import logging; logging.getLogger('matplotlib').setLevel(logging.ERROR); {program}"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, env=environment)
+    assert done.returncode == 0
+    assert done.stderr.startswith("merlfit: compiled programs cannot be kept in /dev/null/")
+    assert len(done.stderr.splitlines()) == 1

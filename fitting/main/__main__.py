@@ -1,5 +1,16 @@
-"""``python -m merlfit``."""
+"""The command ``merlfit``, and ``python -m merlfit``."""
 
-from .fitting.cli import main  # pyright: ignore[reportMissingImports] - installed, this file lies beside fitting/
+import signal
 
-main()
+
+def main() -> None:
+    """Entry point; until the commands hear Ctrl-C, and after they do, it ends the program without a word."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # which raises wherever an import or an exit is
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from .fitting.cli import main as commands  # pyright: ignore[reportMissingImports] - installed, it lies beside
+
+    commands()
+
+
+if __name__ == "__main__":
+    main()

@@ -5,7 +5,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from threading import Lock, get_ident
@@ -22,6 +22,7 @@ NEW = "/jax/compilation_cache/cache_misses"  # JAX's event when it has compiled 
 READY = "/jax/core/compile/backend_compile_duration"  # and after that, or when it has loaded one
 SLOW = 2.0  # seconds of compiling that are worth a word
 FIRST_FIT, FIRST_RIVAL = 130, 90  # programs of a first fit of a MERL file, about: of the two-scale model, of others
+UNKEPT = re.compile("Error writing persistent compilation cache entry for ")  # JAX's warnings
 DAMAGED = re.compile("Error reading persistent compilation cache entry for '([^']+)'")
 
 
@@ -38,6 +39,11 @@ def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
     """
     cache = cache_folder()
     folder = cache / "xla"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # no home, or one that cannot be written
+        _tell_unkept(folder, say)
+        return folder
     tables.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small ones take 15 s together
@@ -135,23 +141,35 @@ def _listen() -> None:
 
 @cache
 def _mend(folder: Path, say: Callable[[str], None]) -> None:
-    """Answer JAX's warning of a damaged entry, which it would leave as it is and warn of in every run."""
+    """Answer JAX's warnings: of a damaged entry, which it would leave as it is, and of one that it cannot write."""
     show, told = warnings.showwarning, []
 
     def shown(
         message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
         line: str | None = None,
     ) -> None:  # fmt: skip
+        if UNKEPT.match(str(message)):
+            _tell_unkept(folder, say)
+            return
         if not (found := DAMAGED.match(str(message))):
             show(message, category, filename, lineno, file, line)
             return
-        for entry in folder.glob(f"{glob.escape(found[1])}-*-cache"):
-            entry.unlink(missing_ok=True)
-        if not told:
-            told.append(True)
-            say(f"damaged programs in {folder} were deleted and are compiled again, once")
+        with suppress(OSError):  # a folder that cannot be written, of which the other warning is
+            for entry in folder.glob(f"{glob.escape(found[1])}-*-cache"):
+                entry.unlink()
+                if not told:
+                    told.append(True)
+                    say(f"damaged programs in {folder} were deleted and are compiled again, once")
 
     warnings.showwarning = shown
+
+
+@cache
+def _tell_unkept(folder: Path, say: Callable[[str], None]) -> None:
+    say(
+        f"compiled programs cannot be kept in {folder}, and every run compiles them again: "
+        "name a folder that can be written in MERLFIT_CACHE_DIR"
+    )
 
 
 MAPPINGS = 30_000  # of memory, of the 65 530 that Linux allows a process; a compiled program takes up to some hundreds

@@ -72,14 +72,20 @@ def stoppable() -> Iterator[None]:
     def stop(number: int, frame: FrameType | None) -> None:
         for each in STOPS:
             signal.signal(each, signal.SIG_DFL)
-        raise Stopped(number)
+        stopped.append(Stopped(number))
+        raise stopped[0]
 
+    stopped: list[Stopped] = []
     before = {each: signal.getsignal(each) for each in STOPS}
     heard = [each for each, handler in before.items() if handler != signal.SIG_IGN]  # nohup and the like stay deaf
     for each in heard:
         signal.signal(each, stop)
     try:
         yield
+    except Exception:
+        if stopped:  # what a library made of it while it was imported
+            raise stopped[0] from None
+        raise
     finally:
         for each in heard:
             signal.signal(each, before[each])
