@@ -161,7 +161,8 @@ def _near(fitted: Fitted, k: int) -> str:
     q, value, at = fitted.layout.entries[k], fitted.values[k], fitted.at_bound[k]
     away, bound = float(q.position(value)), q.lower if at == "lower" else q.upper
     away = away if at == "lower" else 1 - away
-    return f"{fitted.layout.names[k]} ({at}, {bound:g}, to {max(away, 0.0):.1%} of the range)"
+    scale = "logarithmic range" if q.scale == "log" else "range"
+    return f"{fitted.layout.names[k]} {value:.4g} ({at}, {bound:g}, to {max(away, 0.0):.1%} of the {scale})"
 
 
 def excess(fitted: Fitted) -> list[str]:

@@ -59,7 +59,8 @@ def test_a_good_fit_needs_no_caution():
     (fitted({**VALUES, "sigma_s": 0.3}), ["sigma_s is more than half a wavelength"]),
     (fitted({**VALUES, "albedo": np.array([0.0, 2 * METAL_FLOOR, 0.0])}), ["no metal", "effective values"]),
     (fitted({**VALUES, "n": np.full(3, 0.8), "k": np.full(3, 0.9)}), ["no metal has n 0.8 with k 0.9 (R)"]),
-    (fitted({**VALUES, "p": 0.2005}), ["at a bound", "p (lower, 0.2, to 0.1% of the range)"]),
+    (fitted({**VALUES, "p": 0.2005}), ["at a bound", "p 0.2005 (lower, 0.2, to 0.1% of the logarithmic range)"]),
+    (fitted({**VALUES, "grazing_exponent": 0.999}), ["grazing_exponent 0.999 (upper, 1, to 0.1% of the range)"]),
     (fitted(errors=replace(GOOD, highlight=0.3)), ["0.3 times as bright as the file's", "--weights adaptive"]),
     (fitted(converged=False), ["still falling"]),
     (fitted(errors=replace(GOOD, lamp=0.4, environment=5.8)), ["0.4 under a lamp, 5.8 under"]),
@@ -95,7 +96,7 @@ def test_normal_equations_that_are_not_finite_are_no_fit():
         valid=np.ones(3, bool), outliers=0,
     )  # fmt: skip
     samples = SimpleNamespace(weight=np.ones((3, 2, 2)))
-    found = make_result(file, samples, replace(one, solution=broken), None, load(), {})
+    found = make_result(file, samples, replace(one, solution=broken), None, load(), {"total": 0.1})
     assert found.fit.status == "NON_FINITE"
     assert found.model is None
 
