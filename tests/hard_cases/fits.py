@@ -74,7 +74,7 @@ def fit(file: dict) -> Result:
     samples, scale = weighted_samples(m), file.get("weight", 1.0)
     samples = replace(samples, weight=samples.weight * scale, scatter=samples.scatter * scale)
     fitted = run.fit(m, samples, CONFIG)
-    return make_result(m, samples, fitted, None, CONFIG, {})
+    return make_result(m, samples, fitted, None, CONFIG, {"total": 0.0})
 
 
 def complaints(file: dict, result: Result) -> list[str]:
