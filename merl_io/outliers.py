@@ -8,11 +8,10 @@ import numpy as np
 from .bands import filled
 from .scattered import ScatteredMeasurement, half_difference, order
 
-HOT = (
-    5.0  # times as bright as every neighbour, the cosines divided out, and as the median of all: a sample is an outlier
-)
+HOT = 5.0  # times as large as every neighbour, cosines divided out, and as the median of all: an outlier
 NEIGHBOURS = 12  # in sqrt(theta_h), theta_d and phi_d
 INSIDE = 2  # of these are no further from the mirror's direction, as none are of a highlight's own brightest sample
+MISALIGNED = np.radians(3.0)  # half of how far a goniometer's highlight, or its way back, may lie from where it should
 BESIDE = 8  # samples in order that are looked at first
 SHOWN = 3
 
@@ -35,25 +34,32 @@ def examined(measured: ScatteredMeasurement, place: Callable[[int], str]) -> Sca
 
 
 def hot(measured: ScatteredMeasurement) -> np.ndarray:
-    """Which values (C, N) are far brighter than all of their neighbours, none of which is a highlight's.
+    """Which values (C, N) are far larger than all of their neighbours, none of which is a highlight's.
 
-    A sample that no other is as near to the mirror's direction as, or to the light's, may be a highlight.
+    A sample that no other is as near to the mirror's direction as, or to the light's, or that is nearer to these than
+    `MISALIGNED`, may be a highlight. Where most values are zero, as counts of photons are, one is as good as zero.
     """
-    theta_h, theta_d, phi_d = half_difference(measured.theta_i, measured.theta_o, measured.phi)
-    at = np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2)
-    if at.shape[1] <= NEIGHBOURS:
-        return np.zeros(measured.values.shape, bool)
-    cosines, ranked = np.cos(measured.theta_i) * np.cos(measured.theta_o), order(at)
+    angles = np.stack(half_difference(measured.theta_i, measured.theta_o, measured.phi))
+    cosines = np.cos(measured.theta_i) * np.cos(measured.theta_o)
     found = np.zeros(measured.values.shape, bool)
-    for plane, hot_ones in zip(measured.values, found, strict=True):  # one by one: there are many, and memory is not
-        flat = np.nan_to_num(plane) * cosines
-        size = np.abs(flat)
-        for k in np.flatnonzero((flat > 0) & _suspects(size, ranked)):
-            away = np.sum((at - at[:, [k]]) ** 2, 0)
-            away[k] = np.inf
-            near = np.argpartition(away, NEIGHBOURS)[:NEIGHBOURS]
-            inside = [np.sum(x[near] <= x[k] + 1e-6) >= INSIDE for x in (theta_h, theta_d)]
-            hot_ones[k] = all(inside) and flat[k] > HOT * max(size[near].max(), np.median(size))
+    for plane, hot_ones in zip(measured.values, found, strict=True):
+        there = np.isfinite(plane)
+        hot_ones[there] = _hot(np.abs(plane[there] * cosines[there]), *angles[:, there])
+    return found
+
+
+def _hot(size: np.ndarray, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+    found, least = np.zeros(size.shape, bool), float(np.median(size)) if size.size else 0.0
+    if size.size <= NEIGHBOURS or least == 0:
+        return found
+    at = np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2)
+    away_from_both = (theta_h > MISALIGNED) & (theta_d > MISALIGNED)
+    for k in np.flatnonzero(away_from_both & _suspects(size, order(at))):
+        away = np.sum((at - at[:, [k]]) ** 2, 0)
+        away[k] = np.inf
+        near = np.argpartition(away, NEIGHBOURS)[:NEIGHBOURS]
+        inside = [np.sum(x[near] <= x[k] + 1e-6) >= INSIDE for x in (theta_h, theta_d)]
+        found[k] = all(inside) and size[k] > HOT * max(size[near].max(), least)
     return found
 
 
@@ -76,6 +82,6 @@ def _told(measured: ScatteredMeasurement, found: np.ndarray, place: Callable[[in
     more = f" and {len(samples) - SHOWN} more" if len(samples) > SHOWN else ""
     one = len(samples) == 1
     return (
-        f"{', '.join(said)}{more}: {'an outlier' if one else 'outliers'}, over {HOT:g} times as bright as all "
+        f"{', '.join(said)}{more}: {'an outlier' if one else 'outliers'}, over {HOT:g} times as large as all "
         f"samples beside {'it' if one else 'them'}, and left out"
     )

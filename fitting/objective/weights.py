@@ -47,13 +47,18 @@ def compressive_weight(value: np.ndarray, median: np.ndarray, bend: float = BEND
 
 
 def noise_floor(value: np.ndarray) -> float:
-    """Values below it are not told from zero by their noise, as which negative ones show: they weigh alike.
+    """Values below it are not told from zero, as negative ones show: they weigh alike.
 
     A weight that falls with the noise of its own value counts what is by chance too dark for more than what is by
-    chance too bright, and so makes the fit too dark.
+    chance too bright, and so makes the fit too dark. Of values spread evenly from zero on, noise of a deviation s takes
+    s / sqrt(2 pi) times their density below zero, and `TOLD` s times it lie within the floor: `TOLD` sqrt(2 pi) for
+    each negative one. No more are taken to be within it, so that a few negative ones say nothing of the others.
     """
     negative = value[value < 0]
-    return TOLD * float(np.median(-negative)) / HALF_NORMAL if negative.size else 0.0
+    if not negative.size:
+        return 0.0
+    within_it = min(TOLD * np.sqrt(2 * np.pi) * negative.size / value.size, 1.0)
+    return min(TOLD * float(np.median(-negative)) / HALF_NORMAL, float(np.quantile(np.abs(value), within_it)))
 
 
 def cos_weighted_median(value: np.ndarray, cos_i: np.ndarray) -> float:

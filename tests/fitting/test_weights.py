@@ -11,6 +11,7 @@ from merlfit.fitting.objective.weights import (
     _compressive,
     compressive_weight,
     cos_weighted_median,
+    noise_floor,
     weighted_samples,
     within,
 )
@@ -197,6 +198,13 @@ def test_noise_below_the_floor_does_not_weigh(tmp_path):
     np.testing.assert_array_equal(
         _compressive(1.4)(bright, cos_i), compressive_weight(bright, np.asarray(cos_weighted_median(bright, cos_i)))
     )
+
+
+def test_a_few_negative_values_say_nothing_of_the_others():
+    value = np.concatenate([np.linspace(0.01, 0.09, 2000), [-0.5]])
+    assert noise_floor(value) == pytest.approx(0.0105, rel=0.02)
+    evenly = np.random.default_rng(0).uniform(0, 1, 100_000) + 0.01 * np.random.default_rng(1).standard_normal(100_000)
+    assert noise_floor(evenly) == pytest.approx(0.035, rel=0.1)
 
 
 def test_a_channel_whose_values_are_mostly_negative_still_weighs():
