@@ -66,9 +66,19 @@ Force = Annotated[
 
 def main() -> None:
     """Entry point of the ``merlfit`` command."""
+    _fill_streams()
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts concerns nobody
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # all cores have threads of ours, which its own would hinder
     run(app)
+
+
+def _fill_streams() -> None:
+    """Put nothing in the place of standard streams that are closed: pipes to workers would get their numbers."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
 
 
 def _version(asked: bool) -> None:

@@ -1,6 +1,8 @@
 """Materials for other programs: Mitsuba, MERL files, plain parameters, and the nearest GGX of glTF and OpenPBR."""
 
+import hashlib
 import json
+import os
 import re
 from collections.abc import Callable
 from dataclasses import asdict
@@ -77,7 +79,8 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
     stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
     try:
         if to != "merl":
-            refuse_others({out / f"{stem}.{ending}": mark for ending, mark in ENDINGS[to].items()}, force)
+            names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
+            refuse_others({out / f"{names[ending]}.{ending}": mark for ending, mark in ENDINGS[to].items()}, force)
         with progress_display() as progress:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             written = _exported(path, to, out, say)
@@ -203,8 +206,12 @@ def to_openpbr(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
 
 
 def _word(name: str) -> str:
-    """Of a file that XML names: Mitsuba takes ``$`` for a parameter of the scene, and XML has no control codes."""
-    return re.sub(r"[$\x00-\x1f\x7f-\x9f]", "_", name)
+    """Of a file that XML names: Mitsuba takes ``$`` for a parameter of the scene, and XML has no control codes.
+
+    A name that is changed for that is no other's.
+    """
+    plain = re.sub(r"[$\x00-\x1f\x7f-\x9f]", "_", name)
+    return plain if plain == name else f"{plain}-{hashlib.sha1(os.fsencode(name)).hexdigest()[:8]}"
 
 
 def _comment(text: str) -> str:

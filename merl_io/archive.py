@@ -41,6 +41,8 @@ def _bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, text: bool) -> int
         if np.lib.format.read_magic(opened) != (1, 0):
             raise ValueError(f"array {name} is of another version of NumPy's format than 1.0")
         shape, _, kind = np.lib.format.read_array_header_1_0(opened)
+    if min(shape, default=0) < 0:
+        raise ValueError(f"array {name} says to have less than nothing in it")
     if kind.kind not in ("U" if text else "fiu"):
         raise ValueError(f"array {name} holds no {'text' if text else 'real numbers'}")
     if math.prod(shape) * kind.itemsize > member.file_size:

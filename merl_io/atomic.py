@@ -63,13 +63,24 @@ def append(path: Path, data: bytes) -> None:
         raise WriteError(f"{path}: cannot be written ({why})") from None
 
 
-def _append(path: Path, data: bytes) -> None:
+def appendable(path: Path) -> IO[bytes]:
+    """A regular file, which is made if needed, open at its end.
+
+    Raises:
+        OSError: it cannot be opened, is a link or no regular file.
+    """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
     for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"):  # as far as the system has them; a pipe is not waited for
         flags |= getattr(os, name, 0)
-    with open(os.open(path, flags, 0o666), "ab") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError("it is no regular file")
+    file = open(os.open(path, flags, 0o666), "ab")  # noqa: SIM115 - whoever asked for it closes it
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError("it is no regular file")
+    return file
+
+
+def _append(path: Path, data: bytes) -> None:
+    with appendable(path) as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

@@ -14,6 +14,7 @@ from ...model.two_scale import TwoScale
 from ..objective.transforms import ODDS, Layout
 from ..objective.weights import BEND, Bend
 from ..results import schema
+from ..results.upgrade import NINETY
 from ..settings.config import Config
 from ..solve.levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
 from . import metrics
@@ -23,7 +24,6 @@ from .selection import VISIBLE, alike, lost
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
 DECIDED = np.sqrt(0.5)  # of the prior's standard deviation: data leave as much that say as much as the prior
-NINETY = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
 UNREAL = ", but no matter is like that"
@@ -79,7 +79,7 @@ class Fitted:
     def laplace(self) -> list[tuple[float, float] | None]:
         """90 % intervals of the physical values by the Laplace approximation; None where the data do not decide.
 
-        Each value is normal in its own free coordinate, given the others at the fit: with J the slopes and C the
+        Each value is normal in its own free coordinate, which has the others at the fit: with J the slopes and C the
         covariance there, of the standard deviation sqrt((J C J^T)_ii) / J_ii. So an interval holds the value, keeps
         within the bounds and is as skew as the coordinate. The data decide where this is below `DECIDED` of what
         the prior alone, C = 1, leaves.

@@ -116,7 +116,8 @@ def choose(
 
 def beyond(one: int, other: int, objectives: Sequence[float], cube_roots: Sequence[float]) -> bool:
     """Whether one fit describes the file so much better than another that what is known of matter counts no more."""
-    return objectives[other] > BEYOND * objectives[one] or cube_roots[other] > BEYOND * cube_roots[one]
+    near = objectives[other] <= BEYOND * objectives[one] and cube_roots[other] <= BEYOND * cube_roots[one]
+    return not near  # nor is what is not finite
 
 
 def alike(

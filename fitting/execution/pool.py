@@ -21,6 +21,7 @@ import psutil
 
 from ..support.affinity import begun_on, cores_of, spread
 from ..support.clock import Stage
+from ..support.outputs import open_log
 from ..support.terminal import Stopped, stoppable
 from ..support.threads import CORES
 from .unit import Ended, Kind, Task, Unit, fit_unit
@@ -232,8 +233,7 @@ def end_with_parent() -> None:
 def _into(unit: Unit) -> Iterator[None]:
     """What this process prints, and libraries written in other languages, goes to the unit's log."""
     try:
-        unit.log.parent.mkdir(exist_ok=True)
-        file = open(unit.log, "ab")  # noqa: SIM115 - closed below
+        file = open_log(unit.log)
     except OSError:
         file = open(os.devnull, "ab")  # noqa: SIM115
     with file:

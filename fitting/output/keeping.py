@@ -17,7 +17,7 @@ from ..results.export import ResultError, read_result
 from ..support.outputs import is_ours, stands
 from ..support.terminal import note
 
-RESULT = b'"schema_version"'
+RESULT = rb'"schema_version": "\d+\.\d+"[\s\S]*"source": {'
 
 
 class Complete(IntEnum):
@@ -156,9 +156,10 @@ def _settled(target: Place, new: Place) -> Place:
     """Where a result is in the end that was written beside that of its name: in its place, or in its own folder."""
     before, after = completeness(target.path), completeness(new.path)
     of_old, of_new = (_of(place.path) for place in (target, new))
+    foreign = stands(target.path) and not is_ours(target.path, RESULT)
     other = Complete.NOTHING not in (before, after) and of_old != of_new  # it says other things
     longer = before != Complete.CHAIN or after != Complete.CHAIN  # of two unfinished chains nobody knows which
-    if not other and after >= before and longer:
+    if not other and not foreign and after >= before and longer:
         _move(new.path, target.path)
         return target
     if not new.path.exists():
@@ -166,7 +167,7 @@ def _settled(target: Place, new: Place) -> Place:
     named = next(path for k in count(2) if not (path := target.folder / f"{target.path.stem}.{k}").exists())
     moved = Place(new.folder.rename(named), target.path.stem)
     words = _apart(of_old, of_new) if other else ("", "")
-    moved.said = f"{target.path} stays as it was, with {before.words}{words[0]}; "
+    moved.said = f"{target.path} stays as it was, {'no result' if foreign else f'with {before.words}{words[0]}'}; "
     moved.said += f"{moved.path} is the new one, {after.words}{words[1]}"
     return moved
 

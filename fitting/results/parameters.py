@@ -39,7 +39,7 @@ class ParameterResult(Strict):
     """Fitted value."""
     laplace: Quantiles | None
     """By the Laplace approximation in free coordinates, around the fitted value and within the bounds
-    (docs/statistics.md); null at a bound, where the prior says more than the data, and before version 2.3."""
+    (docs/statistics.md); null at a bound and where the prior says more than the data. Before version 2.3, symmetric."""
     quantiles: Quantiles | None
     """Of the posterior; null without a posterior that is good enough."""
     lower: float

@@ -4,12 +4,15 @@ from typing import Any
 
 from ...merl_io.binary import DIMS
 
+NINETY = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
+
 
 def upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
     """An older version as 2.3; what is missing or wrong is left for the reader of that to complain about.
 
     1.x knew the two-scale model alone, and had the acquisition among its effects; 2.0 lacked a field that may be null;
-    before 2.2 every file was MERL's, before 2.3 parameters had standard errors, which the covariance holds still.
+    before 2.2 every file was MERL's, before 2.3 parameters had standard errors, of
+    which symmetric intervals are made.
     """
     if not isinstance(data, dict):
         return data
@@ -47,7 +50,14 @@ def _model(model: dict[str, Any]) -> dict[str, Any]:
 def _parameter(parameter: Any) -> Any:  # noqa: ANN401 - plain data of JSON
     if not isinstance(parameter, dict):
         return parameter
-    return {"laplace": None} | {key: value for key, value in parameter.items() if key != "standard_error"}
+    kept = {key: value for key, value in parameter.items() if key != "standard_error"}
+    keys = ("value", "standard_error", "lower", "upper")
+    numbers = [x for key in keys if isinstance(x := parameter.get(key), int | float)]
+    if len(numbers) < len(keys):
+        return {"laplace": None} | kept
+    value, error, lower, upper = numbers
+    ends = {"q05": max(lower, value - NINETY * error), "q50": value, "q95": min(upper, value + NINETY * error)}
+    return {"laplace": ends} | kept
 
 
 def _candidate(candidate: Any) -> Any:  # noqa: ANN401 - plain data of JSON

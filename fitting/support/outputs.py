@@ -7,8 +7,9 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import IO
 
-from ...merl_io.atomic import WriteError, append
+from ...merl_io.atomic import WriteError, appendable
 
 OURS = rb"merlfit"  # is in what tells who made a picture, a page or a JSON
 LOOK = 2**14  # bytes at both ends of a file
@@ -22,11 +23,21 @@ def log_of(out: Path, name: str) -> Path:
 
 def log(path: Path, text: str) -> None:
     """Add a line to a log, if that can be written into the folder of results itself."""
-    with suppress(OSError):
-        path.parent.mkdir(exist_ok=True)  # not the folder for results: one that goes away is not to come back empty
-        if not path.parent.is_symlink():
-            line = f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n"
-            append(path, line.encode(errors="backslashreplace"))
+    line = f"{time.strftime('%Y-%m-%dT%H:%M:%S')} {text.strip()}\n"
+    with suppress(OSError), open_log(path) as file:
+        file.write(line.encode(errors="backslashreplace"))
+
+
+def open_log(path: Path) -> IO[bytes]:
+    """A log, open at its end.
+
+    Raises:
+        OSError: there cannot be one, or it, or its folder, is a link.
+    """
+    path.parent.mkdir(exist_ok=True)  # not the folder for results: one that goes away is not to come back empty
+    if path.parent.is_symlink():
+        raise OSError("its folder is a symbolic link")
+    return appendable(path)
 
 
 def refuse_others(paths: Mapping[Path, bytes] | Iterable[Path], force: bool = False) -> None:

@@ -59,6 +59,7 @@ def test_noticeably_worse_is_not_alike_however_few_residuals_count(which):
 def test_what_is_not_finite_is_never_chosen():
     objectives, roots = [np.inf, 0.01], [np.inf, 0.02]
     assert choose(objectives, roots, [np.nan, score(0.01, 0.02, COUNT)]) == 1
+    assert choose([np.nan, 0.01], [np.nan, 0.02], [np.nan, -50.0], [True, False], [True, False]) == 1
 
 
 def test_nearest_picture_that_keeps_the_highlight():

@@ -4,12 +4,15 @@ import io
 import os
 import tracemalloc
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 from merlfit.merl_io import check, inputs
+from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import MerlError
-from merlfit.merl_io.scattered import half_difference, order, scattered, thin
+from merlfit.merl_io.outliers import hot
+from merlfit.merl_io.scattered import ScatteredMeasurement, half_difference, order, scattered, thin
 from merlfit.merl_io.table import ANGLES
 
 HEAD = "theta_i_deg,theta_o_deg,phi_deg,450nm,0.55um,650.5nm"
@@ -273,6 +276,49 @@ def test_a_hot_sample_is_named_and_left_out(cases):
         assert said.startswith("line 313 (550nm ")
         assert np.flatnonzero(~found.valid[0]).tolist() == [311]
         np.testing.assert_array_equal(found.values[found.valid], plain.values[found.valid])
+
+
+def scan(theta_i, step, values, phi=180.0):
+    """A scattered measurement of one channel in the plane of incidence."""
+    theta_o = np.concatenate([np.arange(0.0, 80.0, step) for _ in theta_i])
+    each = np.repeat(theta_i, len(np.arange(0.0, 80.0, step)))
+    return scattered_of(
+        np.radians(each), np.radians(theta_o), np.full(len(each), np.radians(phi)), values(each, theta_o)
+    )
+
+
+def scattered_of(theta_i, theta_o, phi, *channels):
+    values = np.stack(channels)
+    names = tuple(f"{550 + k}nm" for k in range(len(channels)))
+    bands = Bands(names, tuple(0.55 + 0.001 * k for k in range(len(channels))))
+    share = np.full(len(phi), 1.0 / len(phi))
+    return ScatteredMeasurement(Path("x.csv"), "table", theta_i, theta_o, phi, values, share, bands, "", "")
+
+
+def test_a_highlight_beside_where_it_should_be_is_no_outlier():
+    """A goniometer half a degree off, whose steps are finer than a mirror's lobe."""
+    lobe = lambda i, o: 0.02 + 200 * np.exp(-(((o - i - 0.5) / 0.1) ** 2))  # noqa: E731
+    assert not hot(scan([20.0, 40.0, 60.0], 0.25, lobe)).any()
+
+
+def test_what_was_not_measured_is_nobodys_neighbour():
+    """Two wavelengths, each blank where the other was measured."""
+    coarse, fine = np.arange(0.0, 80.0, 10.0), np.arange(0.5, 80.0, 1.0)
+    theta_o = np.radians(np.concatenate([coarse, fine]))
+    of_coarse = np.arange(len(theta_o)) < len(coarse)
+    one, other = np.where(of_coarse, 0.1, np.nan), np.where(of_coarse, np.nan, 0.1)
+    found = scattered_of(np.full(len(theta_o), 0.5), theta_o, np.full(len(theta_o), np.pi), one, other)
+    assert not hot(found).any()
+
+
+def test_counts_of_few_photons_are_no_outliers_and_a_hot_negative_value_is_one():
+    rng = np.random.default_rng(0)
+    theta = np.radians(rng.uniform(5, 75, (2, 2000)))
+    phi, counts = rng.uniform(0, np.pi, 2000), rng.poisson(0.1, 2000).astype(float)
+    assert not hot(scattered_of(*theta, phi, counts)).any()
+    even = np.full(2000, 0.1)
+    even[7] = -100.0
+    assert np.flatnonzero(hot(scattered_of(*theta, phi, even))).tolist() == [7]
 
 
 def test_a_highlight_of_one_sample_is_no_outlier(tmp_path):
