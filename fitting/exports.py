@@ -73,7 +73,7 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
     if to not in get_args(To):
         raise fail(f"--to {to!r} is none of {', '.join(get_args(To))}")
     target = out / f"{path.stem}.binary"
-    if to == "merl" and target.exists() and not force:
+    if to == "merl" and os.path.exists(target) and not force:
         raise fail(f"{target}: is there already, and may be a measurement; --force overwrites it")
     writable_folder(out)
     stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem

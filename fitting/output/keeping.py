@@ -14,7 +14,7 @@ from ...merl_io.source import whole
 from ..pictures.subject import NoPicture, chain_file
 from ..pipeline.run import chain_of
 from ..results.export import ResultError, read_result
-from ..support.outputs import is_ours, stands
+from ..support.outputs import is_ours
 from ..support.terminal import note
 
 RESULT = rb'"schema_version": "\d+\.\d+"[\s\S]*"source": {'
@@ -135,7 +135,7 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
         WriteError: a file of that name is no result.
     """
     target = Place(out, name)
-    if stands(target.path) and not is_ours(target.path, RESULT):
+    if os.path.exists(target.path) and not is_ours(target.path, RESULT):
         raise WriteError(f"{target.path}: is there already, and no result of merlfit: move it, or name another folder")
     if completeness(target.path) == Complete.NOTHING:
         yield target

@@ -1,5 +1,6 @@
 """`merlfit synth`: MERL files without a measurement, tabulated from published parameter sets or from a fit."""
 
+import os
 from pathlib import Path
 
 import jax
@@ -26,7 +27,7 @@ def synthesise(material: str, out: Path, source: str | None, loss: bool, force: 
         raise fail(f"--source names a published table; {material} is a fit: leave it out")
     if loss and not fitted:
         raise fail(f"--with-grazing-loss is for the RESULT.json of a fit; {material} is none: leave it out")
-    if out.exists() and not force:
+    if os.path.exists(out) and not force:
         raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
     use_persistent_cache()
     try:

@@ -1,5 +1,6 @@
 """`merlfit report` in a terminal: its progress, and what it says."""
 
+import os
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -23,7 +24,7 @@ def report_on(
         force: write over any file.
     """
     rows = results_in(folder)
-    if files is not None and not files.is_dir():
+    if files is not None and not os.path.isdir(files):
         raise fail(f"--files {files}: no such folder")
     writable_folder(out)
     try:

@@ -95,7 +95,7 @@ def refuse_foreign(out: Path, force: bool = False) -> None:
         merlfit.merl_io.atomic.WriteError: there is something of a name that pages need.
     """
     index = out / "index.html"
-    if not index.exists() or not is_ours(index):
+    if not os.path.exists(index) or not is_ours(index):
         refuse_others((index, *(out / name for name in ("compare.html", "table.csv", *FOLDERS))), force)
         write_text(index, FIRST)
     refuse_others({out / "table.csv": TABLE}, force)

@@ -1,5 +1,6 @@
 """A folder of results as one table for a spreadsheet: what `merlfit table` writes."""
 
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -56,7 +57,7 @@ def tell_errors(rows: Sequence[Row]) -> int:
 
 def results_in(folder: Path) -> list[Row]:
     """As `rows_of`; ends with an error line where there is nothing."""
-    if not folder.is_dir():
+    if not os.path.isdir(folder):  # which takes names of any length
         raise fail(f"{folder}: no such folder")
     rows = rows_of(folder)
     if not rows:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -52,28 +53,16 @@ def refuse_others(paths: Mapping[Path, bytes] | Iterable[Path], force: bool = Fa
     """
     marks = paths if isinstance(paths, Mapping) else dict.fromkeys(paths, OURS)
     for path, mark in {} if force else marks.items():
-        if stands(path) and not is_ours(path, mark):
+        if os.path.exists(path) and not is_ours(path, mark):
             raise WriteError(
                 f"{path}: is there already, and no earlier output of this command: move it, write elsewhere (-o), or "
                 "overwrite it (--force)"
             )
 
 
-def stands(path: Path) -> bool:
-    """Whether there is something of this name.
-
-    Raises:
-        WriteError: there cannot be.
-    """
-    try:
-        return path.exists()
-    except (OSError, ValueError) as error:  # a name too long, a folder that is closed
-        raise WriteError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from None
-
-
 def is_ours(path: Path, mark: bytes = OURS) -> bool:
     """Whether a regular file has the mark of an output near one of its ends; an empty one has nothing to lose."""
-    if not path.is_file():
+    if not os.path.isfile(path):  # which takes names of any length, as `exists` does
         return False
     with open(path, "rb") as file:
         head, size = file.read(LOOK), path.stat().st_size

@@ -1,7 +1,7 @@
 """`python -m tests.faults [SECTION ...]`: tries faults and writes results/faults.md.
 
 `--few` tries a twentieth and writes nothing, `--times N` has folders and kills tried so often, `--out` names a folder.
-A section is loaders, inputs, folders or kills, or one trial of the last two: `folders.vanish`, `kills.posterior`.
+A section is loaders, inputs, commands, folders or kills, or one trial of the last two: `folders.vanish`, say.
 """
 
 import sys
@@ -16,15 +16,15 @@ def main(
     sections: list[str] = typer.Argument(None), few: bool = False, times: int | None = None, out: Path = RESULTS
 ) -> None:
     """Try the faults of the sections, all of them without a name."""
-    from . import folders, inputs, kills, loaders
+    from . import commands, folders, inputs, kills, loaders
 
     tried = Tried(None if few else out)
     for asked in sections or TITLES:
         section, _, trial = asked.partition(".")
         only = [trial] if trial else []
         tried.begin(section, only)
-        if section in ("loaders", "inputs"):
-            {"loaders": loaders, "inputs": inputs}[section].run(tried, few)
+        if section in ("loaders", "inputs", "commands"):
+            {"loaders": loaders, "inputs": inputs, "commands": commands}[section].run(tried, few)
         else:
             {"folders": folders, "kills": kills}[section].run(tried, only, few, times)
     sys.exit(1 if tried.wrong else 0)

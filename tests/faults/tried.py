@@ -11,6 +11,7 @@ RESULTS = Path(__file__).parents[2] / "results"
 TITLES = {
     "loaders": "Damaged files through the loaders",
     "inputs": "Damaged tables and files of RGL's kind through the loaders",
+    "commands": "Hostile command lines, scenes, draws, manifests and maps",
     "folders": "Folders that fail",
     "kills": "kill -9 at random moments",
 }
@@ -23,6 +24,10 @@ TEXTS = {
     "inputs": "As above. Whatever is accepted has directions above the horizon, shares and values that are not "
     "negative and not infinite, and one datum at least. Files are small, so that thousands can be tried. That full "
     "ones of RGL's layout take no more memory than three times their size is a test (tests/merl_io/test_rgl.py).",
+    "commands": "Command lines are run in one process, with names that no file should have (escape sequences, "
+    "formulas, no UTF-8, 300 characters, /dev/zero) and pipes, folders, links and damaged files of these names. A "
+    "wrong outcome is a traceback, over 20 s, a failure without a line, a line of over 1,000 characters, or a control "
+    "code that reaches the terminal. The readers are judged as above; of a manifest damaged lines are left out.",
     "folders": "Batches of the program with a stand-in for the fit, which writes what a fit would; all else is the "
     "program's own. After each the same command with --resume, the fault mended, has to bring every file to its end. "
     "A wrong outcome is a traceback, a failure without a line that names the file, an exit code of success although "

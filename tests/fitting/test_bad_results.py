@@ -6,10 +6,15 @@ import os
 
 import numpy as np
 import pytest
-from merlfit.fitting.execution.journal import NAME
+from merlfit.fitting.execution.journal import NAME, lines
+from merlfit.fitting.pictures.subject import NoPicture, chain_file
 from merlfit.fitting.report import site
 from merlfit.fitting.results.export import ResultError, read_result, write_result
+from merlfit.fitting.settings.config import ConfigError, load
 from merlfit.fitting.support.terminal import BAD_INPUT, FAILED_FIT
+from merlfit.scene.description import SceneError
+from merlfit.scene.description import load as load_scene
+from merlfit.scene.images import read_map
 
 from tests.support.command import call
 from tests.support.made_results import made
@@ -109,3 +114,47 @@ def test_errors_of_all_other_results(tmp_path):
     shown = call("metrics", good, good, "--against", tmp_path / "none.csv")
     assert shown.exit_code == BAD_INPUT
     assert len(shown.stderr.splitlines()) == 1
+
+
+def draws_at(path):
+    result = made(posterior=True)
+    result.posterior.chain_file = path.name
+    return chain_file(result, path.with_name("nickel.json"))
+
+
+@pytest.mark.parametrize("kind", ["pipe", "zeros"])
+@pytest.mark.parametrize(
+    ("read", "refusal", "ending"),
+    [
+        (read_result, ResultError, "json"), (load, ConfigError, "toml"), (load_scene, SceneError, "toml"),
+        (read_map, SceneError, "npy"), (read_map, SceneError, "exr"), (draws_at, NoPicture, "npz"),
+    ],
+)  # fmt: skip
+def test_what_is_no_regular_file_is_refused_at_once(read, refusal, ending, kind, tmp_path):
+    path = tmp_path / f"endless.{ending}"
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
+    with pytest.raises(refusal, match=r"endless\.\w+: is not a regular file$"):
+        read(path)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "zeros"])
+def test_a_manifest_that_is_no_regular_file_says_nothing(kind, tmp_path):
+    os.mkfifo(tmp_path / NAME) if kind == "pipe" else (tmp_path / NAME).symlink_to("/dev/zero")
+    assert list(lines(tmp_path)) == []
+
+
+def test_draws_that_unpack_to_more_than_their_file_may_hold_take_no_memory(tmp_path):
+    size = len(made().parameters)
+    path = tmp_path / "zeros.npz"
+    np.savez_compressed(path, names=["x"], values=np.zeros((2**20, size)), weights=np.zeros(2**20))
+    with pytest.raises(NoPicture, match="cannot be read"):
+        draws_at(path)
+
+
+def test_a_map_that_says_to_be_larger_than_its_file_takes_no_memory(tmp_path):
+    path = tmp_path / "large.npy"
+    with open(path, "wb") as file:
+        header = {"descr": "<f4", "fortran_order": False, "shape": (2**20, 2**20, 3)}
+        np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(SceneError, match=r"large\.npy: "):
+        read_map(path)

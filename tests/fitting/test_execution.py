@@ -85,17 +85,23 @@ def test_one_that_alone_is_told_to_stop_is_tried_again_and_the_others_go_on(tmp_
     assert "told-a.binary: its process was told to stop (SIGTERM" in noted[0]
 
 
-def test_workers_that_are_halted_are_ended_at_once(tmp_path):
-    at_work = Pool(2, task, print)
-    begun = set()
+def stopped_once_begun(at_work, which, given):
+    """Stop when these units have begun; numbers of those that ended before."""
+    begun, over = set(), []
 
     def tell(k, stage):
         begun.add(k)
-        if {0, 1} <= begun:
+        if which <= begun:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(at_work.ended(units(tmp_path, "halted-a", "halted-b"), tell))
+        over.extend(k for k, _ in at_work.ended(given, tell))
+    return over
+
+
+def test_workers_that_are_halted_are_ended_at_once(tmp_path):
+    at_work = Pool(2, task, print)
+    assert stopped_once_begun(at_work, {0, 1}, units(tmp_path, "halted-a", "halted-b")) == []
     start = time.monotonic()
     assert {e.kind for _, e in at_work.stop()} <= {Kind.STOPPED, Kind.FITTED}
     assert time.monotonic() - start < pool.PATIENCE / 2
@@ -114,16 +120,7 @@ def test_closed_standard_output_does_not_cost_the_fits(tmp_path):
 
 def test_who_is_at_work_when_it_is_stopped_leaves_what_it_has(tmp_path):
     at_work = Pool(2, task, print)
-    begun = set()
-
-    def tell(k, stage):
-        begun.add(k)
-        if {0, 2} <= begun:
-            raise KeyboardInterrupt
-
-    ended = at_work.ended(units(tmp_path, "slow-a", "quick-b", "slow-c"), tell)
-    with pytest.raises(KeyboardInterrupt):
-        assert [k for k, _ in ended] == [1]
+    assert stopped_once_begun(at_work, {0, 2}, units(tmp_path, "slow-a", "quick-b", "slow-c")) == [1]
     stopped = dict(at_work.stop())
     assert {k: e.kind for k, e in stopped.items()} == {0: Kind.STOPPED, 2: Kind.STOPPED}
     assert stopped[0].result.source.material == "slow-a"
