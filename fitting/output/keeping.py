@@ -156,7 +156,7 @@ def _settled(target: Place, new: Place) -> Place:
     """Where a result is in the end that was written beside that of its name: in its place, or in its own folder."""
     before, after = completeness(target.path), completeness(new.path)
     of_old, of_new = (_of(place.path) for place in (target, new))
-    foreign = stands(target.path) and not is_ours(target.path, RESULT)
+    foreign = os.path.exists(target.path) and not is_ours(target.path, RESULT)
     other = Complete.NOTHING not in (before, after) and of_old != of_new  # it says other things
     longer = before != Complete.CHAIN or after != Complete.CHAIN  # of two unfinished chains nobody knows which
     if not other and not foreign and after >= before and longer:
