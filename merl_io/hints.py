@@ -13,6 +13,8 @@ SPREAD = 0.15  # of cosines' logarithms: pairs of directions that tell a cosine
 LEAST = 8  # pairs, or samples of an incidence, to say anything by
 MOST = 400  # samples that are looked at for their partners
 DRAWN = 1500  # directions of a hemisphere
+PAIRS = 4_000_000  # of these and samples that are looked at together: 100 MB
+AZIMUTHS = 3  # of an incidence, at least: a plane says nothing of the hemisphere
 NEAR = np.radians(3.0)  # of two samples that count as one pair of directions
 
 
@@ -53,7 +55,8 @@ def _bright(albedo: float) -> list[str]:
 def _radians(measured: ScatteredMeasurement) -> list[str]:
     """Angles that were radians already."""
     theta = np.degrees(np.maximum(measured.theta_i, measured.theta_o))
-    turns = np.degrees(np.abs(measured.phi))
+    turns = np.degrees(np.abs(measured.phi)) % 180  # to which signed angles have added 180
+    turns = np.minimum(turns, 180 - turns)
     if 0.1 < theta.max() <= np.pi / 2 and turns.max() <= 2 * np.pi + 1e-3 and len(theta) >= LEAST:
         return [
             f"no angle exceeds {max(theta.max(), turns.max()):.4g}: they look like radians, and are read as degrees; "
@@ -104,7 +107,9 @@ def reflected(angles: np.ndarray, value: np.ndarray) -> float:
     for each in np.unique(theta_i) if len(np.unique(theta_i)) <= MOST else []:
         rows = np.flatnonzero(theta_i == each)
         at, f = angles[1:, rows], value[rows]
-        if len(rows) >= LEAST and np.ptp(at[0]) > 1.0 and np.ptp(np.abs(np.cos(at[1]) - 1)) > 1.0:
+        azimuths = len(np.unique(np.round(np.degrees(np.arccos(np.cos(at[1]))))))
+        wide = np.ptp(at[0]) > 1.0 and np.ptp(np.abs(np.cos(at[1]) - 1)) > 1.0
+        if len(rows) >= LEAST and azimuths >= AZIMUTHS and wide:
             found.append(_hemisphere(at, f))
     return max(found)
 
@@ -117,10 +122,13 @@ def _hemisphere(at: np.ndarray, f: np.ndarray) -> float:
     rows = np.unique(np.round([x, y], 3), axis=1, return_index=True)[1]  # one direction is one sample, if there twice
     if len(rows) < LEAST:
         return 0.0
-    away = (radius * np.cos(turn))[:, None] - x[rows], (radius * np.sin(turn))[:, None] - y[rows]
-    near = np.argpartition(away[0] ** 2 + away[1] ** 2, 3, axis=1)[:, :3]
+    least = []
+    for part in np.array_split(np.arange(DRAWN), -(-DRAWN * len(rows) // PAIRS)):
+        across, along = ((radius * turned(turn))[part, None] for turned in (np.cos, np.sin))
+        near = np.argpartition((across - x[rows]) ** 2 + (along - y[rows]) ** 2, 3, axis=1)[:, :3]
+        least.append(f[rows][near].min(1))
     inside = radius < np.sin(at[0]).max()
-    return float(np.pi * np.mean(np.where(inside, f[rows][near].min(1), 0.0)))
+    return float(np.pi * np.mean(np.where(inside, np.concatenate(least), 0.0)))
 
 
 def _side(angles: np.ndarray, value: np.ndarray) -> list[str]:

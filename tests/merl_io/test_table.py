@@ -11,6 +11,7 @@ import pytest
 from merlfit.merl_io import check, inputs
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import MerlError
+from merlfit.merl_io.hints import hints
 from merlfit.merl_io.outliers import hot
 from merlfit.merl_io.scattered import ScatteredMeasurement, half_difference, order, scattered, thin
 from merlfit.merl_io.table import ANGLES
@@ -359,6 +360,22 @@ def test_genuine_measurements_get_no_hint(cases):
     rgl = [measured / "rgl" / f"{name}_rgb.bsdf" for name in ("cc_green_malachite", "irid_flake_paint1")]
     for file in (measured / "nist" / "ptfe_regular.csv", *rgl):
         assert check.inspect_file(file).told == [], file
+
+
+def test_a_plane_says_nothing_of_the_hemisphere():
+    """A metal's highlight, scanned through both sides of the plane of incidence."""
+    theta_o = np.radians(np.arange(-80.0, 81.0, 2.0))
+    phi = np.where(theta_o < 0, 0.0, np.pi)
+    value = 0.02 + 12 * np.exp(-(((theta_o - np.radians(30)) / 0.2) ** 2))
+    made = scattered_of(np.full(len(phi), np.radians(30)), np.abs(theta_o), phi, value)
+    assert hints(made) == []
+
+
+def test_radians_of_signed_angles_are_told(tmp_path):
+    target = tmp_path / "signed.csv"
+    rows = [f"0.5,{o:.3f},0,0.1" for o in np.linspace(-1.4, 1.4, 29)]
+    target.write_text("theta_i_deg,theta_o_deg,phi_deg,500nm\n" + "\n".join(rows))
+    assert any("they look like radians" in line for line in check.inspect_file(target).told)
 
 
 def test_the_brightest_sample_on_the_lights_side_is_told(tmp_path):
