@@ -22,7 +22,7 @@ from .execution.here import Here
 from .execution.journal import Journal
 from .execution.pool import Pool, jobs_for
 from .execution.unit import Ended, Kind, Unit
-from .output.keeping import Complete, claimed, completeness
+from .output.keeping import Complete, claimed, completeness, results_beside
 from .output.report import Outcome, accuracy_line, summary_table
 from .pipeline.run import settled
 from .results.export import valid_result
@@ -177,17 +177,20 @@ def fit_files(
 
 
 def _done(unit: Unit) -> Result | None:
-    """A whole result of the same file, settings and versions."""
+    """A whole result of the same file, settings and versions, in its place or beside another of its name."""
     try:
         with opened(unit.path) as (file, _):
             sha1 = hashlib.file_digest(file, "sha1").hexdigest()  # pyright: ignore[reportArgumentType] - it is a file
     except MerlError:
         return None  # said when it is fitted
     settings = unit.settings.for_scattered if is_scattered(unit.path) else unit.settings
-    found = valid_result(unit.target, sha1, settings)
-    if found is None or not found.fit.succeeded or (found.accuracy is None) != (unit.finish is None):
-        return None
-    return found if found.posterior is not None or not settings.posterior.enabled else None
+    for path in (unit.target, *results_beside(unit.target)):
+        found = valid_result(path, sha1, settings)
+        if found is None or not found.fit.succeeded or (found.accuracy is None) != (unit.finish is None):
+            continue
+        if found.posterior is not None or not settings.posterior.enabled:
+            return found
+    return None
 
 
 class _Run:

@@ -164,12 +164,26 @@ def _settled(target: Place, new: Place) -> Place:
         return target
     if not new.path.exists():
         return new
-    named = next(path for k in count(2) if not (path := target.folder / f"{target.path.stem}.{k}").exists())
-    moved = Place(new.folder.rename(named), target.path.stem)
     words = _apart(of_old, of_new) if other else ("", "")
-    moved.said = f"{target.path} stays as it was, {'no result' if foreign else f'with {before.words}{words[0]}'}; "
-    moved.said += f"{moved.path} is the new one, {after.words}{words[1]}"
+    stays = f"{target.path} stays as it was, {'no result' if foreign else f'with {before.words}{words[0]}'}"
+    for earlier in results_beside(target.path):
+        if of_new is not None and _of(earlier) == of_new:
+            moved = _settled(Place(earlier.parent, earlier.stem), new)
+            break
+    else:
+        named = next(path for k in count(2) if not (path := target.folder / f"{target.path.stem}.{k}").exists())
+        moved = Place(new.folder.rename(named), target.path.stem)
+    moved.said = f"{stays}; {moved.path} is the new one, {after.words}{words[1]}"
     return moved
+
+
+def results_beside(path: Path) -> Iterator[Path]:
+    """Where results are of other files or models, or less complete ones, that came later under a name."""
+    for k in count(2):
+        folder = path.parent / f"{path.stem}.{k}"
+        if not folder.exists():
+            return
+        yield folder / path.name
 
 
 def _of(path: Path) -> tuple[str, str] | None:

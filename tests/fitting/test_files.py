@@ -286,6 +286,10 @@ def test_a_result_of_another_file_of_that_name_is_kept(tmp_path, stand_in):
     said = " ".join(shown.stderr.split())
     assert "paint.json stays as it was, with a fit without a posterior of another file (SHA-1 aaaaaaaa)" in said
     assert "is the new one, a fit without a posterior of the file with SHA-1 bbbbbbbb" in said
+    before = (out / "paint.2" / "paint.json").stat().st_ino
+    assert call("fit", "b/paint.binary", "-o", out).exit_code == 0
+    assert results_in(out) == ["paint.2", "paint.json"], "fitted again, it has its place"
+    assert (out / "paint.2" / "paint.json").stat().st_ino != before
 
 
 def test_log_and_manifest_follow_no_links_out_of_the_folder(tmp_path, stand_in):
