@@ -154,27 +154,36 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
 
 def _settled(target: Place, new: Place) -> Place:
     """Where a result is in the end that was written beside that of its name: in its place, or in its own folder."""
-    before, after = completeness(target.path), completeness(new.path)
-    of_old, of_new = (_of(place.path) for place in (target, new))
-    foreign = os.path.exists(target.path) and not is_ours(target.path, RESULT)
-    other = Complete.NOTHING not in (before, after) and of_old != of_new  # it says other things
-    longer = before != Complete.CHAIN or after != Complete.CHAIN  # of two unfinished chains nobody knows which
-    if not other and not foreign and after >= before and longer:
+    if _takes_place(new.path, target.path):
         _move(new.path, target.path)
         return target
     if not new.path.exists():
         return new
-    words = _apart(of_old, of_new) if other else ("", "")
+    before, after = completeness(target.path), completeness(new.path)
+    words = _apart(_of(target.path), _of(new.path)) if _is_other(new.path, target.path) else ("", "")
+    foreign = not is_ours(target.path, RESULT)
     stays = f"{target.path} stays as it was, {'no result' if foreign else f'with {before.words}{words[0]}'}"
-    for earlier in results_beside(target.path):
-        if of_new is not None and _of(earlier) == of_new:
-            moved = _settled(Place(earlier.parent, earlier.stem), new)
-            break
+    if earlier := next((path for path in results_beside(target.path) if _takes_place(new.path, path)), None):
+        moved = Place(earlier.parent, earlier.stem)
+        _move(new.path, earlier)
     else:
         named = next(path for k in count(2) if not (path := target.folder / f"{target.path.stem}.{k}").exists())
         moved = Place(new.folder.rename(named), target.path.stem)
     moved.said = f"{stays}; {moved.path} is the new one, {after.words}{words[1]}"
     return moved
+
+
+def _takes_place(new: Path, old: Path) -> bool:
+    """Whether a result may be put in the place of what stands there."""
+    before, after = completeness(old), completeness(new)
+    longer = before != Complete.CHAIN or after != Complete.CHAIN  # of two unfinished chains nobody knows which
+    foreign = os.path.exists(old) and not is_ours(old, RESULT)
+    return not foreign and not _is_other(new, old) and after >= before and longer
+
+
+def _is_other(new: Path, old: Path) -> bool:
+    """Whether two results say other things, being of another file or model."""
+    return Complete.NOTHING not in (completeness(old), completeness(new)) and _of(old) != _of(new)
 
 
 def results_beside(path: Path) -> Iterator[Path]:

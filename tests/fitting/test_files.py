@@ -326,7 +326,7 @@ def test_a_fit_of_another_model_does_not_take_the_place_of_one(tmp_path, stand_i
     assert read_result(out / "nickel.2" / "nickel.json").model.name == "ggx"
 
 
-@pytest.mark.parametrize("before", ['{"schema_version": "9"}', "a failed fit"])
+@pytest.mark.parametrize("before", ['{"schema_version": "9.0", "source": {}}', "a failed fit"])
 def test_what_stood_there_before_is_no_result_of_a_fit_that_is_stopped(before, tmp_path, monkeypatch):
     def stop(*_):
         raise Stopped()
