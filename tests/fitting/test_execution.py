@@ -108,13 +108,18 @@ def test_workers_that_are_halted_are_ended_at_once(tmp_path):
     assert not workers_left()
 
 
-def test_closed_standard_output_does_not_cost_the_fits(tmp_path):
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_closed_streams_do_not_cost_the_fits(closed, tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     names = [f"{name}.binary" for name in ("quick-a", "quick-b", "quick-c")]
     words = [sys.executable, str(program), "fit", *names, "-o", str(tmp_path)]
-    said = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, timeout=180)
-    assert "tried once more" not in said.stderr
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" {closed}', "sh", *words], stderr=subprocess.PIPE, text=True, timeout=180
+    )
+    assert done.returncode == 0
+    assert "tried once more" not in done.stderr
+    assert '"failed"' not in (tmp_path / "manifest.jsonl").read_text()
     assert all((tmp_path / f"{name}.json").is_file() for name in ("quick-a", "quick-b", "quick-c"))
 
 
