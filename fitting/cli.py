@@ -78,7 +78,7 @@ def _fill_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest free number, for workers as well
 
 
 def _version(asked: bool) -> None:
