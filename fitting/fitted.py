@@ -17,7 +17,7 @@ from .output.report import print_result
 from .pictures import style
 from .pictures.all import PICTURES
 from .pictures.prediction import Fitted, predicted_lobe
-from .pictures.subject import chain_file, subject_of
+from .pictures.subject import chain_file, own_chain, subject_of
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of
 from .results.export import ResultError, write_result
@@ -225,38 +225,33 @@ class Fit:
         """Write result and chain into a folder, as `merlfit fit` does; the path of the result, which is the fit's then.
 
         Where a result stands there that is of another file or model, or more complete, it stays, and a warning says
-        in which folder beside it this one is.
+        in which folder beside it this one is; also where that was this fit's, and somebody sampled it since.
 
         Raises:
             merlfit.WriteError: it cannot be written, or a command is writing there.
         """
-        folder, name, posterior = Path(folder), self.result.source.material, self.result.posterior
+        folder, name = Path(folder), self.result.source.material
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"{folder}: cannot be made ({error.strerror or error})") from None
-        if folder.resolve() == self.path.parent.resolve() and self.path.stem == name:
-            return self._saved(self.path)
         with claimed(folder, alone=False), place_of(folder, name) as place:
-            own, chain = chain_of(self.path), chain_of(place.path)
-            if posterior is not None and (named := self.path.parent / posterior.chain_file).is_file():
-                own = named
-            if own.is_file():
-                write_bytes(chain, own.read_bytes())
-            else:
+            own, chain = own_chain(self.result, self.path), chain_of(place.path)
+            if own is None:
                 chain.unlink(missing_ok=True)
-            self._saved(place.path)
+            elif own.absolute() != chain.absolute():
+                write_bytes(chain, own.read_bytes())
+            self._write(place.path)
         self.path = place.path
         if place.said:
             warnings.warn(place.said, stacklevel=2)
         return self.path
 
-    def _saved(self, path: Path) -> Path:
+    def _write(self, path: Path) -> None:
         if (posterior := self.result.posterior) is not None:
             posterior = posterior.model_copy(update={"chain_file": chain_of(path).name})
             self.result = self.result.model_copy(update={"posterior": posterior})
         write_result(path, self.result)
-        return path
 
     def _model(self) -> Model:
         if self.result.model is None:

@@ -1,5 +1,6 @@
 """Results that are there already: a fit takes the place of one only if it is at least as complete."""
 
+import filecmp
 import json
 import os
 import shutil
@@ -176,9 +177,15 @@ def _settled(target: Place, new: Place) -> Place:
 def _takes_place(new: Path, old: Path) -> bool:
     """Whether a result may be put in the place of what stands there."""
     before, after = completeness(old), completeness(new)
-    longer = before != Complete.CHAIN or after != Complete.CHAIN  # of two unfinished chains nobody knows which
     foreign = os.path.exists(old) and not is_ours(old, RESULT)
-    return not foreign and not _is_other(new, old) and after >= before and longer
+    return not foreign and not _is_other(new, old) and after >= before and not _loses_a_chain(new, old)
+
+
+def _loses_a_chain(new: Path, old: Path) -> bool:
+    """Whether the chain of an old result is worth more than the new one's: of unfinished ones nobody knows which is."""
+    if Complete.CHAIN == completeness(old) == completeness(new):
+        return not filecmp.cmp(chain_of(new), chain_of(old), shallow=False)
+    return _has_its_chain(old, old) and not _has_its_chain(new, new) and not _has_its_chain(new, old)
 
 
 def _is_other(new: Path, old: Path) -> bool:

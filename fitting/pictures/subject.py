@@ -188,7 +188,25 @@ def _is_of(result: Result, draws: Chain, started: np.ndarray | None) -> bool:
     assert result.posterior is not None
     if (told := result.posterior.draws_sha1) is not None:
         return told == sha1_of_draws(draws["values"], draws["weights"].ravel())
-    if started is None or result.model is None:
+    return started is None or _began_at(result, started)
+
+
+def own_chain(result: Result, path: Path) -> Path | None:
+    """File of the chain that belongs to a result, finished or not; None where there is none, or one of another fit."""
+    try:
+        if result.posterior is not None:
+            chain_file(result, path)
+            return _place(result, path)
+        with opened(chain_of(path), NoPicture) as (file, _):
+            started = arrays(file, "fit_free".__eq__)["fit_free"]
+    except (ValueError, KeyError):
+        return None
+    return chain_of(path) if result.fit.succeeded and _began_at(result, started) else None
+
+
+def _began_at(result: Result, started: np.ndarray) -> bool:
+    """Whether a chain began where a fit ended; yes, where that cannot be known."""
+    if result.model is None:
         return True
     try:
         layout = layout_for(parse(result.config, result.source.material), result.model.measured, result.model.bands)

@@ -8,12 +8,15 @@ import merlfit
 import numpy as np
 import pytest
 from merlfit.fitting import api
+from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.output.keeping import claimed
 from merlfit.fitting.pictures.subject import chain_file
 from merlfit.fitting.pipeline.run import chain_of
 from merlfit.fitting.posterior import importance
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.results.export import read_result, write_result
+from merlfit.fitting.results.posterior import sha1_of_draws
 
-from tests.support.made_results import put_result
+from tests.support.made_results import made, put_result
 
 QUICK = {
     "effects": {"body": "none", "diffraction": "off"}, "fit": {"starts": 1, "grid": "coarse"},
@@ -134,6 +137,42 @@ def test_saving_replaces_no_better_result_and_leaves_no_chain_of_another(tmp_pat
     before = fit.path.read_bytes()
     assert fit.save(tmp_path / "failed") == fit.path
     assert fit.path.read_bytes() == before
+
+
+def with_draws(result, values):
+    told = {"draws_sha1": sha1_of_draws(values, np.full(len(values), 0.2))}
+    return result.model_copy(update={"posterior": result.posterior.model_copy(update=told)})
+
+
+def test_saving_into_its_own_folder_replaces_nothing_that_is_more_complete(tmp_path):
+    """Somebody sampled it since, or went on with its chain."""
+    draws = {"names": [q.name for q in made().parameters], "values": np.full((5, 13), 0.2), "weights": np.full(5, 0.2)}
+    first, then = (with_draws(made(posterior=True), values) for values in (np.ones((5, 13)), draws["values"]))
+    for name, result in (("fit", made()), ("sampled", first)):
+        (tmp_path / name).mkdir()
+        path = tmp_path / name / "nickel.json"
+        write_result(path, result)
+        fit = merlfit.load(path)
+        write_result(path, then)
+        np.savez(chain_of(path), **draws)
+        with pytest.warns(UserWarning, match="stays as it was"):
+            assert fit.save(path.parent) == path.parent / "nickel.2" / "nickel.json"
+        assert read_result(path) == then
+        assert chain_file(then, path)
+
+
+def test_saving_into_its_own_folder_waits_for_no_command_and_leaves_the_chain_of_the_fit_alone(tmp_path):
+    put_result(tmp_path)
+    fit = merlfit.load(tmp_path / "nickel.json")
+    with claimed(tmp_path), pytest.raises(merlfit.WriteError, match="another merlfit is writing there"):
+        fit.save(tmp_path)
+    free = layout_of(fit.result.model.measured).free(fit.values)
+    for fit_free, kept in ((free, True), (free + 1, False)):
+        np.savez(chain_of(fit.path), fit_free=fit_free)
+        if not kept:
+            fit.path.unlink()
+        assert fit.save(tmp_path) == tmp_path / "nickel.json"
+        assert chain_of(fit.path).exists() == kept
 
 
 def test_a_result_without_a_folder_goes_with_its_fit(file):

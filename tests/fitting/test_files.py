@@ -117,7 +117,7 @@ def test_of_two_unfinished_chains_both_stay(tmp_path):
     put_result(tmp_path, chain="long")
     for folder in ("nickel.2", "nickel.3"):
         with place_of(tmp_path, "nickel") as place:
-            put_result(place.folder, chain="short")
+            put_result(place.folder, chain=f"short, of {folder}")
         assert place.path == tmp_path / folder / "nickel.json"
     assert chain_of(tmp_path / "nickel.json").read_text() == "long"
 
