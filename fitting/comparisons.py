@@ -152,7 +152,7 @@ def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool
     """
     use_persistent_cache()
     try:
-        refuse_others({} if out is None else metrics_in(out), force)
+        refuse_others([] if out is None else metrics_in(out), force)
     except WriteError as error:
         raise fail(str(error)) from None
     found, said = [], {}

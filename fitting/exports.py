@@ -25,15 +25,12 @@ from .results.schema import EDITED, UNSAID, Model, Result, genuine_words
 from .scenes import of_result
 from .support.compilation import use_persistent_cache
 from .support.numbers import number
-from .support.outputs import OURS, refuse_others
+from .support.outputs import refuse_others
 from .support.terminal import PLAIN, console, fail, progress_display, reporter, writable_folder
 
 To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
-ENDINGS = {
-    "mitsuba": {"mitsuba.npz": rb"brdf\.npy", "xml": OURS}, "json": {"material.json": OURS}, "gltf": {"gltf": OURS},
-    "openpbr": {"mtlx": OURS},
-}  # fmt: skip
-"""Of files that are written, and by what an earlier one is known; a MERL file may always be a measurement."""
+ENDINGS = {"mitsuba": ("mitsuba.npz", "xml"), "json": ("material.json",), "gltf": ("gltf",), "openpbr": ("mtlx",)}
+"""Of files that are written but for MERL files, which may always be measurements."""
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
 <!-- {said}. Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr -->
 <scene version="3.0.0">
@@ -80,7 +77,7 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
     try:
         if to != "merl":
             names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
-            refuse_others({out / f"{names[ending]}.{ending}": mark for ending, mark in ENDINGS[to].items()}, force)
+            refuse_others([out / f"{name}.{ending}" for ending, name in names.items()], force)
         with progress_display() as progress:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             written = _exported(path, to, out, say)

@@ -138,8 +138,8 @@ def fit_files(
                 if result is not None:
                     found[k] = Outcome(files[k], result)
             left = [k for k in range(len(units)) if k not in found]
-            executor, count = executor_of(len(left), jobs, where)
             journal = Journal(out)
+            executor, count = executor_of(len(left), jobs, where)
             journal.began(chosen, len(files), count, executor.name)
             for k, outcome in found.items():
                 journal.ended(units[k], Ended(Kind.FITTED, outcome.result), kept=True)

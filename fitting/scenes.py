@@ -28,7 +28,7 @@ from .results.schema import Result
 from .support.clock import Stage
 from .support.compilation import make_room, use_persistent_cache
 from .support.numbers import counted
-from .support.outputs import OURS, refuse_others
+from .support.outputs import refuse_others
 from .support.terminal import (
     FAILED_FIT,
     console,
@@ -277,8 +277,7 @@ def plan_scene(path: Path) -> None:
 
 
 REPORT = "render.json"
-OUTPUTS = {f"{name}.{kind}": OURS for name in ("picture", "all_effects", "difference") for kind in ("exr", "png")}
-OUTPUTS[REPORT] = rb'^{\s*"seconds"\s*:'
+OUTPUTS = *(f"{name}.{kind}" for name in ("picture", "all_effects", "difference") for kind in ("exr", "png")), REPORT
 
 
 def render_scene(
@@ -292,7 +291,7 @@ def render_scene(
     use_persistent_cache()
     writable_folder(out)
     try:
-        refuse_others({out / name: mark for name, mark in OUTPUTS.items()}, force)
+        refuse_others([out / name for name in OUTPUTS], force)
         with progress_display() as progress:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             ready = staged(path, samples=samples, seed=seed)

@@ -8,14 +8,14 @@ from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
 from ..pictures.style import save
 from ..support.compilation import cache_folder
-from ..support.outputs import OURS, refuse_others
+from ..support.outputs import refuse_others
 from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
 from .frontier import FILE, keep
 from .measure import ROWS, CostError, measure, tidy
 from .plot import frontier_figure
 from .report import gains, tables, write_markdown
 
-OUTPUTS = {FILE: OURS, "cost.md": b"^# What accuracy costs in time", "cost.png": OURS, ROWS: OURS}
+OUTPUTS = FILE, "cost.md", "cost.png", ROWS
 
 
 def measure_on(file: Path | None, out: Path, repeats: int, force: bool = False) -> None:
@@ -26,7 +26,7 @@ def measure_on(file: Path | None, out: Path, repeats: int, force: bool = False) 
     """
     writable_folder(out)
     try:
-        refuse_others({out / name: mark for name, mark in OUTPUTS.items()}, force)
+        refuse_others([out / name for name in OUTPUTS], force)
     except WriteError as error:
         raise fail(str(error)) from None
     try:

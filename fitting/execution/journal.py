@@ -13,12 +13,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from ...merl_io.atomic import append
-from ...merl_io.source import MerlError, opened, whole
+from ...merl_io.atomic import WriteError, append
+from ...merl_io.source import MerlError, is_regular, opened, whole
 from ..results.export import versions
 from ..results.run import this_run
 from ..results.strict import Text
 from ..settings.config import Config
+from ..support.outputs import is_ours
 from .unit import Ended, Kind, Unit
 
 NAME = "manifest.jsonl"
@@ -75,7 +76,16 @@ class Journal:
     """The manifest of a folder, for one run."""
 
     def __init__(self, out: Path) -> None:
+        """Begin, or go on.
+
+        Raises:
+            WriteError: a file of that name is no manifest.
+        """
         self.path = out / NAME
+        if is_regular(self.path) and not self.path.is_symlink() and not is_ours(self.path):
+            raise WriteError(
+                f"{self.path}: is there already, and no manifest of merlfit: move it, or name another folder"
+            )
         with suppress(MerlError):
             if (said := whole(self.path)) and not said.endswith(b"\n"):
                 append(self.path, b"\n")  # the end of a line that was torn

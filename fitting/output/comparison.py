@@ -20,7 +20,7 @@ from ..assess.selection import ALIKE, SEEN, VISIBLE, least, lost
 from ..pictures.style import own_style, plain, save
 from ..pipeline.comparison import FIT, Row
 from ..support.numbers import distance, number
-from ..support.outputs import OURS, as_csv
+from ..support.outputs import as_csv
 
 LIT = {"lamp": "dE lamp", "environment": "dE room"}
 """CIELAB distance of lit pixels; the dE of `FIGURES` is that of all pixels under both lights."""
@@ -207,10 +207,9 @@ def named(row: Row) -> str:
     return f"{row.model} ({variant})" if variant else row.model
 
 
-def compared_in(folder: Path, name: str = NAME) -> dict[Path, bytes]:
-    """Files of `write_tables`, and by what an earlier one is known."""
-    marks = {"csv": b"^group,material,", "md": rb"^# .*\n\nData: ", "html": OURS, "png": OURS}
-    return {folder / f"{name}.{ending}": mark for ending, mark in marks.items()}
+def compared_in(folder: Path, name: str = NAME) -> list[Path]:
+    """Files of `write_tables`."""
+    return [folder / f"{name}.{ending}" for ending in ("csv", "md", "html", "png")]
 
 
 def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data: str) -> list[Path]:
@@ -222,7 +221,7 @@ def write_tables(rows: Sequence[Row], folder: Path, name: str, title: str, data:
     Raises:
         merlfit.merl_io.atomic.WriteError: one cannot be written.
     """
-    written = list(compared_in(folder, name))
+    written = compared_in(folder, name)
     text = markdown(rows, title, data, written[3].name)
     page = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
     write_text(written[0], _csv(rows))

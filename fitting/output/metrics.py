@@ -25,7 +25,7 @@ from ..pictures.style import own_style, plain, save
 from ..pipeline.comparison import Row, row_of
 from ..results.export import ResultError
 from ..results.schema import UNSAID, UNSAID_SCATTERED, Model, Result, genuine_words
-from ..support.outputs import OURS, as_csv
+from ..support.outputs import as_csv
 from .comparison import FIGURES, LIT, WHAT, named, shown
 from .synthesis import tabulate
 
@@ -94,13 +94,9 @@ def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
     return table
 
 
-def metrics_in(folder: Path) -> dict[Path, bytes]:
-    """Files of `write_metrics`, and by what an earlier one is known."""
-    return {
-        folder / "metrics.csv": b"^result,against,data,model,",
-        folder / "by_incidence.csv": rb"^theta_i_deg,.*\.json",
-        folder / "by_incidence.png": OURS,
-    }
+def metrics_in(folder: Path) -> list[Path]:
+    """Files of `write_metrics`."""
+    return [folder / name for name in ("metrics.csv", "by_incidence.csv", "by_incidence.png")]
 
 
 def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
@@ -110,7 +106,7 @@ def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
               **{name: getattr(f.row.errors, name) for name in (*FIGURES, *LIT)}} for f in found]  # fmt: skip
     curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
               for k, x in enumerate(found[0].incidence)]  # fmt: skip
-    written = list(metrics_in(folder))
+    written = metrics_in(folder)
     for path, table in zip(written, (lines, curves), strict=False):
         write_text(path, as_csv(list(table[0]), table))
         if not curves:

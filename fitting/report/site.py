@@ -40,7 +40,7 @@ from ..support.terminal import unexpected
 from . import charts, pictures
 from . import rows as rows_of_charts
 from .simulated import left_out, reproducing, simulated
-from .table import TABLE, UNREADABLE, Row, write_csv
+from .table import UNREADABLE, Row, write_csv
 
 FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "picture": "CIELAB distance of spheres",
@@ -98,7 +98,7 @@ def refuse_foreign(out: Path, force: bool = False) -> None:
     if not os.path.exists(index) or not is_ours(index):
         refuse_others((index, *(out / name for name in ("compare.html", "table.csv", *FOLDERS))), force)
         write_text(index, FIRST)
-    refuse_others({out / "table.csv": TABLE}, force)
+    refuse_others([out / "table.csv"], force)
 
 
 def write_site(

@@ -21,7 +21,6 @@ HEADS = (
     "material", "status", "model", "variant", "genuine_merl", "data", "cost", *Metrics.model_fields, "seconds",
     "posterior", "cautions", "error", "result", "file", "sha1",
 )  # fmt: skip
-TABLE = ",".join(HEADS[:5]).encode()  # by which an earlier one is known
 Row = dict[str, str | float | None]
 
 
@@ -35,7 +34,7 @@ def write_table(folder: Path, path: Path, force: bool = False) -> None:
     """
     rows = results_in(folder)
     try:
-        refuse_others({path: TABLE}, force)
+        refuse_others([path], force, "table.csv")
         write_csv(rows, path)
     except WriteError as error:
         raise fail(str(error)) from None

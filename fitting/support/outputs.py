@@ -12,8 +12,35 @@ from typing import IO
 
 from ...merl_io.atomic import WriteError, appendable
 
-OURS = rb"merlfit"  # is in what tells who made a picture, a page or a JSON
 LOOK = 2**14  # bytes at both ends of a file
+MARKS = {
+    "manifest.jsonl": rb'\A\{"at": "[^"\n]*", "event": "(began|file|ended)"',
+    "table.csv": rb"\Amaterial,status,model,variant,genuine_merl,",
+    "metrics.csv": rb"\Aresult,against,data,model,",
+    "by_incidence.csv": rb"\Atheta_i_deg,[^\n]*\.json",
+    "comparison.csv": rb"\Agroup,material,",
+    "comparison.md": rb"\A# [^\n]*\n\nData: [^\n]*\. Errors over [^\n]* bins of \(theta_h",
+    "cost.md": rb"\A# What accuracy costs in time\n",
+    "frontier.json":
+        rb'\A\{\s*"schema_version": "[\d.]+",\s*("objective": \d+,\s*)?"data": "([^"\\]|\\.)*",\s*"directions":',
+    "rows.json": rb'\A\{\s*"made of": \{',
+    "render.json": rb'\A\{\s*"seconds": \{[^}]*\},\s*"difference": \{[^}]*\},\s*"within":',
+    ".material.json": rb'\A\{\s*"format": "merlfit-material ',
+    ".json": rb'\A\s*\{\s*"schema_version"\s*:\s*"\d+\.\d+",\s*"(run|source)"\s*:',
+    ".mitsuba.npz": rb"\APK\x03\x04[\s\S]{26}brdf\.npy[\s\S]*share\.npy[\s\S]*below\.npy",
+    ".xml": rb"\A<\?xml[^>]*>\n<!-- ((?!-->)[\s\S])*python -m merlfit\.scene\.mitsuba ",
+    ".gltf": rb'\A\{\s*"asset": \{\s*"version": "2\.0",\s*"generator": "merlfit"',
+    ".mtlx": rb"\A<\?xml[^>]*>\n<!-- ((?!-->)[\s\S])* by merlfit ",
+    ".html":
+        rb'\A<!doctype html>[\s\S]*?(<meta name="generator" content="merlfit">|<title>[^<]*merlfit</title>\s*<(link '
+        rb'rel="icon" href="data:,">|p>These pages are being written,))',
+    ".png": rb"\A\x89PNG\r\n\x1a\n[\s\S]{29,200}?tEXtSoftware\0merlfit",
+    ".pdf": rb"\A%PDF-[\s\S]*/Creator \(merlfit\)",
+    ".svg": rb"\A<\?xml[\s\S]*?<dc:creator>\s*<cc:Agent>\s*<dc:title>merlfit</dc:title>",
+    ".exr": rb"\Av/1\x01[\s\S]*?software\0string\0[\s\S]{4}merlfit",
+}  # fmt: skip
+"""What outputs of commands are known by, by the end of their names, the first that fits: a key or a head at its place
+in the first lines; of binary files where their format says who made them."""
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would compute a cell that begins so
 
 
@@ -41,33 +68,41 @@ def open_log(path: Path) -> IO[bytes]:
     return appendable(path)
 
 
-def refuse_others(paths: Mapping[Path, bytes] | Iterable[Path], force: bool = False) -> None:
+def refuse_others(paths: Iterable[Path], force: bool = False, kind: str | None = None) -> None:
     """Leave alone what stands where a command writes, unless an earlier one wrote it.
 
     Args:
-        paths: that it will write, each with a pattern that such a file has near its beginning or its end, or `OURS`.
-        force: write over anything.
+        paths: that it will write. force: write over anything. kind: as of `is_ours`.
 
     Raises:
         WriteError: one of them is no earlier output.
     """
-    marks = paths if isinstance(paths, Mapping) else dict.fromkeys(paths, OURS)
-    for path, mark in {} if force else marks.items():
-        if os.path.exists(path) and not is_ours(path, mark):
+    for path in () if force else paths:
+        if os.path.exists(path) and not is_ours(path, kind):
             raise WriteError(
                 f"{path}: is there already, and no earlier output of this command: move it, write elsewhere (-o), or "
-                "overwrite it (--force)"
+                "overwrite it (--force), as what an older merlfit wrote without its mark"
             )
 
 
-def is_ours(path: Path, mark: bytes = OURS) -> bool:
-    """Whether a regular file has the mark of an output near one of its ends; an empty one has nothing to lose."""
+def is_ours(path: Path, kind: str | None = None) -> bool:
+    """Whether a regular file has the mark of an output; an empty one has nothing to lose.
+
+    Args:
+        kind: which of `MARKS`; by the file's name if it is none.
+    """
     if not os.path.isfile(path):  # which takes names of any length, as `exists` does
         return False
     with open(path, "rb") as file:
-        head, size = file.read(LOOK), path.stat().st_size
+        text, size = file.read(LOOK), path.stat().st_size
         file.seek(max(LOOK, size - LOOK))
-        return not size or re.search(mark, head) is not None or re.search(mark, file.read()) is not None
+        text += file.read(LOOK)
+    return not size or re.search(_mark(kind or path.name), text) is not None
+
+
+def _mark(name: str) -> bytes:
+    """What a file of this name is known by; nothing is, where no command writes such files."""
+    return next((mark for ending, mark in MARKS.items() if name.endswith(ending)), rb"(?!)")
 
 
 def as_csv(heads: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:

@@ -2,8 +2,6 @@
 
 import csv
 import json
-import re
-from pathlib import Path
 
 import merlfit
 import numpy as np
@@ -11,18 +9,19 @@ import pytest
 from merlfit.fitting.cost.command import OUTPUTS
 from merlfit.fitting.cost.frontier import keep
 from merlfit.fitting.cost.report import write_markdown
-from merlfit.fitting.output.comparison import compared_in
-from merlfit.fitting.output.metrics import metrics_in
 from merlfit.fitting.pictures import style
 from merlfit.fitting.report.site import FIRST, _page_names
-from merlfit.fitting.results.export import versions
-from merlfit.fitting.support.outputs import as_csv, is_ours, refuse_others
+from merlfit.fitting.report.table import HEADS
+from merlfit.fitting.results.export import versions, write_result
+from merlfit.fitting.results.run import Run
+from merlfit.fitting.support.outputs import MARKS, as_csv, is_ours, refuse_others
 from merlfit.fitting.support.terminal import BAD_INPUT
+from merlfit.merl_io.atomic import WriteError
 from merlfit.scene import images
 
 from tests.support.command import call
 from tests.support.frontiers import invented
-from tests.support.made_results import put_result
+from tests.support.made_results import made, put_result
 
 TABLE = "theta_i_deg,theta_o_deg,phi_o_deg,R\n10,20,180,0.2\n"
 WRITERS = {  # commands with a folder D of results and measurements, and what of D they would write over
@@ -98,10 +97,55 @@ def test_pictures_of_scenes_and_pages_that_are_begun_say_whose_they_are(tmp_path
     assert not is_ours(tmp_path)
 
 
-def test_a_measured_table_is_taken_for_no_output():
-    for marks in (compared_in, metrics_in, lambda folder: OUTPUTS):
-        for name, mark in marks(Path("x")).items():
-            assert re.search(mark, TABLE.encode()) is None, name
+FOREIGN = [
+    TABLE.encode(), b"merlfit", b"# merlfit\n\nData: RMSE\n", b'{"theta_i_deg": 10, "merlfit": 1}',
+    b'{"asset": {"version": "2.0", "generator": "Blender"}, "extras": "after merlfit"}',
+    b"<!doctype html><title>notes</title><p>how I use merlfit", b"<?xml version='1.0'?><p>notes on merlfit</p>",
+    b"PK\3\4" + bytes(26) + b"brdf.npy of merlfit", b"\x89PNG\r\n\x1a\n" + bytes(30) + b"iTXtTitle\0a fit of merlfit",
+    b"%PDF-1.4\nmerlfit", b"v/1\1comments\0string\0\7\0\0\0merlfit", b"material,reflectance\n", b"group,value\n",
+    b'{"schema_version": "1.0", "theta_i_deg": 10, "source": {"made by": "merlfit"}}',
+    b'{"seconds": 3, "frames": []}', b'{"event": "file", "at": "merlfit"}\n',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", MARKS)
+def test_what_only_speaks_of_merlfit_is_taken_for_no_output(ending, tmp_path):
+    path = tmp_path / f"a{ending}"
+    for text in FOREIGN:
+        path.write_bytes(text)
+        assert not is_ours(path), text
+
+
+def test_what_no_command_writes_is_no_output_and_a_table_may_have_any_name(tmp_path):
+    path = tmp_path / "paint.csv"
+    path.write_text("material,status,model,variant,genuine_merl,merlfit")
+    assert not is_ours(path)
+    assert is_ours(path, "table.csv")
+    assert ",".join(HEADS).startswith(path.read_text().removesuffix("merlfit"))
+
+
+def test_the_message_says_what_is_true_of_outputs_of_older_versions(tmp_path):
+    (tmp_path / "a.png").write_text("of 2.0, without a mark")
+    with pytest.raises(WriteError, match=r"overwrite it \(--force\), as what an older merlfit wrote without its mark"):
+        refuse_others([tmp_path / "a.png"])
+    refuse_others([tmp_path / "a.png"], force=True)
+
+
+def test_a_result_of_a_long_command_is_known(tmp_path):
+    """Names of a thousand files stand before all else that a result says."""
+    result = made()
+    command = ["merlfit", "fit", *(f"measured/material-{k}.binary" for k in range(1000))]
+    write_result(tmp_path / "nickel.json", result.model_copy(update={"run": Run(finished="", command=command)}))
+    assert is_ours(tmp_path / "nickel.json")
+
+
+def test_a_manifest_of_somebody_else_is_left_alone_and_nothing_is_fitted(tmp_path):
+    (tmp_path / "manifest.jsonl").write_text(text := '{"file": "nickel.binary", "seen": true}\n')
+    shown = call("fit", tmp_path / "nickel.binary", "-o", tmp_path)
+    assert shown.exit_code == BAD_INPUT
+    assert f"{tmp_path / 'manifest.jsonl'}: is there already, and no manifest of merlfit: move it" in shown.stderr
+    assert (tmp_path / "manifest.jsonl").read_text() == text
+    assert [path.name for path in tmp_path.iterdir()] == ["manifest.jsonl"]
 
 
 def test_an_earlier_calibration_is_known(tmp_path):
@@ -110,7 +154,7 @@ def test_an_earlier_calibration_is_known(tmp_path):
     write_markdown(frontier, tmp_path / "cost.md")
     style.save(style.new(2), tmp_path / "cost.png")
     (tmp_path / "rows.json").write_text(json.dumps({"made of": {"versions": versions()}}))
-    refuse_others({tmp_path / name: mark for name, mark in OUTPUTS.items()})
+    refuse_others(tmp_path / name for name in OUTPUTS)
     assert {path.name for path in tmp_path.iterdir()} == set(OUTPUTS)
 
 

@@ -74,7 +74,7 @@ def test_a_scene_is_planned_rendered_and_compared(tmp_path):
     assert np.asarray(Image.open(tmp_path / "out" / "picture.png")).max() > 100
     for name in ("all_effects.exr", "all_effects.png", "difference.exr", "difference.png"):
         assert (tmp_path / "out" / name).is_file()
-    outputs.refuse_others({tmp_path / "out" / name: mark for name, mark in scenes.OUTPUTS.items()})
+    outputs.refuse_others(tmp_path / "out" / name for name in scenes.OUTPUTS)
     again = call("render", scene(tmp_path, GGX), "-o", tmp_path / "again", "--no-check")
     assert again.exit_code == 0
     np.testing.assert_array_equal(read_map(tmp_path / "again" / "picture.exr"), picture)
@@ -184,7 +184,7 @@ def test_exports(tmp_path, result, to):
     found = call("export", result, "--to", to, "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     out = tmp_path / "out"
-    outputs.refuse_others({out / f"nickel.{ending}": mark for ending, mark in exports.ENDINGS.get(to, {}).items()})
+    outputs.refuse_others(out / f"nickel.{ending}" for ending in exports.ENDINGS.get(to, ()))
     if to == "mitsuba":
         scene_file = (out / "nickel.xml").read_text()
         assert 'value="nickel.mitsuba.npz"' in scene_file  # beside it, wherever both are moved
