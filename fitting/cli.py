@@ -505,18 +505,21 @@ def demo(
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
 ) -> None:
     """Make a synthetic material of known parameters as a MERL file, fit it, and show how near the fit comes to them."""
+    from ..merl_io.atomic import WriteError
     from ..merl_io.binary import MerlError
     from .files import fit_files, summarise
     from .output.demo import SAID, Occupied, make, settings, truth_table, verdict
     from .output.inspection import show
+    from .output.keeping import claimed
     from .support.compilation import use_persistent_cache
 
     start = time.perf_counter()
     writable_folder(out)
     use_persistent_cache()
     try:
-        path = make(out, force)
-    except (Occupied, MerlError) as error:
+        with claimed(out, alone=False):
+            path = make(out, force)
+    except (Occupied, MerlError, WriteError) as error:
         raise fail(str(error)) from None
     console.print(f"{path}: {SAID}")
     outcomes = fit_files([path], out, settings(seed))

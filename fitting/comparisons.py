@@ -56,7 +56,7 @@ def chosen_models(names: str | None) -> list[str]:
 def placed(measurement: Input, folder: Path, settings: Config) -> Result:
     """Fit, and write the result where it replaces none that is more complete."""
     folder.mkdir(parents=True, exist_ok=True)
-    with place_of(folder, measurement.name) as place:
+    with claimed(folder), place_of(folder, measurement.name) as place:  # as `merlfit fit` of this model may want it
         result = fit_file(measurement, place.folder, settings)
     if place.said:
         note(place.said)

@@ -168,6 +168,9 @@ def fit_files(
                 left = f"not fitted: {len(run.left) - run.done} of {counted(len(files), 'file')}"
                 _say_left([left], len(files), [found[k] for k in sorted(found)])
                 raise typer.Exit(FAILED_FIT) from None
+            except WriteError:  # of the manifest: nobody waits for what others still do
+                executor.stop()
+                raise
             journal.closed(False, time.perf_counter() - start)
     except ClusterError as error:
         raise fail(str(error)) from None

@@ -4,7 +4,8 @@ import hashlib
 import os
 import secrets
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -98,19 +99,54 @@ def is_unfinished(path: Path) -> bool:
     return path.name.startswith(UNFINISHED) and follows == _follows(drawn)
 
 
+def is_being_written(path: Path) -> bool:
+    """Whether a process writes what has such a name; no, where that cannot be told."""
+    if not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        return not _locked(file.fileno())
+
+
+@contextmanager
+def _held(number: int) -> Iterator[None]:
+    """An open file that is seen to be written (`is_being_written`) for as long as this lasts, and closed then."""
+    if not _locked(number) or os.name == "nt":  # where a file that is open cannot be renamed
+        os.close(number)
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.close(number)
+
+
+def _locked(number: int) -> bool:
+    """Lock an open file for this process; False where another has it."""
+    try:
+        import fcntl  # not on Windows
+
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):  # a system, or a file system, without locks
+        return True
+    return True
+
+
 def _follows(drawn: str) -> str:
     return hashlib.sha256(f"merlfit, not whole: {drawn}".encode()).hexdigest()[:DIGITS]
 
 
 def _write(path: Path, write: Callable[[IO[bytes]], None]) -> None:
     temporary = unfinished(path.parent)  # of any length, the name may be as long
-    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))  # with what the system's umask leaves
-    try:
-        with open(temporary, "wb") as file:  # by its name, which some libraries want
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    made = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # with what the system's umask leaves
+    with _held(made):
+        try:
+            with open(temporary, "wb") as file:  # by its name, which some libraries want
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise

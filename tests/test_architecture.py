@@ -19,6 +19,7 @@ STANDARD = {
     "abc", "argparse", "array", "collections", "contextlib", "dataclasses", "difflib", "enum", "functools", "hashlib",
     "importlib", "inspect", "itertools", "json", "math", "numbers", "operator", "os", "pathlib", "re", "secrets",
     "stat", "struct", "sys", "tempfile", "threading", "time", "tomllib", "types", "typing", "zipfile", "csv", "io",
+    "fcntl",
 }  # fmt: skip
 
 

@@ -30,6 +30,7 @@ from ..results.export import versions, write_result
 from ..results.run import this_run
 from ..support.clock import Stage
 from ..support.outputs import log
+from ..support.terminal import unexpected
 from .connection import CONNECT, SLURM, ClusterError, address_of, connected, library, line
 from .pool import PATIENCE, Note, Tell
 from .slurm import Queue
@@ -280,8 +281,7 @@ class Cluster:
         if isinstance(error, KilledWorker):
             return Brought(Ended(Kind.LOST, error=f"{path}: its worker was lost, at last {error.last_worker.address}"))
         # of any kind: said with its name, and the next file has its turn
-        said = f"{path}: failed unexpectedly: {type(error).__name__}: {line(error)}"
-        return Brought(Ended(Kind.FAILED, error=said))
+        return Brought(Ended(Kind.FAILED, error=unexpected(path, error, line(error))))
 
     # Called in a thread of Dask's.
 

@@ -104,7 +104,7 @@ class Pool:
                     worker.last = message if isinstance(message, Ended) else worker.last
             if worker.unit is not None:
                 found.append((worker.unit, worker.last))
-        self._end()
+        self._end(until)
         return found
 
     def _all(self, units: Sequence[Unit], waiting: deque[int], jobs: int, tell: Tell) -> Iterator[tuple[int, Ended]]:
@@ -158,11 +158,12 @@ class Pool:
         theirs.close()
         return _Worker(process, ours, cores)
 
-    def _end(self) -> None:
+    def _end(self, until: float | None = None) -> None:
+        """End all workers, by force those that have not ended by then (`time.monotonic`)."""
         for worker in self._workers:
             worker.pipe.close()
             worker.tell_to_stop()
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + PATIENCE if until is None else until
         for worker in self._workers:
             worker.process.join(max(0.0, until - time.monotonic()))
             if worker.process.is_alive():

@@ -18,7 +18,7 @@ from ..settings.config import Config
 from ..support.clock import Report, silent
 from ..support.compilation import FIRST_FIT, FIRST_RIVAL, make_room, programs_told
 from ..support.outputs import log, log_of
-from ..support.terminal import Stopped
+from ..support.terminal import Stopped, unexpected
 
 
 class Kind(StrEnum):
@@ -104,8 +104,7 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
     except Exception as error:  # of any kind: said with its name, and the next file has its turn
         log(unit.log, traceback.format_exc())
         where = str(error) if place is None else str(error).replace(str(place.folder), str(place.path.parent))
-        said = f"{unit.path}: failed unexpectedly: {type(error).__name__}: {where}"
-        return Ended(Kind.FAILED, error=said, said=place.said if place else "")
+        return Ended(Kind.FAILED, error=unexpected(unit.path, error, where), said=place.said if place else "")
 
 
 def _logged(unit: Unit, report: Report) -> Report:

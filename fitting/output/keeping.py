@@ -10,7 +10,7 @@ from enum import IntEnum
 from itertools import count
 from pathlib import Path
 
-from ...merl_io.atomic import UNFINISHED, WriteError, is_unfinished, unfinished
+from ...merl_io.atomic import UNFINISHED, WriteError, is_being_written, is_unfinished, unfinished
 from ...merl_io.source import whole
 from ..pictures.subject import NoPicture, chain_file
 from ..pipeline.run import chain_of
@@ -100,7 +100,7 @@ def _clear(out: Path) -> None:
                     note(place.said or f"{place.path} is of a run that was killed before it had put it there")
             if left.is_dir():
                 shutil.rmtree(left)
-            else:
+            elif not is_being_written(left):  # by a command that needs no folder for itself, or by Python
                 left.unlink()
 
 

@@ -239,9 +239,13 @@ def fail(message: str) -> typer.Exit:
     return typer.Exit(BAD_INPUT)
 
 
-def unexpected(path: Path, error: Exception) -> str:
-    """One line on what nobody foresaw, which ends the work on this file and on no other."""
-    return f"{path}: failed unexpectedly: {type(error).__name__}: {error}"
+def unexpected(path: Path, error: BaseException, said: str | None = None) -> str:
+    """One line on what nobody foresaw, which ends the work on this file and on no other.
+
+    Args:
+        said: what the error says, if not in its own words.
+    """
+    return f"{path}: failed unexpectedly: {type(error).__name__}: {error if said is None else said}"
 
 
 def note(message: str, style: str | None = None) -> None:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,26 @@ def test_closed_streams_do_not_cost_the_fits(closed, tmp_path):
     assert "tried once more" not in done.stderr
     assert '"failed"' not in (tmp_path / "manifest.jsonl").read_text()
     assert all((tmp_path / f"{name}.json").is_file() for name in ("quick-a", "quick-b", "quick-c"))
+
+
+class Deaf:
+    """A process that hears no signal and does not end."""
+
+    pid = None
+    terminate = kill = lambda _: None
+    is_alive = lambda _: True  # noqa: E731
+    join = lambda _, seconds: time.sleep(seconds)  # noqa: E731
+
+
+def test_workers_that_do_not_end_are_waited_for_once(monkeypatch):
+    monkeypatch.setattr(pool, "PATIENCE", 0.4)
+    ours, theirs = Pipe()
+    at_work = Pool(1, task, print)
+    at_work._workers = [pool._Worker(Deaf(), ours, [], 0)]
+    start = time.monotonic()
+    assert at_work.stop() == [(0, pool.NOTHING)]
+    assert time.monotonic() - start < 1.5 * pool.PATIENCE
+    theirs.close()
 
 
 def test_who_is_at_work_when_it_is_stopped_leaves_what_it_has(tmp_path):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from merlfit.fitting import files
+from merlfit.fitting import comparisons, files
 from merlfit.fitting.execution import here, journal, unit
 from merlfit.fitting.output import keeping
 from merlfit.fitting.output.keeping import Complete, completeness, place_of
@@ -15,7 +15,7 @@ from merlfit.fitting.pipeline.run import chain_of, fit_file
 from merlfit.fitting.results.export import read_result, write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.terminal import BAD_INPUT, FAILED_FIT, Stopped
-from merlfit.merl_io.atomic import WriteError, unfinished
+from merlfit.merl_io.atomic import WriteError, unfinished, write_atomically
 from merlfit.merl_io.binary import DIMS, MerlError, write
 from merlfit.model.measured import Measured
 from merlfit.model.rivals.ggx import GGX
@@ -234,6 +234,46 @@ def test_python_may_write_to_a_folder_from_several_places_but_not_beside_a_comma
             pass
     with keeping.claimed(tmp_path):
         assert not half.exists()
+
+
+def test_what_another_command_is_writing_is_not_cleared_away(tmp_path):
+    """A picture, a table: such a command does not claim the folder."""
+
+    def write(file):
+        file.write(b"whole")
+        with keeping.claimed(tmp_path):
+            pass
+
+    write_atomically(tmp_path / "picture.png", write)
+    assert (tmp_path / "picture.png").read_bytes() == b"whole"
+    assert results_in(tmp_path) == ["picture.png"]
+
+
+def test_a_comparison_claims_the_folder_of_each_model(tmp_path, monkeypatch):
+    monkeypatch.setattr(comparisons, "fit_file", lambda *_: pytest.fail("it should wait"))
+    (tmp_path / "ggx").mkdir()
+    with keeping.claimed(tmp_path / "ggx"), pytest.raises(keeping.Taken):
+        comparisons.placed(made(), tmp_path / "ggx", Config())
+
+
+def test_a_manifest_that_cannot_be_written_any_more_stops_what_goes_on(tmp_path, monkeypatch):
+    stopped = []
+
+    class Full(here.Here):
+        def ended(self, units, tell):
+            (tmp_path / "manifest.jsonl").unlink()
+            (tmp_path / "manifest.jsonl").mkdir()
+            yield 0, unit.Ended(unit.Kind.FAILED, error="nothing")
+
+        def stop(self):
+            stopped.append(True)
+            return []
+
+    monkeypatch.setattr(files, "executor_of", lambda units, jobs, where: (Full(), 1))
+    shown = call("fit", "nickel.binary", "copper.binary", "-o", tmp_path)
+    assert shown.exit_code == BAD_INPUT
+    assert "manifest.jsonl: cannot be written" in shown.stderr
+    assert stopped == [True]
 
 
 def test_a_folder_that_cannot_be_locked_is_told_and_nothing_is_cleared_away(tmp_path, monkeypatch, capsys):
