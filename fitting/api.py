@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from ..merl_io import inputs
-from ..merl_io.atomic import WriteError
+from ..merl_io.atomic import refused
 from ..merl_io.inputs import Input
 from ..merl_io.scattered import ScatteredMeasurement
 from .fitted import Fit
@@ -59,10 +59,8 @@ def fit(
     if isinstance(measurement, ScatteredMeasurement) and replaced.get("posterior"):
         settled(measurement.path, config, "--posterior")
     folder, place = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out), None
-    try:
+    with refused(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{folder}: cannot be made ({error.strerror or error})") from None
     try:
         with claimed(folder, alone=False), place_of(folder, measurement.name) as place:
             result = fit_file(measurement, place.folder, config, report)

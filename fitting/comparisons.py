@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ..merl_io.atomic import WriteError
+from ..merl_io.atomic import WriteError, refused
 from ..merl_io.binary import MerlError
 from ..merl_io.inputs import Input
 from ..model.registry import made, models
@@ -55,7 +55,8 @@ def chosen_models(names: str | None) -> list[str]:
 
 def placed(measurement: Input, folder: Path, settings: Config) -> Result:
     """Fit, and write the result where it replaces none that is more complete."""
-    folder.mkdir(parents=True, exist_ok=True)
+    with refused(folder, "made"):
+        folder.mkdir(parents=True, exist_ok=True)
     with claimed(folder), place_of(folder, measurement.name) as place:  # as `merlfit fit` of this model may want it
         result = fit_file(measurement, place.folder, settings)
     if place.said:

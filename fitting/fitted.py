@@ -10,7 +10,7 @@ from jax.tree_util import register_pytree_node
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
-from ..merl_io.atomic import WriteError, write_bytes
+from ..merl_io.atomic import refused, write_bytes
 from .output.inspection import file_of
 from .output.keeping import claimed, place_of
 from .output.report import print_result
@@ -231,10 +231,8 @@ class Fit:
             merlfit.WriteError: it cannot be written, or a command is writing there.
         """
         folder, name = Path(folder), self.result.source.material
-        try:
+        with refused(folder, "made"):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise WriteError(f"{folder}: cannot be made ({error.strerror or error})") from None
         with claimed(folder, alone=False), place_of(folder, name) as place:
             own, chain = own_chain(self.result, self.path), chain_of(place.path)
             if own is None:

@@ -17,16 +17,29 @@ class WriteError(OSError):
     """A file that cannot be written; the message is one line that names it."""
 
 
+@contextmanager
+def refused(path: Path, done: str) -> Iterator[None]:
+    """Say in one line what the system says against what is done with this path: it is made, or written.
+
+    Raises:
+        WriteError: instead of any other error of the system.
+    """
+    try:
+        yield
+    except WriteError:
+        raise
+    except OSError as error:
+        raise WriteError(f"{path}: cannot be {done} ({error.strerror or error})") from None
+
+
 def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
     """Let ``write`` fill a file beside ``path`` and give it that name when it is whole.
 
     Raises:
         WriteError: it cannot be written; nothing is left behind, and an older file of that name stays as it was.
     """
-    try:
+    with refused(path, "written"):
         _write(path, write)
-    except OSError as error:
-        raise WriteError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -36,9 +36,7 @@ def is_regular(path: Path) -> bool:
 
 
 @contextmanager
-def opened(
-    path: Path, refusal: type[ValueError] = MerlError, most: int | None = None
-) -> Iterator[tuple[IO[bytes], int]]:
+def opened(path: Path, refusal: type[ValueError] = MerlError, most: int = LARGEST) -> Iterator[tuple[IO[bytes], int]]:
     """A file to read and its length (bytes).
 
     Args:
@@ -49,13 +47,10 @@ def opened(
             is done with it takes more memory than there is.
     """
     try:
-        info = _status(path, refusal)
-        if not stat.S_ISREG(info.st_mode):
-            kind = "a directory; name the files in it" if path.is_dir() else "not a regular file"
-            raise refusal(f"{path}: is {kind}")
-        if most is not None and info.st_size > most:
-            raise refusal(f"{path}: has {info.st_size / 2**20:.0f} MiB; such a file has {most / 2**20:.0f} at the most")
-        with open(path, "rb") as file:
+        _check(path, _status(path, refusal), refusal, most)  # some devices begin to work when they are opened
+        with open(path, "rb", opener=_at_once) as file:
+            info = os.fstat(file.fileno())
+            _check(path, info, refusal, most)  # another may have its name by now
             yield file, info.st_size
     except FileNotFoundError:
         raise refusal(f"{path}: no such file") from None
@@ -65,6 +60,20 @@ def opened(
         raise refusal(f"{path}: cannot be read ({error.strerror or error})") from None
     except MemoryError:
         raise refusal(f"{path}: takes more memory than there is") from None
+
+
+def _check(path: Path, info: os.stat_result, refusal: type[ValueError], most: int) -> None:
+    """Refuse what is no regular file, or too large."""
+    if not stat.S_ISREG(info.st_mode):
+        kind = "a directory; name the files in it" if stat.S_ISDIR(info.st_mode) else "not a regular file"
+        raise refusal(f"{path}: is {kind}")
+    if info.st_size > most:
+        raise refusal(f"{path}: has {info.st_size / 2**20:.0f} MiB; such a file has {most / 2**20:.0f} at the most")
+
+
+def _at_once(path: str, flags: int) -> int:
+    """Open without waiting for whoever would write to it, if it is a pipe."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _status(path: Path, refusal: type[ValueError]) -> os.stat_result:

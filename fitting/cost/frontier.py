@@ -11,21 +11,24 @@ have none.
 Seconds are those of one file with nothing left to compile, from reading to the metrics, without a posterior.
 """
 
+import os
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from ...merl_io.atomic import write_text
+from ...merl_io.source import whole
 from ..results.export import versions
 from ..settings.choice import POINTS, Choice
 from ..support.compilation import cache_folder
 from ..support.threads import machine
 
 FILE = "frontier.json"
+LARGEST = 2**26  # bytes of a calibration, and of the rows that it is made of: they have some 100 kB
 
 
 class _Frozen(BaseModel):
@@ -128,17 +131,15 @@ def load() -> tuple[Frontier, str]:
 
     Times of another machine (of a shared home), of other versions or of other settings are not this machine's.
     """
-    stale = ""
+    stale, path = "", cache_folder() / FILE
     try:
-        found = Frontier.model_validate_json((cache_folder() / FILE).read_bytes())
+        found = Frontier.model_validate_json(whole(path, most=LARGEST))
         here = (found.machine, found.versions, found.objective) == (machine(), versions(), OBJECTIVE)
         if here and [q.choice for q in found.points] == list(POINTS):
             return found, f"calibrated on this machine, {found.taken}, {found.data}"
         stale = "the calibration that was kept is of another machine or of other versions; "
-    except FileNotFoundError:
-        pass
-    except (OSError, ValidationError):
-        stale = "the calibration that was kept cannot be read; "
+    except ValueError:  # of the file, or of what it says
+        stale = "the calibration that was kept cannot be read; " if os.path.lexists(path) else ""
     found = shipped()
     if found.objective != OBJECTIVE:
         stale += "measured with what an earlier version minimised, so that errors and seconds are a rough guide; "

@@ -16,13 +16,14 @@ from typing import Any
 
 from ...merl_io.atomic import write_atomically
 from ...merl_io.binary import Measurement, read
+from ...merl_io.source import whole
 from ..results.export import versions
 from ..settings.choice import POINTS, REFERENCE, Choice
 from ..solve.levenberg_marquardt import Status
 from ..support.compilation import use_persistent_cache
 from ..support.threads import machine
 from . import calibration, tiers
-from .frontier import OBJECTIVE, Frontier, Percentiles, Point, Tier
+from .frontier import LARGEST, OBJECTIVE, Frontier, Percentiles, Point, Tier
 
 Rows = dict[str, dict[str, Any]]  # by section, then by what was measured
 Report = Callable[[str], None]
@@ -82,9 +83,10 @@ def _wanted(section: str, materials: list[str]) -> list[str]:
 def _kept(work: Path, made_of: dict[str, Any]) -> Rows:
     """Rows of an interrupted run of the same kind; of another kind nothing is kept."""
     try:
-        rows = json.loads((work / ROWS).read_text())
-    except (OSError, ValueError):
-        rows = {}
+        found = json.loads(whole(work / ROWS, most=LARGEST))
+    except (ValueError, RecursionError):
+        found = None
+    rows = found if isinstance(found, dict) else {}
     if rows.get(MADE_OF) != made_of:
         if MADE_OF not in rows and any(work.iterdir()):
             raise CostError(f"{work}: is not of this command, or damaged: move it, or name another folder with -o")

@@ -23,7 +23,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from ...merl_io.atomic import WriteError, write_bytes
-from ...merl_io.source import is_regular
+from ...merl_io.source import MerlError, whole
 from ..output.keeping import place_of
 from ..pipeline.run import chain_of
 from ..results.export import versions, write_result
@@ -218,17 +218,21 @@ class Cluster:
 
         unit = self._units[k]
         path = unit.path.absolute()
-        sha1 = sha1_of(path) if is_regular(path) else None
-        send = send or path.parent in self._unseen
-        try:
-            data = path.read_bytes() if send and sha1 and path.stat().st_size <= LARGEST else None
-        except OSError:
-            sha1 = data = None
+        sha1, data = sha1_of(path), None
+        if sha1 and (send or path.parent in self._unseen):
+            send = True
+            with suppress(MerlError):
+                data = whole(path, most=LARGEST)
         if sha1 is None:  # said as it would be said without a cluster
             yield k, self.task(unit, lambda stage: tell(k, stage))
             return
         if send and data is None:
-            yield k, Ended(Kind.BAD_INPUT, error=f"{unit.path}: is too large to be sent to the workers")
+            yield (
+                k,
+                Ended(
+                    Kind.BAD_INPUT, error=f"{unit.path}: is too large to be sent to the workers, or is there no more"
+                ),
+            )
             return
         order = pickle.dumps(Order(unit, self.task, self._run, k, path, sha1, this_run()))
         future = self._client.submit(

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...merl_io.atomic import WriteError, append
-from ...merl_io.source import MerlError, is_regular, opened, whole
+from ...merl_io.source import MerlError, is_regular, opened
 from ..results.export import versions
 from ..results.run import this_run
 from ..results.strict import Text
@@ -23,6 +23,7 @@ from ..support.outputs import is_ours
 from .unit import Ended, Kind, Unit
 
 NAME = "manifest.jsonl"
+LONGEST = 2**24  # bytes of a line: a command may name a hundred thousand files; what is longer is of nobody we know
 
 
 class _Line(BaseModel):
@@ -86,9 +87,8 @@ class Journal:
             raise WriteError(
                 f"{self.path}: is there already, and no manifest of merlfit: move it, or name another folder"
             )
-        with suppress(MerlError):
-            if (said := whole(self.path)) and not said.endswith(b"\n"):
-                append(self.path, b"\n")  # the end of a line that was torn
+        if _is_torn(self.path):
+            append(self.path, b"\n")
 
     def began(self, config: Config, files: int, jobs: int | Literal["one a worker"], executor: str) -> None:
         """A run begins."""
@@ -119,10 +119,18 @@ class Journal:
         append(self.path, (json.dumps(line.model_dump(mode="json"), ensure_ascii=True) + "\n").encode())
 
 
+def _is_torn(path: Path) -> bool:
+    """Whether a manifest does not end with the end of a line."""
+    with suppress(MerlError), opened(path) as (file, size):
+        file.seek(max(0, size - 1))
+        return file.read() not in (b"", b"\n")
+    return False
+
+
 def lines(out: Path) -> Iterator[Began | FileEnded | RunEnded]:
     """What the manifest of a folder says; lines that are torn or of another program are left out."""
     with suppress(MerlError), opened(out / NAME) as (file, _):
-        for line in file:
+        while line := file.readline(LONGEST):
             with suppress(ValidationError):
                 yield Line.validate_json(line)
 

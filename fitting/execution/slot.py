@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from distributed import Worker, get_worker
 
+from ...merl_io.source import MerlError, opened, whole
 from ..support.affinity import begun_on, cores_of, spread
 from ..support.allocation import keep_freed_memory
 from .admission import TOPIC
@@ -100,11 +101,9 @@ def fit(order: bytes, data: bytes | None) -> Brought | None:
 
 def sha1_of(path: Path) -> str | None:
     """Of a file; None where there is none that can be read."""
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha1").hexdigest()
-    except OSError:
-        return None
+    with suppress(MerlError), opened(path) as (file, _):
+        return hashlib.file_digest(file, "sha1").hexdigest()  # pyright: ignore[reportArgumentType] - it is a file
+    return None
 
 
 @cache
@@ -159,8 +158,8 @@ def _brought(order: Order, unit: Unit, ended: Ended) -> Brought:
     if result is not None:
         result.source.path = str(order.unit.path)
         result.run = order.origin.model_copy(update={"finished": result.run.finished} if result.run else {})
-    with suppress(OSError):
-        chain = chain_of(unit.target).read_bytes()
-    with suppress(OSError):
-        log = unit.log.read_text(encoding="utf-8", errors="replace")
+    with suppress(MerlError):
+        chain = whole(chain_of(unit.target))
+    with suppress(MerlError):
+        log = whole(unit.log).decode(errors="replace")
     return Brought(replace(ended, result=result, error=said(ended.error), said=said(ended.said)), chain, said(log))

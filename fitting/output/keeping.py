@@ -10,7 +10,7 @@ from enum import IntEnum
 from itertools import count
 from pathlib import Path
 
-from ...merl_io.atomic import UNFINISHED, WriteError, is_being_written, is_unfinished, unfinished
+from ...merl_io.atomic import UNFINISHED, WriteError, is_being_written, is_unfinished, refused, unfinished
 from ...merl_io.source import whole
 from ..pictures.subject import NoPicture, chain_file
 from ..pipeline.run import chain_of
@@ -133,7 +133,7 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
     that comes, if it is of the same file and model and at least as complete. Otherwise both stay where they are.
 
     Raises:
-        WriteError: a file of that name is no result.
+        WriteError: a file of that name is no result, or the system lets none be put there.
     """
     target = Place(out, name)
     if os.path.exists(target.path) and not is_ours(target.path, RESULT):
@@ -142,12 +142,14 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
         yield target
         return
     beside = unfinished(out)
-    beside.mkdir()
+    with refused(target.path, "written"):
+        beside.mkdir()
     new = Place(beside, name)
     try:
         yield new
     finally:
-        settled = _settled(target, new)
+        with refused(target.path, "written"):
+            settled = _settled(target, new)
         new.path, new.said = settled.path, settled.said
         with suppress(OSError):  # not empty
             beside.rmdir()

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io import inputs, scattered
+from ...merl_io.atomic import refused
 from ...merl_io.binary import Measurement, MerlError
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
@@ -71,7 +72,8 @@ def fit_file(
         merlfit.merl_io.binary.MerlError: the file cannot be used.
     """
     clock, out = Clock(), Path(out)
-    out.mkdir(parents=True, exist_ok=True)
+    with refused(out, "made"):
+        out.mkdir(parents=True, exist_ok=True)
     with clock.stage("read"):
         report("reading")
         measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path

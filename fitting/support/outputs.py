@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from ...merl_io.atomic import WriteError, appendable
+from ...merl_io.source import MerlError, opened
 
 LOOK = 2**14  # bytes at both ends of a file
 MARKS = {
@@ -91,12 +92,13 @@ def is_ours(path: Path, kind: str | None = None) -> bool:
     Args:
         kind: which of `MARKS`; by the file's name if it is none.
     """
-    if not os.path.isfile(path):  # which takes names of any length, as `exists` does
+    try:
+        with opened(path) as (file, size):
+            text = file.read(LOOK)
+            file.seek(max(LOOK, size - LOOK))
+            text += file.read(LOOK)
+    except MerlError:
         return False
-    with open(path, "rb") as file:
-        text, size = file.read(LOOK), path.stat().st_size
-        file.seek(max(LOOK, size - LOOK))
-        text += file.read(LOOK)
     return not size or re.search(_mark(kind or path.name), text) is not None
 
 

@@ -15,6 +15,7 @@ import psutil
 import pytest
 from merlfit.fitting.execution import journal, pool
 from merlfit.fitting.execution.pool import Pool, jobs_for
+from merlfit.fitting.execution.slot import sha1_of
 from merlfit.fitting.execution.unit import Ended, Kind, Unit, fit_unit
 from merlfit.fitting.files import _done
 from merlfit.fitting.results.export import versions, write_result
@@ -247,6 +248,21 @@ def test_the_manifest_only_grows_and_survives_a_torn_line(tmp_path):
     assert [json.loads(line)["event"] for line in path.read_text().splitlines() if line.endswith("}")] == [
         line.event for line in read
     ]
+
+
+def test_a_line_without_an_end_takes_no_memory_and_the_next_ones_are_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal, "LONGEST", 1000)
+    unit = units(tmp_path, "nickel")[0]
+    path = tmp_path / journal.NAME
+    journal.Journal(tmp_path).closed(False, 1.0)
+    path.write_bytes(path.read_bytes() + b"x" * 5000)
+    journal.Journal(tmp_path).ended(unit, Ended(Kind.FAILED, error="no"))
+    assert [line.event for line in journal.lines(tmp_path)] == ["ended", "file"]
+
+
+def test_a_pipe_in_the_place_of_a_workers_file_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "a.binary")
+    assert sha1_of(tmp_path / "a.binary") is None
 
 
 def test_no_more_processes_than_files_cores_and_memory(monkeypatch):

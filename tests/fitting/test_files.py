@@ -249,6 +249,28 @@ def test_what_another_command_is_writing_is_not_cleared_away(tmp_path):
     assert results_in(tmp_path) == ["picture.png"]
 
 
+def test_what_the_system_says_against_a_place_is_one_line(tmp_path, monkeypatch):
+    put_result(tmp_path)
+
+    def refuse(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    said = f"{tmp_path / 'nickel.json'}: cannot be written (No space left on device)"
+
+    def put():
+        with place_of(tmp_path, "nickel") as place:
+            put_result(place.folder)
+            monkeypatch.setattr("os.replace", refuse)
+
+    with pytest.raises(WriteError) as error:
+        put()
+    assert str(error.value) == said
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(WriteError) as error:
+        put()
+    assert str(error.value) == said
+
+
 def test_a_comparison_claims_the_folder_of_each_model(tmp_path, monkeypatch):
     monkeypatch.setattr(comparisons, "fit_file", lambda *_: pytest.fail("it should wait"))
     (tmp_path / "ggx").mkdir()

@@ -1,6 +1,7 @@
 """Which settings are chosen for an accuracy or a time, and which calibration that goes by."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from merlfit.fitting import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
+from merlfit.fitting.cost.measure import ROWS, CostError, _kept
 from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.settings.config import Config, ConfigError, load
@@ -196,6 +198,24 @@ def test_a_calibration_of_another_objective_is_a_rough_guide(monkeypatch, tmp_pa
         other = made.model_copy(update={"objective": objective})
         monkeypatch.setattr(frontier, "shipped", lambda other=other: other)
         assert ("rough guide" in frontier.load()[1]) == said
+
+
+def test_what_is_no_calibration_is_not_waited_for_and_told(tmp_path, monkeypatch):
+    """A pipe, lists in lists in lists."""
+    monkeypatch.setattr(frontier, "cache_folder", lambda: tmp_path)
+    assert "cannot be read" not in frontier.load()[1]
+    os.mkfifo(tmp_path / frontier.FILE)
+    assert "the calibration that was kept cannot be read" in frontier.load()[1]
+    work = tmp_path / "work"
+    work.mkdir()
+    for text in ("[" * 100_000, "[1]", "\0"):
+        (work / ROWS).write_text(text)
+        with pytest.raises(CostError, match="is not of this command, or damaged"):
+            _kept(work, {})
+    (work / ROWS).unlink()
+    os.mkfifo(work / ROWS)
+    with pytest.raises(CostError, match="is not of this command, or damaged"):
+        _kept(work, {})
 
 
 def test_a_fit_that_came_to_nothing_is_kept_as_infinitely_wrong(made, tmp_path):
