@@ -14,6 +14,7 @@ from ..merl_io.atomic import write_text
 from ..merl_io.bands import MERL
 from ..merl_io.binary import MerlError, read, write
 from ..merl_io.samples import folded
+from ..merl_io.source import PLAIN
 from ..model.registry import models
 from ..scene.description import SceneError
 from ..scene.surface import Material, measurement
@@ -26,7 +27,7 @@ from .scenes import of_result
 from .support.compilation import use_persistent_cache
 from .support.numbers import number
 from .support.outputs import refuse_others
-from .support.terminal import PLAIN, console, fail, progress_display, reporter, writable_folder
+from .support.terminal import console, fail, progress_display, reporter, writable_folder
 
 To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
 ENDINGS = {"mitsuba": ("mitsuba.npz", "xml"), "json": ("material.json",), "gltf": ("gltf",), "openpbr": ("mtlx",)}

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
 from ..merl_io.atomic import refused, write_bytes
+from ..merl_io.source import PLAIN
 from .output.inspection import file_of
 from .output.keeping import claimed, place_of
 from .output.report import print_result
@@ -24,7 +25,7 @@ from .results.export import ResultError, write_result
 from .results.schema import Model, ParameterResult, Quantiles, Result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
-from .support.terminal import PLAIN, Screen, console
+from .support.terminal import Screen, console
 
 if TYPE_CHECKING:
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`

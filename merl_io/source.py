@@ -12,6 +12,12 @@ from typing import IO, Any
 LARGEST, LARGEST_TOML = 2**31, 2**20  # bytes: of tables and RGL's files, whose own have 30 MiB; of settings and scenes
 
 LONGEST = 1000  # characters of a message, whatever a file puts into it
+BIDI = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))  # and separators of lines
+PLAIN = {
+    **{code: 0x2400 + code for code in range(0x20) if chr(code) not in "\t\n"}, 0x7F: 0x2421,  # their own pictures
+    **dict.fromkeys((*range(0x80, 0xA0), *BIDI), 0xFFFD),
+}  # fmt: skip
+"""For ``str.translate``: what would steer a terminal or turn a line around (C0, C1, bidi), as one visible letter."""
 
 
 def shortened(message: str) -> str:

@@ -12,12 +12,12 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ..merl_io.archive import arrays
-from ..merl_io.source import MerlError, opened
+from ..merl_io.source import PLAIN, MerlError, opened, shortened
 
 LIBRARIES = tuple(
     f"/usr/lib/{folder}/libLLVM{end}"
@@ -207,9 +207,20 @@ def _unusable(variant: str) -> str | None:
     return None
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, in which no name steers a terminal."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(_one_line(message))
+
+
+def _one_line(text: str) -> str:
+    return shortened(" ".join(text.split()).translate(PLAIN))
+
+
 def main() -> None:
     """Render a scene file."""
-    parser = argparse.ArgumentParser(prog="python -m merlfit.scene.mitsuba", description="Render a scene by Mitsuba 3.")
+    parser = _Parser(prog="python -m merlfit.scene.mitsuba", description="Render a scene by Mitsuba 3.")
     parser.add_argument("scene", help="SCENE.xml, as `merlfit export --to mitsuba` writes it")
     parser.add_argument("-o", "--out", default="picture.exr", help="picture to write (.exr or .png)")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba; scalar_rgb needs no LLVM")
@@ -222,9 +233,13 @@ def main() -> None:
     try:
         scene = mi.load_file(asked.scene)
     except (RuntimeError, ValueError, OSError) as error:  # of a file that is missing, no scene, or of what it names
-        parser.error(f"{asked.scene}: cannot be read as a scene ({' '.join(str(error).split())})")
-    mi.util.write_bitmap(asked.out, rendered(scene, asked.samples or scene.sensors()[0].sampler().sample_count()))
-    print(f"wrote {asked.out}")
+        parser.error(f"{asked.scene}: cannot be read as a scene ({error})")
+    picture = rendered(scene, asked.samples or scene.sensors()[0].sampler().sample_count())
+    try:
+        mi.util.write_bitmap(asked.out, picture, write_async=False)
+    except (RuntimeError, ValueError, OSError) as error:  # of a folder that is not there, or an ending of no picture
+        parser.error(f"{asked.out}: cannot be written ({error})")
+    print(_one_line(f"wrote {asked.out}"))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
 
 from ...merl_io.atomic import write_atomically
-from ..support.terminal import PLAIN
+from ...merl_io.source import PLAIN
 
 COLUMN_INCHES = 8.5 / 2.54
 PAGE_INCHES = 17.8 / 2.54  # both columns

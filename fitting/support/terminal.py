@@ -33,7 +33,7 @@ from rich.table import Column, Table
 from rich.text import Text
 from typer.core import TyperGroup
 
-from ...merl_io.source import shortened
+from ...merl_io.source import PLAIN, shortened
 from .clock import Stage
 
 BAD_INPUT, FAILED_FIT = 2, 1  # exit codes
@@ -42,12 +42,6 @@ WORDS = 34  # columns that are left to running text in a table before it gets a 
 NAMES = 0.75  # of the console at the most are names of rows that stay whole; longer ones are folded
 CLOSE = (0, 1, 0, 0)  # padding of a table that is drawn closer
 INDENT = "  "  # of the further lines of a message: no name in it can look like another one
-BIDI = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))  # and separators of lines
-PLAIN = {
-    **{code: 0x2400 + code for code in range(0x20) if chr(code) not in "\t\n"}, 0x7F: 0x2421,  # their own pictures
-    **dict.fromkeys((*range(0x80, 0xA0), *BIDI), 0xFFFD),
-}  # fmt: skip
-"""For ``str.translate``: what would steer a terminal or turn a line around (C0, C1, bidi), as one visible letter."""
 STOPS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 
 

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -62,6 +63,28 @@ def test_what_cannot_be_rendered_is_named(asked, said, monkeypatch, capsys):
     last = capsys.readouterr().err.splitlines()[-1]
     assert "error: " in last
     assert said in last
+
+
+SMALL = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/><sensor type="perspective">
+<film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/></film></sensor></scene>"""
+
+
+@pytest.mark.parametrize("words", [
+    ["a\33[2Jb.xml"], ["a.xml", "\33]52;c;aaaa\7"], ["a.xml", "--variant", "\33[31m"],
+    ["there.xml", "--variant", "scalar_rgb", "-o", "no\33[2J/a.exr"],
+    ["there.xml", "--variant", "scalar_rgb", "-o", "a\33[2J\u202eb.exr"],
+    ["there.xml", "--variant", "scalar_rgb", "-o", "a.\33[2J"],
+])  # fmt: skip
+def test_no_name_steers_the_terminal_and_what_cannot_be_written_is_named(words, tmp_path, monkeypatch, capfd):
+    (tmp_path / "there.xml").write_text(SMALL)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["mitsuba", *words, "--samples", "1"])
+    with suppress(SystemExit):
+        plugin.main()
+    told = capfd.readouterr()
+    assert not any(x in told.out + told.err for x in "\33\7\u202e")
+    last = (told.out or told.err).splitlines()[-1]
+    assert "error: " in last or last.startswith("wrote a\N{SYMBOL FOR ESCAPE}[2J")
 
 
 def test_values_are_those_of_the_model(variant, file):
