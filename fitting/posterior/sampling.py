@@ -1,9 +1,11 @@
 """The posterior of a fit, from its likelihood to the file with its chain and its draws."""
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -88,6 +90,7 @@ def draw(
     drawn: dict[str, np.ndarray] = {}
     if resume:
         chain = read_chain(path, solution.z)
+        refuse_other_model(path, layout)
         drawn = _drawn(path)  # those that the result names, until there are new ones
         if drawn and not diagnose(chain.states).failures():
             chain = replace(chain, lessons=0)  # one that was long enough once is not given up
@@ -137,8 +140,37 @@ def _drawn(path: Path) -> dict[str, np.ndarray]:
         raise ChainError(f"{path}: its draws are damaged; delete it to start a new chain") from None
 
 
+def refuse_other_model(path: Path, layout: Layout) -> None:
+    """Refuse the chain of a model with other settings, or other wavelengths: its coordinates may be the same.
+
+    A chain of an earlier version does not say what it is of.
+
+    Raises:
+        merlfit.fitting.posterior.chain.ChainError: it is.
+    """
+    try:
+        with opened(path, ChainError) as (file, _):
+            found = arrays(file, "model".__eq__, texts=("model",))
+        other = bool(found) and json.loads(str(found["model"])) != json.loads(_model(layout))
+    except ChainError:
+        raise
+    except (ValueError, RecursionError):
+        other = True
+    if other:
+        raise ChainError(
+            f"{path}: is the chain of a fit with other settings or wavelengths; delete it to start a new one"
+        )
+
+
+def _model(layout: Layout) -> str:
+    """What a layout's model is, without its parameters."""
+    settings: Any = asdict(layout.model)  # pyright: ignore[reportArgumentType] - models are dataclasses
+    return json.dumps([layout.material.name, settings, list(layout.bands.wavelengths_um)])
+
+
 def _names(layout: Layout) -> dict[str, np.ndarray]:
-    return {"names": np.array(layout.names), "coordinates": np.array(layout.coordinates)}
+    told = {"names": layout.names, "coordinates": layout.coordinates, "model": _model(layout)}
+    return {name: np.array(text) for name, text in told.items()}
 
 
 @one_core_a_call

@@ -65,8 +65,8 @@ class Result(Strict):
     config: dict[str, Any]
     """All settings (``configs/default.toml``)."""
     numbers_sha1: str | None = None
-    """SHA-1 of the parameters' values and of what they were fitted to, by which a change by hand is told; null before
-    version 2.3."""
+    """SHA-1 of the parameters' values, of what they are the parameters of, and of what they were fitted to, by which a
+    change by hand is told; null before version 2.3."""
 
     @model_validator(mode="after")
     def _parameters_are_the_models(self) -> Self:
@@ -110,7 +110,10 @@ class Result(Strict):
     def digest(self) -> str:
         """What `numbers_sha1` is of a result that nobody has changed."""
         numbers = [[q.name, q.value] for q in self.parameters]
-        return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers]).encode()).hexdigest()
+        of = self.model and self.model.model_dump(
+            mode="json", include={"name", "settings", "acquisition", "wavelengths_um"}
+        )
+        return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers, of]).encode()).hexdigest()
 
     @property
     def edited(self) -> bool:

@@ -236,6 +236,17 @@ def test_numbers_that_were_changed_by_hand_are_told(tmp_path):
     assert valid_result(tmp_path / "nickel.json", "0" * 40, Config()) is None
 
 
+@pytest.mark.parametrize(("old", "new"), [('"masking": "smith"', '"masking": "none"'), ("0.645", "0.65")])
+def test_settings_and_wavelengths_that_were_changed_by_hand_are_told(old, new, tmp_path):
+    result, path = made(), tmp_path / "nickel.json"
+    write_result(path, result.model_copy(update={"numbers_sha1": result.digest}))
+    model, rest = path.read_text().split('"parameters"', 1)
+    assert old in model
+    assert not read_result(path).edited
+    path.write_text(f'{model.replace(old, new, 1)}"parameters"{rest}')
+    assert read_result(path).edited
+
+
 def test_the_chain_of_a_name_that_is_no_utf8_is_found(tmp_path):
     """The JSON cannot say its name."""
     name = b"caf\xe9".decode("utf-8", "surrogateescape")

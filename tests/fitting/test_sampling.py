@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.posterior import sampling
+from merlfit.fitting.posterior.chain import ChainError
 from merlfit.fitting.posterior.importance import Posterior
+from merlfit.fitting.results.material import Model
 from merlfit.fitting.support.terminal import FAILED_FIT
+from merlfit.merl_io.bands import Bands
+from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.command import call
-from tests.support.made_results import put_result
+from tests.support.made_results import DEFAULTS, put_result
 
 
 def test_quantiles_stay_when_only_the_chain_cannot_be_written(tmp_path, monkeypatch):
@@ -31,6 +35,20 @@ def test_quantiles_stay_when_only_the_chain_cannot_be_written(tmp_path, monkeypa
     assert sampled.posterior.message == (
         f"long enough; the chain is not kept: {path}: cannot be written (No such file or directory)"
     )
+
+
+def test_a_chain_of_other_settings_or_wavelengths_is_refused_though_its_coordinates_are_the_same(tmp_path):
+    path, bands = tmp_path / "x.chain.npz", Bands(("R", "G", "B"), (0.65, 0.55, 0.45))
+    layout = layout_of(Measured(TwoScale("none")))
+    np.savez(path, **sampling._names(layout))
+    told = Model.of(layout.model, DEFAULTS, layout.bands).model_dump_json()
+    sampling.refuse_other_model(path, layout_of(Model.model_validate_json(told).measured))
+    for other in (layout_of(Measured(TwoScale("none", masking="none"))), layout_of(layout.model, bands=bands)):
+        assert other.names == layout.names
+        with pytest.raises(ChainError, match="of a fit with other settings or wavelengths; delete it"):
+            sampling.refuse_other_model(path, other)
+    np.savez(path, names=layout.names)  # of an earlier version
+    sampling.refuse_other_model(path, layout)
 
 
 def test_a_sampler_that_fails_is_said_in_a_line(tmp_path, monkeypatch):
