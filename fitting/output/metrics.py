@@ -18,7 +18,7 @@ from ...merl_io.inputs import is_scattered
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.reflectance import evaluate
 from ..assess import scattered
-from ..assess.metrics import Errors, by_incidence, errors
+from ..assess.metrics import INCIDENCE, Errors, by_incidence, errors
 from ..objective.residuals import predict_samples
 from ..objective.weights import THETA_MAX, weighted_samples
 from ..pictures.style import own_style, plain, save
@@ -35,7 +35,8 @@ class Assessed(NamedTuple):
 
     Attributes:
         path: of the result. row: its errors there. against: the file; data: what that is, in words.
-        incidence: middles of intervals of theta_i (rad); rmse: over them.
+        incidence: middles of intervals of theta_i (rad), of scattered directions the means of its samples; rmse: over
+            them.
     """
 
     path: Path
@@ -62,8 +63,8 @@ def assessed_result(path: Path, result: Result, against: Path) -> Assessed:
     unsaid = UNSAID if isinstance(measurement, Measurement) else UNSAID_SCATTERED
     data = result.data_words if same else genuine_words(measurement.genuine) if measurement.genuine else unsaid
     if not isinstance(measurement, Measurement):
-        found = _errors_scattered(result, model, measurement)
-        return Assessed(path, replace(row_of(result), errors=found), against, data, np.zeros(0), np.zeros(0))
+        found, *curve = _scattered(result, model, measurement)
+        return Assessed(path, replace(row_of(result), errors=found), against, data, *curve)
     values = tabulate(lambda g: evaluate(model.measured, result.values(), g, model.wavelengths_um), measurement.dims)
     grid, valid = merl_grid(measurement.dims), measurement.valid
     found = errors(measurement.values, values, valid, grid)
@@ -71,12 +72,29 @@ def assessed_result(path: Path, result: Result, against: Path) -> Assessed:
     return Assessed(path, replace(row_of(result), errors=found), against, data, *curve)
 
 
-def _errors_scattered(result: Result, model: Model, measurement: ScatteredMeasurement) -> Errors:
-    """On the samples themselves; there are too few of an incidence for a curve."""
+def _scattered(
+    result: Result, model: Model, measurement: ScatteredMeasurement
+) -> tuple[Errors, np.ndarray, np.ndarray]:
+    """On the samples themselves: errors, and the curve over the light's angle."""
     samples = weighted_samples(measurement)
     assert isinstance(samples, ScatteredSamples)
     values = {name: jnp.asarray(x) for name, x in result.values().items()}
-    return scattered.errors(samples, predict_samples(model.measured, values, samples))
+    predicted = np.asarray(predict_samples(model.measured, values, samples))
+    return scattered.errors(samples, predicted), *samples_by_incidence(samples, predicted)
+
+
+def samples_by_incidence(samples: ScatteredSamples, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """RMSE (1/sr) of the samples of intervals of theta_i, weighted as over all (`assess.scattered.errors`).
+
+    Returns:
+        the mean theta_i (rad) of each interval that has samples, and the RMSE there.
+    """
+    theta_i, used = np.arccos(np.clip(samples.cos_i, 0, 1)), samples.weight > 0
+    squares, weight = (samples.value - predicted) ** 2, np.where(used, samples.share * samples.cos_i, 0.0)
+    place = np.round(theta_i / INCIDENCE).astype(int)
+    sums = [np.bincount(place, np.sum(x, 0)) for x in (weight, weight * theta_i, weight * squares)]
+    total, angle, error = (x[sums[0] > 0] for x in sums)
+    return angle / total, np.sqrt(error / total)
 
 
 def metrics_table(found: Sequence[Assessed], against: Path) -> Table:

@@ -11,6 +11,7 @@ from merlfit.fitting.objective.problem import Arrangement, make_problem
 from merlfit.fitting.objective.residuals import Objective, predict_samples
 from merlfit.fitting.objective.transforms import layout_of
 from merlfit.fitting.objective.weights import compressive_weight, cos_weighted_median, weighted_samples
+from merlfit.fitting.output.metrics import samples_by_incidence
 from merlfit.fitting.pipeline.result import unread
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.results.export import read_result
@@ -19,6 +20,7 @@ from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import MerlError, read
+from merlfit.merl_io.scattered import ScatteredSamples
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate
@@ -50,6 +52,22 @@ def file(tmp_path_factory):
     values = np.asarray(evaluate(model, GLOSSY, where, FOUR.wavelengths_um))
     spectral.write_csv(target, spectral.directions(120), values, FOUR.names)
     return target
+
+
+def test_errors_by_incidence_are_those_of_the_samples_there():
+    """Of samples at 10, 11 and 50 degrees, one of which is left out; together they are the RMSE over all."""
+    theta_i, share = np.radians([10, 11, 50, 50, 50]), np.array([1.0, 3.0, 1.0, 2.0, 5.0])
+    value, weight = np.zeros((2, 5)), np.ones((2, 5))
+    weight[:, 4] = 0
+    samples = ScatteredSamples(*[np.zeros(5)] * 2, np.cos(theta_i), np.ones(5), value, weight, share, FOUR)
+    predicted = np.array([[1.0, 2.0, 3.0, 4.0, 1e9]] * 2)
+    angles, found = samples_by_incidence(samples, predicted)
+    near = share[:2] * np.cos(theta_i[:2])
+    np.testing.assert_allclose(np.degrees(angles), [near @ [10, 11] / near.sum(), 50])
+    np.testing.assert_allclose(found**2, [near @ [1, 4] / near.sum(), (9 + 2 * 16) / 3])
+    whole = assess.errors(samples, predicted).rmse ** 2
+    each = np.array([near.sum(), 3 * np.cos(theta_i[2])])
+    assert each @ found**2 / each.sum() == pytest.approx(whole)
 
 
 def test_weights_are_the_share_times_that_of_the_value(file):
@@ -186,6 +204,9 @@ def test_the_commands_take_a_table(file, tmp_path):
     assert row["picture"] == ""
     assert float(row["F0_600nm"]) == pytest.approx(0.6, rel=1e-3)
     assert call("metrics", path, "--against", file, "-o", tmp_path / "metrics").exit_code == 0
+    (_, *curve) = csv.reader((tmp_path / "metrics" / "by_incidence.csv").read_text().splitlines())
+    assert len(curve) > 1
+    assert all(0 <= float(angle) < 90 and float(error) < 1e-3 for angle, error in curve)
     assert call("synth", path, "-o", tmp_path / "seen.binary").exit_code == 0
     assert read(tmp_path / "seen.binary").valid.any()
     sampled = call("sample", path)
