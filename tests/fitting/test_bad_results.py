@@ -110,7 +110,7 @@ def test_errors_of_all_other_results(tmp_path):
     shown = call("metrics", odd, good, "--against", table, "-o", tmp_path / "out")
     assert shown.exit_code == BAD_INPUT
     assert "seconds.total: is missing" in shown.stderr
-    assert os.listdir(tmp_path / "out") == ["metrics.csv"]
+    assert sorted(os.listdir(tmp_path / "out")) == ["by_incidence.csv", "by_incidence.png", "metrics.csv"]
     shown = call("metrics", good, good, "--against", tmp_path / "none.csv")
     assert shown.exit_code == BAD_INPUT
     assert len(shown.stderr.splitlines()) == 1
