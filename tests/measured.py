@@ -87,8 +87,8 @@ def of_the_fit(result):
     """Albedo (C, A) at THETA_I of the material, without the apparatus."""
     values = {name: jnp.asarray(x) for name, x in result.values().items()}
     angles = jnp.radians(jnp.asarray(THETA_I, float))
-    compiled = jax.jit(directional_albedo, static_argnums=(1, 3))
-    return np.asarray(compiled(values, result.model.measured.material, angles, tuple(result.model.wavelengths_um)))
+    compiled = jax.jit(directional_albedo, static_argnums=(0, 3))
+    return np.asarray(compiled(result.model.measured.material, values, angles, tuple(result.model.wavelengths_um)))
 
 
 def row(path, result, mitsuba):
@@ -177,6 +177,17 @@ relative to the weighted energy of the measurement; largest albedo is that of th
 75 degrees.
 
 {fits}
+
+Colours outside the gamut of RGB have negative channels, and colours that change with the angle change their sign:
+
+- cc_green_malachite, an interference pigment under a coat, is not explained. Its red, a third of the energy, is
+  -0.03 /sr at theta_h of 16 to 32 degrees for small theta_d, where green is 0.13, and positive for larger theta_d and
+  near the mirror's direction; a reflecting lobe has one sign, and its hue hardly changes. It is no noise of the flakes:
+  the mean of the four nearest samples leaves 8 % of the energy.
+- chm_mint is a chrome of a colour outside the gamut: red is -8 to -51 /sr in the mirror's direction, green 20 to 260.
+  Its red albedo rises from -0.002 at 10 degrees to 0.21 at 75, by Mitsuba as well.
+- chm_orange is a chrome under a clear coat. Within a degree of the mirror's direction red is 5 to 50 times blue, its
+  lobe wider than blue's; one distribution of normals for all channels has one width.
 
 ## Albedos
 

@@ -19,6 +19,9 @@ paper a little better. Where they have the lowest score, a dielectric is taken, 
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).
 
+**Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
+do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.
+
 **Weights.** ``adaptive`` keeps the fit with the nearest picture (`picture`) among those that keep the highlight.
 """
 
@@ -94,16 +97,17 @@ def choose(
     scores: Sequence[float],
     matter: Sequence[bool] = (),
     dielectric: Sequence[bool] = (),
+    explains: Sequence[bool] = (),
     excessive: Callable[[int], bool] = lambda _: False,
 ) -> int:
     """Which of some fits to take, listed with the simplest first.
 
     Args:
-        matter: whether their constants may be those of matter. dielectric: whether they are no conductor's. Empty if
-            nothing is known of that.
+        matter: whether their constants may be those of matter. dielectric: whether they are no conductor's. explains:
+            whether they explain the file, as a fit does that succeeds. Empty if nothing is known of that.
         excessive: whether one gives back more light than it receives; asked only of those that describe the file alike.
     """
-    every = list(range(len(scores)))
+    every = [k for k, some in enumerate(explains) if some] or list(range(len(scores)))
     scored = np.nan_to_num(scores, nan=np.inf)
     best = min(every, key=lambda k: scored[k])
     if matter:

@@ -31,7 +31,7 @@ from ..objective.weights import THETA_MAX, weighted_samples
 from ..results import export, schema
 from ..settings.config import Config
 from ..settings.models import candidates, layout_for
-from ..solve.levenberg_marquardt import BLACK, LEAST_BINS, Solution, solve, solve_many
+from ..solve.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, solve, solve_many
 from ..solve.starts import clues_of, starting_points
 from ..support.clock import Clock, Report, silent
 from ..support.threads import CORES, one_core_a_call
@@ -238,7 +238,8 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
         brightest = largest_albedo(materials[k], values[k], layouts[k].bands)
         return brightest is not None and brightest.excessive
 
-    return candidates, choose(objectives, roots, scores, matter, ["k" not in v for v in values], excessive)
+    dielectric, explains = ["k" not in v for v in values], [s.cost <= UNEXPLAINED_COST for s in found]
+    return candidates, choose(objectives, roots, scores, matter, dielectric, explains, excessive)
 
 
 def valued(layout: Layout, z: np.ndarray) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from merlfit.fitting.assess.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, lost, nearest, score
+from merlfit.fitting.solve.levenberg_marquardt import UNEXPLAINED_COST
 from merlfit.model.effects import KINDS
 from merlfit.model.two_scale import TwoScale
 
@@ -121,3 +122,26 @@ def test_which_constants_are_those_of_matter(n, k, floor, known):
     values = {"n": np.array(n), "k": np.array(k), "albedo": np.full(3, floor)}
     assert TwoScale("lambert", index="complex").of_matter(values) is known
     assert TwoScale("lambert").of_matter({"eta": np.full(3, 1.5), "albedo": np.full(3, 0.9)})
+
+
+ORANGE = (
+    [0.5731, 0.8218, 0.8201, 0.8165, 0.6139],
+    [0.1289, 0.0974, 0.0707, 0.0674, 0.0795],
+    [0.446, 0.689, 0.689, 0.687, 0.454],
+)
+MINT = (
+    [0.4150, 0.6822, 0.6823, 0.6823, 0.4152],
+    [0.2125, 0.0852, 0.1544, 0.1535, 0.0663],
+    [0.357, 0.607, 0.607, 0.607, 0.357],
+)
+
+
+@pytest.mark.parametrize(("film", "matter", "count"), [(ORANGE, [True] * 5, 26.2), (MINT, MATTER, 3.3)])
+def test_a_body_without_its_mirror_is_not_taken_where_a_conductor_explains_the_film(film, matter, count):
+    """Chrome wraps of RGL, orange and mint: a dielectric describes the cube roots as well, and leaves 0.6 and more."""
+    *errors, costs = film
+    scores = [score(j, e, count) for j, e in zip(*errors, strict=True)]
+    explains = [cost <= UNEXPLAINED_COST for cost in costs]
+    assert KINDS[choose(*errors, scores, matter, DIELECTRIC)][0] == "real"
+    assert KINDS[choose(*errors, scores, matter, DIELECTRIC, explains)] == ("complex", "lambert")
+    assert choose(*errors, scores, matter, DIELECTRIC, [False] * 5) == choose(*errors, scores, matter, DIELECTRIC)
