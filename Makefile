@@ -33,7 +33,7 @@ test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" \
 		$$($(BIN)/python -m tests.proofs --left-out)
 
-# Half an hour: what `make test` leaves out while its sources are as they were when it passed; results/proofs.json.
+# An hour: what `make test` leaves out while its sources are as they were when it passed; results/proofs.json.
 proofs: install
 	$(BIN)/python -m tests.proofs
 

@@ -24,11 +24,16 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "clusters": tuple(
         f"tests/fitting/test_{name}.py" for name in ("cluster", "cluster_faults", "cluster_fits", "slurm")
     ),
+    "fits": tuple(
+        f"tests/fitting/test_{name}.py"
+        for name in ["bands", "batch", "coreset", "fit", "hard_fits", "likelihood", "objective", "projection", "starts"]
+    ),
     "hard-cases": ("tests/test_hard_cases.py",),
     "models": ("tests/model", *RIVALS, "tests/test_oracles.py"),
     "objective": tuple(
         f"tests/fitting/test_{name}.py" for name in ("models", "problem", "transforms", "trust_region", "weights")
     ),
+    "posterior": tuple(f"tests/fitting/test_{name}.py" for name in ("emulator", "posterior")),
     "scenes": ("tests/scene", "tests/sampling"),
 }
 """Files of tests, and folders with all tests that are in them."""
