@@ -7,7 +7,9 @@ import warnings
 import weakref
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
+
+from numpy.typing import ArrayLike
 
 from ..merl_io import inputs
 from ..merl_io.atomic import refused
@@ -17,31 +19,42 @@ from .fitted import Fit
 from .output.keeping import claimed, place_of
 from .pipeline.run import fit_file, settled
 from .results.export import read_result
-from .settings.config import Replaced
 from .settings.config import load as settings_of
 from .support.clock import Report, silent
 from .support.compilation import use_cache
 
 
 def fit(
-    file: str | os.PathLike[str] | Input,
+    file: str | os.PathLike[str] | Mapping[str, ArrayLike] | Input,
     out: str | os.PathLike[str] | None = None,
     settings: Mapping[str, Any] | str | os.PathLike[str] | None = None,
     *,
+    model: str | list[str] | None = None,
+    index: str | None = None,
+    body: str | None = None,
+    preset: str | None = None,
+    weights: str | None = None,
+    posterior: bool | None = None,
+    seed: int | None = None,
+    dims: str | None = None,
+    origin: str | None = None,
     report: Report = silent,
-    **replaced: Unpack[Replaced],
 ) -> Fit:
-    """Fit a file, as `merlfit fit` does.
+    """Fit a measurement, as `merlfit fit` does.
 
     Compiled programs are kept in merlfit's cache folder, unless ``jax_compilation_cache_dir`` is set already.
 
     Args:
-        file: its path, or what :func:`read` made of it.
+        file: its path, a table as arrays by name, or what :func:`read` made of either.
         out: folder for the result; without it, the result lasts as long as the object: :meth:`Fit.save` keeps it.
         settings: a TOML file like configs/default.toml, or the same as a mapping.
-        replaced: dims, origin, model, preset, index, body, weights, posterior or seed, as the options of
-            `merlfit fit`; they replace those of ``settings``. The posterior is sampled where one of them asks for it,
-            or by :meth:`Fit.sample`.
+        model: two-scale by default; of several, the one that describes the file best is taken (docs/rivals.md).
+        index: auto, real (a dielectric) or complex (a conductor). body: what lies under the surface: auto, none,
+            lambert, plastic or subsurface. preset: of effects, such as default or conserving (docs/effects.md).
+        weights: compressive, log, none or adaptive (docs/fitting.md).
+        posterior: whether to sample it; :meth:`Fit.sample` does so later. seed: of the sampler.
+        dims: allow other sizes of a MERL file's grid. origin: what data these are, in words that outputs repeat.
+            All of these replace what ``settings`` say, and are the options of `merlfit fit`.
         report: called with a few words on what is being done, ``print`` for instance.
 
     Raises:
@@ -50,13 +63,16 @@ def fit(
         merlfit.WriteError: ``out`` cannot be written, or a command is writing there.
         RuntimeError: the sampler failed; the message names the file that holds the fit.
     """
-    config = settings_of(settings, **replaced)
+    config = settings_of(
+        settings, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
+        posterior=posterior, seed=seed,
+    )  # fmt: skip
     if "enabled" not in config.posterior.model_fields_set:
         config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
     use_cache()
-    named = isinstance(file, str | os.PathLike)
-    measurement = inputs.read(Path(file).absolute(), dims=config.input.allowed) if named else file
-    if isinstance(measurement, ScatteredMeasurement) and replaced.get("posterior"):
+    path = Path(file).absolute() if isinstance(file, str | os.PathLike) else file
+    measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, Path | Mapping) else path
+    if isinstance(measurement, ScatteredMeasurement) and posterior:
         settled(measurement.path, config, "--posterior")
     folder, place = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out), None
     with refused(folder, "made"):

@@ -22,7 +22,7 @@ from .pictures.subject import chain_file, own_chain, subject_of
 from .pipeline.resampling import resample
 from .pipeline.run import chain_of
 from .results.export import ResultError, write_result
-from .results.schema import Model, ParameterResult, Quantiles, Result
+from .results.schema import Metrics, Model, ParameterResult, Quantiles, Result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
 from .support.terminal import Screen, console
@@ -72,6 +72,21 @@ class Fit:
         return self.result.fit.succeeded
 
     @property
+    def status(self) -> str:
+        """How the fit ended: CONVERGED, AT_BOUND, STEP_LIMIT, UNEXPLAINED, NON_FINITE or NO_DATA (docs/result.md)."""
+        return self.result.fit.status
+
+    @property
+    def cost(self) -> float | None:
+        """What is left of the weighted energy of the measurement (HP17 Eq. 56); None if the fit failed."""
+        return self.result.fit.cost
+
+    @property
+    def metrics(self) -> Metrics:
+        """Errors of the fit: RMSE, sMAPE, pictures and the highlight (docs/howto/metrics.md)."""
+        return self.result.metrics
+
+    @property
     def parameters(self) -> dict[str, ParameterResult]:
         """Every fitted number by its name (``beta``, ``eta_R``), with unit, quantiles and bounds."""
         return {q.name: q for q in self.result.parameters}
@@ -100,17 +115,23 @@ class Fit:
             })  # fmt: skip
         return rows
 
-    def brdf(self, i: ArrayLike, o: ArrayLike, with_grazing_loss: bool = False) -> np.ndarray:
+    def brdf(self, i: ArrayLike, o: ArrayLike) -> np.ndarray:
         """BRDF of the fitted material (1/sr), shape (C, ...); 0 where light or viewer are below the surface.
 
         Args:
             i, o: unit vectors of light and viewer, (..., 3), in a frame whose third axis is the surface's normal.
-            with_grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles.
 
         Raises:
             merlfit.ResultError: the fit failed, there is no material.
             ValueError: i or o is no unit vector.
         """
+        return self._predicted(i, o, with_grazing_loss=False)
+
+    def predict(self, i: ArrayLike, o: ArrayLike) -> np.ndarray:
+        """What the apparatus measures of the material, as :meth:`brdf`: MERL's loses light at grazing angles."""
+        return self._predicted(i, o, with_grazing_loss=True)
+
+    def _predicted(self, i: ArrayLike, o: ArrayLike, *, with_grazing_loss: bool) -> np.ndarray:
         model, (light, viewer) = self._model(), (np.asarray(x, float) for x in (i, o))
         for name, vectors in (("i", light), ("o", viewer)):
             if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):

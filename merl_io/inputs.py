@@ -1,7 +1,10 @@
 """Measurements in files of any format that is read: by the ending of their names."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+
+from numpy.typing import ArrayLike
 
 from . import binary, rgl, table
 from .binary import Dims, Measurement
@@ -18,15 +21,26 @@ def is_scattered(path: str | os.PathLike[str]) -> bool:
     return Path(path).suffix.lower() in SCATTERED
 
 
-def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dims | None = None) -> Input:
+def read(
+    path: str | os.PathLike[str] | Mapping[str, ArrayLike],
+    fitted_sha1: str | None = None,
+    dims: Dims | None = None,
+    name: str = "table",
+) -> Input:
     """Read a measurement.
 
     Args:
+        path: of a file, or a table of scattered directions as arrays: ``theta_i_deg``, ``theta_o_deg``, ``phi_deg``
+            (N,), ``wavelengths_um`` (C,), ``values`` (N, C), 1/sr, NaN where there is no datum, and perhaps ``weight``
+            (N,), with the meanings and units of docs/tables.md.
         fitted_sha1: of the file that was fitted, if it must be that one. dims: as of `binary.read`.
+        name: of the material, of arrays; a file's is that of the file.
 
     Raises:
         merlfit.merl_io.binary.MerlError: it cannot be used; the message is one line.
     """
+    if isinstance(path, Mapping):
+        return table.read_arrays(path, name)
     if is_scattered(path):
         try:
             return SCATTERED[Path(path).suffix.lower()](Path(path), fitted_sha1)

@@ -1,19 +1,23 @@
 """Tables of scattered directions, CSV or NPZ, one column a wavelength: docs/tables.md is the format."""
 
+import hashlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .archive import arrays
 from .bands import Bands
 from .binary import BRIGHTEST
-from .columns import ANGLES, WEIGHT, spectral
+from .columns import ANGLES, WEIGHT, listed, spectral
 from .delimited import read_lines, refuse
 from .outliers import examined
 from .scattered import ScatteredMeasurement
 from .source import MerlError, contents
+
+NAMES = (*ANGLES, "wavelengths_um", "values", WEIGHT)  # of an NPZ file's arrays
 
 
 def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasurement:
@@ -24,7 +28,31 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     """
     path = Path(path)
     data, sha1, blob = contents(path, fitted_sha1)
-    columns, values, bands, places = (_npz if path.suffix.lower() == ".npz" else _csv)(path, data)
+    return _measured(path, (_npz if path.suffix.lower() == ".npz" else _csv)(path, data), sha1, blob)
+
+
+def read_arrays(arrays: Mapping[str, ArrayLike], name: str) -> ScatteredMeasurement:
+    """A table whose columns are arrays, named and shaped as in an NPZ file.
+
+    Args:
+        name: of the material; messages and the result call the table ``name``.npz.
+
+    Raises:
+        MerlError: it is no table; the message names the array and what is wrong.
+    """
+    path = Path(f"{name}.npz")
+    if unknown := [str(key) for key in arrays if key not in NAMES]:
+        raise MerlError(f"{path}: no array of a table is called {listed(unknown, ', ')}: {', '.join(NAMES)}")
+    try:
+        found = {key: np.array(x, float) for key, x in arrays.items()}
+    except (ValueError, TypeError) as error:
+        raise MerlError(f"{path}: holds what is no number ({error})") from None
+    digest = hashlib.sha1(b"".join(key.encode() + found[key].tobytes() for key in sorted(found))).hexdigest()
+    return _measured(path, _of_arrays(path, found), digest, digest)
+
+
+def _measured(path: Path, read: "Read", sha1: str, blob: str) -> ScatteredMeasurement:
+    columns, values, bands, places = read
     values[~(np.abs(values) < BRIGHTEST)] = np.nan
     share = columns.get(WEIGHT, np.ones(values.shape[1]))
     if not np.any(np.isfinite(values) & (share > 0)):
@@ -50,13 +78,16 @@ def _csv(path: Path, data: bytes) -> Read:
 
 
 def _npz(path: Path, data: bytes) -> Read:
-    names = (*ANGLES, "wavelengths_um", "values", WEIGHT)
     try:
-        found = {name: x.astype(float) for name, x in arrays(io.BytesIO(data), names.__contains__).items()}
+        found = {name: x.astype(float) for name, x in arrays(io.BytesIO(data), NAMES.__contains__).items()}
     except ValueError as error:
         raise MerlError(f"{path}: is not a readable NPZ archive of numbers ({error})") from None
-    if missing := [name for name in names if name not in found and name != WEIGHT]:
-        raise MerlError(f"{path}: has no array {missing[0]}; it needs {', '.join(names[:-1])}")
+    return _of_arrays(path, found)
+
+
+def _of_arrays(path: Path, found: dict[str, np.ndarray]) -> Read:
+    if missing := [name for name in NAMES if name not in found and name != WEIGHT]:
+        raise MerlError(f"{path}: has no array {missing[0]}; it needs {', '.join(NAMES[:-1])}")
     count, channels = len(np.atleast_1d(found[ANGLES[0]])), found["wavelengths_um"].size
     shapes = {**dict.fromkeys((*ANGLES, WEIGHT), (count,)), "wavelengths_um": (channels,), "values": (count, channels)}
     for name, x in found.items():

@@ -81,6 +81,7 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     assert fit.succeeded
     assert told[0] == "reading"
     assert fit.result.seed == 5
+    assert (fit.status, fit.cost, fit.metrics) == (fit.result.fit.status, fit.result.fit.cost, fit.result.metrics)
     assert fit.result.posterior is None
     assert "fitted parameters" in str(fit)
     assert file.stem in repr(fit)
@@ -88,7 +89,7 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     assert {row["q05"] for row in fit.table()} == {None}
 
     up, slanted = np.array([0.0, 0.0, 1.0]), np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
-    alone, measured = fit.brdf(up, slanted), fit.brdf(up, slanted, with_grazing_loss=True)
+    alone, measured = fit.brdf(up, slanted), fit.predict(up, slanted)
     assert alone.shape == (3, 2)
     material = fit.result.model.material
     np.testing.assert_allclose(
@@ -227,10 +228,22 @@ def test_a_posterior_of_scattered_directions_is_refused(tmp_path):
     assert merlfit.fit(table, settings={"posterior": {"enabled": True}}).result.fit.status == "NO_DATA"
 
 
+def test_arrays_are_a_table(tmp_path):
+    """Of 29 samples, one fewer than a fit wants: the result says of what it is, whatever is in the arrays."""
+    directions = {"theta_i_deg": np.full(29, 30.0), "theta_o_deg": np.linspace(0, 80, 29), "phi_deg": np.full(29, 180)}
+    arrays = {**directions, "wavelengths_um": [0.5], "values": np.ones((29, 1))}
+    fit = merlfit.fit(arrays, model="ggx")
+    assert fit.status == "NO_DATA"
+    assert fit.cost is None
+    source = merlfit.fit(merlfit.read(arrays, name="copper"), tmp_path, model="ggx").result.source
+    assert (source.material, source.format, source.sha1) == ("copper", "table", fit.result.source.sha1)
+    assert merlfit.fit({**arrays, "values": np.zeros((29, 1)) + 2}).result.source.sha1 != source.sha1
+
+
 def test_bad_settings_and_failed_fits_are_told(file, tmp_path):
     with pytest.raises(merlfit.ConfigError, match=r"settings: unknown key 'fit\.start'"):
         merlfit.fit(file, settings={"fit": {"start": 2}})
-    with pytest.raises(TypeError, match="no setting is called boby"):
+    with pytest.raises(TypeError, match="boby"):
         merlfit.fit(file, settings=QUICK, boby="none")
     with pytest.raises(merlfit.MerlError, match="no such file"):
         merlfit.fit(tmp_path / "missing.binary", settings=QUICK)

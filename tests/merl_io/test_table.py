@@ -151,6 +151,24 @@ def test_a_bad_archive_gets_one_line_that_names_it(changed, words, tmp_path):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"theta_in": [1.0]}, "gold.npz: no array of a table is called theta_in: theta_i_deg, theta_o_deg, phi_deg, "),
+        ({"phi_deg": "east"}, "gold.npz: holds what is no number"),
+        ({"phi_deg": [180.0]}, r"gold.npz: array phi_deg has shape \(1,\), not "),
+    ],
+)
+def test_arrays_that_are_no_table_get_one_line_that_names_them(changed, words, tmp_path):
+    with np.load(archive(tmp_path / "made.npz")) as made:
+        arrays = dict(made)
+    found = inputs.read(arrays, name="gold")
+    np.testing.assert_array_equal(found.values, inputs.read(tmp_path / "made.npz").values)
+    assert found.name == "gold"
+    with pytest.raises(MerlError, match=words):
+        inputs.read({**arrays, **changed}, name="gold")
+
+
 def test_a_truncated_archive_gets_one_line(tmp_path):
     target = archive(tmp_path / "cut.npz")
     target.write_bytes(target.read_bytes()[:-30])
