@@ -16,12 +16,14 @@ from merlfit.merl_io.samples import fold, thin
 from merlfit.model.convolution import convolve
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
-from merlfit.model.two_scale import TwoScale, two_scale
+from merlfit.model.two_scale import TwoScale
 
 from tests.bench import plain_numpy, processes, record
 from tests.bench.against_scipy import Whole
+from tests.support.compiled import two_scale
 from tests.support.lobes import ANGLES, draw
 
+pytestmark = pytest.mark.usefixtures("compiled_quickly")
 METAL = {
     "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "grazing_exponent": 0.35,
     "grazing_exponent_diffracted": 0.15,

@@ -22,6 +22,7 @@ from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
+pytestmark = pytest.mark.usefixtures("compiled_quickly")
 LAYOUT = layout_of(Measured(TwoScale("lambert", "off")))
 
 

@@ -244,8 +244,9 @@ def test_a_chain_that_is_too_short_has_a_watermark(sufficient):
     assert any("9 autocorrelation times" in text for text in found) == (not sufficient)
 
 
-@pytest.mark.parametrize("scale", [0.003, 0.1, 1.0])
-@pytest.mark.parametrize("name", ["corner", "corner-all"])
+@pytest.mark.parametrize(
+    ("name", "scale"), [("corner", 0.003), ("corner", 0.1), ("corner", 1.0), ("corner-all", 0.003)]
+)
 def test_the_corner_plot_has_units_scales_values_and_ticks(name, scale):
     result = made(posterior=True)
     figure = PICTURES[name].draw(Subject(result, None, chain(result, scale)))

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
+import jax
 import numpy as np
 import pytest
 from merlfit.fitting import cli
@@ -24,13 +25,14 @@ from merlfit.fitting.settings.config import Config
 from merlfit.merl_io.binary import read, write
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
-from merlfit.model.reflectance import contributions, evaluate
+from merlfit.model.reflectance import contributions
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
 from playwright.sync_api import expect, sync_playwright
 from typer.testing import CliRunner
 
 from tests.support import chromium
+from tests.support.compiled import evaluate
 from tests.support.made_results import made
 
 ROOT = Path(__file__).parents[2]
@@ -170,7 +172,7 @@ def test_contributions_add_up(model, compiled_quickly):
         np.array([0.02, 0.4, 1.5]), np.array([0.3, 0.6, 0.5]), np.array([1.0, 2, 0])
     )
     values = {q.name: np.full(3, q.default) if q.per_channel else q.default for q in model.parameters}
-    found = contributions(model, values, geometry)
+    found = jax.jit(contributions, static_argnums=0)(model, values, geometry)
     assert set(found) >= {"specular", "diffracted"}
     np.testing.assert_allclose(sum(found.values()), evaluate(model, values, geometry), rtol=1e-12, atol=1e-15)
 
