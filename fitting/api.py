@@ -38,6 +38,7 @@ def fit(
     seed: int | None = None,
     dims: str | None = None,
     origin: str | None = None,
+    name: str = "table",
     report: Report = silent,
 ) -> Fit:
     """Fit a measurement, as `merlfit fit` does.
@@ -55,6 +56,7 @@ def fit(
         posterior: whether to sample it; :meth:`Fit.sample` does so later. seed: of the sampler.
         dims: allow other sizes of a MERL file's grid. origin: what data these are, in words that outputs repeat.
             All of these replace what ``settings`` say, and are the options of `merlfit fit`.
+        name: of the material, of arrays; a file's is that of the file.
         report: called with a few words on what is being done, ``print`` for instance.
 
     Raises:
@@ -71,14 +73,14 @@ def fit(
         config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
     use_cache()
     path = Path(file).absolute() if isinstance(file, str | os.PathLike) else file
-    measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, Path | Mapping) else path
+    measurement = inputs.read(path, dims=config.input.allowed, name=name) if isinstance(path, Path | Mapping) else path
     if isinstance(measurement, ScatteredMeasurement) and posterior:
         settled(measurement.path, config, "--posterior")
     folder, place = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out), None
     with refused(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
     try:
-        with claimed(folder, alone=False), place_of(folder, measurement.name) as place:
+        with claimed(folder, alone=False), place_of(folder, measurement.name, alone=False) as place:
             result = fit_file(measurement, place.folder, config, report)
     except BaseException as error:  # raised again
         if out is None and not any(folder.iterdir()):
@@ -88,7 +90,7 @@ def fit(
         raise
     if place.said:
         warnings.warn(place.said, stacklevel=2)
-    found = Fit(result, place.path)
+    found = Fit(result, place.path, measurement)
     if out is None:
         weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
     return found

@@ -1,7 +1,8 @@
 """Models compared on files, as `merlfit compare`, `which` and `metrics` do it."""
 
 import traceback
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import typer
@@ -12,7 +13,7 @@ from ..merl_io.inputs import Input
 from ..model.registry import made, models
 from .files import numbered, refuse_same_names
 from .output.comparison import NAME, by_label, compared_in, table_of, verdict, write_tables
-from .output.keeping import Taken, claimed, place_of
+from .output.keeping import claimed, place_of
 from .output.metrics import assessed_result, metrics_in, metrics_table, write_metrics
 from .pipeline.comparison import FIT, compare_file
 from .pipeline.run import fit_file
@@ -55,13 +56,27 @@ def chosen_models(names: str | None) -> list[str]:
 
 def placed(measurement: Input, folder: Path, settings: Config) -> Result:
     """Fit, and write the result where it replaces none that is more complete."""
-    with refused(folder, "made"):
-        folder.mkdir(parents=True, exist_ok=True)
-    with claimed(folder), place_of(folder, measurement.name) as place:  # as `merlfit fit` of this model may want it
+    with place_of(folder, measurement.name) as place:
         result = fit_file(measurement, place.folder, settings)
     if place.said:
         note(place.said)
     return result
+
+
+@contextmanager
+def claimed_for(models: Iterable[str], out: Path) -> Iterator[None]:
+    """Claim a folder and that of each model in it, which `merlfit fit` of this model may want.
+
+    Raises:
+        WriteError: one cannot be made, or another run has it.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(claimed(out))
+        for folder in (out / model for model in models):
+            with refused(folder, "made"):
+                folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(claimed(folder))
+        yield
 
 
 def compare_files(
@@ -81,8 +96,8 @@ def compare_files(
     wanted, rows, code = chosen_models(names), [], 0
     with ExitStack() as stack:
         try:
-            stack.enter_context(claimed(out))
-        except Taken as error:
+            stack.enter_context(claimed_for(wanted, out))
+        except WriteError as error:
             raise fail(str(error)) from None
         progress = stack.enter_context(progress_display())
         for k, path in enumerate(files):
@@ -130,7 +145,7 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     writable_folder(out)
     wanted = chosen_models(names)
     try:
-        with claimed(out), progress_display() as progress:
+        with claimed_for(wanted, out), progress_display() as progress:
             task = progress.add_task(path.name, total=None)
             with programs_told(reporter(progress, task, path.stem)) as told:
                 rows, _ = compare_file(path, wanted, settings, out, told, False, placed)

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
 from ..merl_io.atomic import refused, write_bytes
+from ..merl_io.inputs import Input
 from ..merl_io.source import PLAIN
 from .output.inspection import file_of
 from .output.keeping import claimed, place_of
@@ -62,9 +63,10 @@ class Fit:
         path: of that file.
     """
 
-    def __init__(self, result: Result, path: Path) -> None:
+    def __init__(self, result: Result, path: Path, measured: Input | None = None) -> None:
         self.result = result
         self.path = path
+        self._measured = measured
 
     @property
     def succeeded(self) -> bool:
@@ -201,7 +203,7 @@ class Fit:
             raise KeyError(f"{name!r} is none of {', '.join(PICTURES)}")
         self._model()
         use_cache()
-        subject = subject_of(self.result, self.path, file_of(self.path, self.result))
+        subject = subject_of(self.result, self.path, self._measured or file_of(self.path, self.result))
         if subject.result.posterior is not None and "chain" in subject.lacks:
             warnings.warn(f"no posterior is shown: {subject.lacks['chain']}", stacklevel=2)
         figure = PICTURES[name].draw(subject)
@@ -255,7 +257,7 @@ class Fit:
         folder, name = Path(folder), self.result.source.material
         with refused(folder, "made"):
             folder.mkdir(parents=True, exist_ok=True)
-        with claimed(folder, alone=False), place_of(folder, name) as place:
+        with claimed(folder, alone=False), place_of(folder, name, alone=False) as place:
             own, chain = own_chain(self.result, self.path), chain_of(place.path)
             if own is None:
                 chain.unlink(missing_ok=True)

@@ -44,11 +44,19 @@ def read_arrays(arrays: Mapping[str, ArrayLike], name: str) -> ScatteredMeasurem
     if unknown := [str(key) for key in arrays if key not in NAMES]:
         raise MerlError(f"{path}: no array of a table is called {listed(unknown, ', ')}: {', '.join(NAMES)}")
     try:
-        found = {key: np.array(x, float) for key, x in arrays.items()}
-    except (ValueError, TypeError) as error:
+        found = {
+            key: np.ma.filled(np.ma.array(x, float), np.nan) for key, x in arrays.items() if not _complex(path, key, x)
+        }
+    except (ValueError, TypeError, OverflowError) as error:
         raise MerlError(f"{path}: holds what is no number ({error})") from None
     digest = hashlib.sha1(b"".join(key.encode() + found[key].tobytes() for key in sorted(found))).hexdigest()
     return _measured(path, _of_arrays(path, found), digest, digest)
+
+
+def _complex(path: Path, key: str, x: ArrayLike) -> bool:
+    if np.iscomplexobj(x):
+        raise MerlError(f"{path}: array {key} holds complex numbers")
+    return False
 
 
 def _measured(path: Path, read: "Read", sha1: str, blob: str) -> ScatteredMeasurement:

@@ -40,6 +40,7 @@ CELLS, LINEAR, STEEPEST = 256, 2e-4, 1e3
 GRAZING, INCIDENCES, NEWTON, SMALLEST = np.radians(89.9), 48, 5, 1e-6
 LONGEST = float(np.arcsinh(STEEPEST / LINEAR))
 TABLES = {"brdf", "share", "below"}
+PICTURES = (".exr", ".png")
 PASS = 4  # samples of a pixel, between two words of a scalar variant
 
 
@@ -228,6 +229,8 @@ def main() -> None:
     asked = parser.parse_args()
     if why := _unusable(asked.variant):
         parser.error(why)
+    if not (out := Path(asked.out)).parent.is_dir() or out.suffix not in PICTURES:
+        parser.error(f"{out}: should be {' or '.join(PICTURES)}, in a folder that is there")
     mi.set_variant(asked.variant)
     register()
     try:

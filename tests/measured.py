@@ -31,6 +31,7 @@ ORIGINS = {
     "rgl": "genuine measurement, RGL EPFL material database (Dupuy & Jakob 2018), CC0",
     "nist": "genuine measurement, NIST (Germer 2017, Applied Optics), US government work",
 }
+NOTES = FOLDER / "notes.txt"  # by hand: what was found of some files
 FORMATS = (".bsdf", ".csv")
 PACKAGE = ("configs", "fitting", "merl_io", "model", "scene")
 NEAR = 0.03  # of the value: as near as albedos are to agree
@@ -178,17 +179,7 @@ relative to the weighted energy of the measurement; largest albedo is that of th
 
 {fits}
 
-Colours outside the gamut of RGB have negative channels, and colours that change with the angle change their sign:
-
-- cc_green_malachite, an interference pigment under a coat, is not explained. Its red, a third of the energy, is
-  -0.03 /sr at theta_h of 16 to 32 degrees for small theta_d, where green is 0.13, and positive for larger theta_d and
-  near the mirror's direction; a reflecting lobe has one sign, and its hue hardly changes. It is no noise of the flakes:
-  the mean of the four nearest samples leaves 8 % of the energy.
-- chm_mint is a chrome of a colour outside the gamut: red is -8 to -51 /sr in the mirror's direction, green 20 to 260.
-  Its red albedo rises from -0.002 at 10 degrees to 0.21 at 75, by Mitsuba as well.
-- chm_orange is a chrome under a clear coat. Within a degree of the mirror's direction red is 5 to 50 times blue, its
-  lobe wider than blue's; one distribution of normals for all channels has one width.
-
+{notes}
 ## Albedos
 
 Directional albedo, R / G / B: of the file by importance sampling of Mitsuba's plugin `measured`, which clamps nothing
@@ -211,7 +202,8 @@ def page(rows, at):
     statuses = [r["status"] for r in fitted(rows)]
     ends = "".join(f"{statuses.count(s)} {s}. " for s in sorted(set(statuses))).strip()
     fits, albedos = "\n".join(fitted_table(rows)), "\n".join(albedo_table(rows))
-    return PAGE.format(count=len(statuses), every=len(rows), at=at, ends=ends, fits=fits, albedos=albedos)
+    notes = NOTES.read_text()
+    return PAGE.format(count=len(statuses), every=len(rows), at=at, ends=ends, fits=fits, notes=notes, albedos=albedos)
 
 
 def table(rows):

@@ -178,6 +178,11 @@ def excess(fitted: Fitted) -> list[str]:
     ]
 
 
+def explains(candidate: schema.Candidate) -> bool:
+    """Whether a kind leaves no more of the file than a fit may that succeeds."""
+    return candidate.cost is not None and candidate.cost <= UNEXPLAINED_COST
+
+
 def others(fitted: Fitted) -> list[str]:
     """Which other models, or variants of the model, describe the file about as well."""
     known = [(c, c.objective, c.cube_root, c.score) for c in fitted.candidates]
@@ -190,6 +195,6 @@ def others(fitted: Fitted) -> list[str]:
     near = [
         f"{c.variant} ({figures[-1][k] - figures[-1][own[0]]:+.1f}{'' if c.of_matter else UNREAL})"
         for k, c in enumerate(compared)
-        if k != own[0] and alike(k, own[0], *figures)
+        if k != own[0] and alike(k, own[0], *figures) and (fitted.status is Status.UNEXPLAINED or explains(c))
     ]
     return [f"other models describe the file about as well (score against this one): {', '.join(near)}"] if near else []

@@ -23,6 +23,7 @@ from ..support.outputs import is_ours
 from .unit import Ended, Kind, Unit
 
 NAME = "manifest.jsonl"
+BEGINS = b'{"at": "'  # every line
 LONGEST = 2**24  # bytes of a line: a command may name a hundred thousand files; what is longer is of nobody we know
 
 
@@ -83,7 +84,7 @@ class Journal:
             WriteError: a file of that name is no manifest.
         """
         self.path = out / NAME
-        if is_regular(self.path) and not self.path.is_symlink() and not is_ours(self.path):
+        if is_regular(self.path) and not self.path.is_symlink() and not (is_ours(self.path) or _begun(self.path)):
             raise WriteError(
                 f"{self.path}: is there already, and no manifest of merlfit: move it, or name another folder"
             )
@@ -117,6 +118,13 @@ class Journal:
 
     def _write(self, line: Began | FileEnded | RunEnded) -> None:
         append(self.path, (json.dumps(line.model_dump(mode="json"), ensure_ascii=True) + "\n").encode())
+
+
+def _begun(path: Path) -> bool:
+    """Whether all of a manifest is the beginning of its first line: a full disk cut it off."""
+    with suppress(MerlError), opened(path) as (file, size):
+        return size < LONGEST and file.read().startswith(BEGINS) and _is_torn(path)
+    return False
 
 
 def _is_torn(path: Path) -> bool:

@@ -126,19 +126,23 @@ def _which(path: Path) -> tuple[int, int] | None:
 
 
 @contextmanager
-def place_of(out: Path, name: str) -> Iterator[Place]:
+def place_of(out: Path, name: str, alone: bool = True) -> Iterator[Place]:
     """Where to write the result ``name`` of ``out``.
 
-    Where one stands already, the new one is written into a folder beside it, and moved to its place in the end, however
-    that comes, if it is of the same file and model and at least as complete. Otherwise both stay where they are.
+    Where one stands already, or may come in the meantime, the new one is written into a folder beside it, and moved to
+    its place in the end, however that comes, if it is of the same file and model and at least as complete. Otherwise
+    both stay where they are.
+
+    Args:
+        alone: as of `claimed`.
 
     Raises:
         WriteError: a file of that name is no result, or the system lets none be put there.
     """
     target = Place(out, name)
-    if os.path.exists(target.path) and not is_ours(target.path, RESULT):
+    if os.path.exists(target.path) and not _is_result(target.path):
         raise WriteError(f"{target.path}: is there already, and no result of merlfit: move it, or name another folder")
-    if completeness(target.path) == Complete.NOTHING:
+    if alone and completeness(target.path) == Complete.NOTHING:
         yield target
         return
     beside = unfinished(out)
@@ -157,14 +161,16 @@ def place_of(out: Path, name: str) -> Iterator[Place]:
 
 def _settled(target: Place, new: Place) -> Place:
     """Where a result is in the end that was written beside that of its name: in its place, or in its own folder."""
-    if _takes_place(new.path, target.path):
-        _move(new.path, target.path)
-        return target
     if not new.path.exists():
         return new
+    if _takes_place(new.path, target.path):
+        if not target.path.exists() and _came_first(target.path, new.path):
+            return _settled(target, new)
+        _move(new.path, target.path)
+        return target
     before, after = completeness(target.path), completeness(new.path)
     words = _apart(_of(target.path), _of(new.path)) if _is_other(new.path, target.path) else ("", "")
-    foreign = not is_ours(target.path, RESULT)
+    foreign = not _is_result(target.path)
     stays = f"{target.path} stays as it was, {'no result' if foreign else f'with {before.words}{words[0]}'}"
     if earlier := next((path for path in results_beside(target.path) if _takes_place(new.path, path)), None):
         moved = Place(earlier.parent, earlier.stem)
@@ -179,8 +185,13 @@ def _settled(target: Place, new: Place) -> Place:
 def _takes_place(new: Path, old: Path) -> bool:
     """Whether a result may be put in the place of what stands there."""
     before, after = completeness(old), completeness(new)
-    foreign = os.path.exists(old) and not is_ours(old, RESULT)
+    foreign = os.path.exists(old) and not _is_result(old)
     return not foreign and not _is_other(new, old) and after >= before and not _loses_a_chain(new, old)
+
+
+def _is_result(path: Path) -> bool:
+    """Whether a file is a result, also one whose keys some other program has put into another order."""
+    return is_ours(path, RESULT) or completeness(path) != Complete.NOTHING
 
 
 def _loses_a_chain(new: Path, old: Path) -> bool:
@@ -220,6 +231,17 @@ def _apart(old: tuple[str, str] | None, new: tuple[str, str] | None) -> list[str
     return [(models[k] if model != model_new else "") + (files[k] if sha1 != sha1_new else "") for k in range(2)]
 
 
+def _came_first(target: Path, new: Path) -> bool:
+    """Whether another result came to an empty place; if not, the new one has the name, its chain not yet."""
+    try:
+        os.link(new, target)
+    except FileExistsError:
+        return True
+    except OSError:  # a file system without links
+        return False
+    return False
+
+
 def _move(new: Path, target: Path) -> None:
     """A result and its chain to the place of another; the chain of that goes even if there is no new one.
 
@@ -231,6 +253,7 @@ def _move(new: Path, target: Path) -> None:
     elif not _has_its_chain(new, target):
         chain_of(target).unlink(missing_ok=True)
     os.replace(new, target)
+    new.unlink(missing_ok=True)  # which is there still if both names were of one file (`_came_first`)
 
 
 def _has_its_chain(new: Path, target: Path) -> bool:

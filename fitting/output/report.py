@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..assess.identifiability import in_words
+from ..assess.outcome import explains
 from ..results.schema import Accuracy, Model, ParameterResult, Quantiles, Result
 from ..support.numbers import counted, distance, number
 
@@ -50,9 +51,15 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
 def _not_the_lowest(result: Result) -> str:
     """Why a kind was taken whose score is not the lowest, if that is so."""
     taken = None if result.model is None else result.model.material.variant
-    scores = {c.variant: c.score for c in result.fit.candidates if c.score is not None}
+    compared = {c.variant: c for c in result.fit.candidates if c.score is not None}
+    scores = {variant: c.score or 0.0 for variant, c in compared.items()}
     if taken not in scores or scores[taken] == min(scores.values()):
         return ""
+    lowest = compared[min(scores, key=lambda variant: scores[variant])]
+    if not explains(lowest):
+        return f"; taken: {taken}, as {lowest.variant} leaves too much of the file unexplained"
+    if not lowest.of_matter:
+        return f"; taken: {taken}, as no matter has the constants of {lowest.variant}"
     return f"; taken: {taken}, the simplest of those that describe the file about as well as the lowest"
 
 

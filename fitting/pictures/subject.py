@@ -11,6 +11,7 @@ import numpy as np
 from ...merl_io.archive import arrays
 from ...merl_io.binary import DIMS, Dims, Measurement, MerlError
 from ...merl_io.grid import MerlGrid, merl_grid
+from ...merl_io.inputs import Input
 from ...merl_io.scattered import ScatteredMeasurement
 from ...merl_io.source import opened
 from ..objective.weights import THETA_MAX
@@ -132,15 +133,15 @@ def wrapped(*said: str) -> str:
     return "\n".join(line for text in said for line in textwrap.wrap(text, COLUMN_LETTERS))
 
 
-def subject_of(result: Result, path: Path, file: Path) -> Subject:
+def subject_of(result: Result, path: Path, file: Path | Input) -> Subject:
     """A fit to picture with all that can be read of it.
 
     Args:
-        path: of the result. file: the MERL file that was fitted.
+        path: of the result. file: that was fitted, or what was read of it.
     """
     measurement, scattered, chain, lacks = None, None, None, {}
     try:
-        found = result.source.read(file)
+        found = result.source.read(file) if isinstance(file, Path) else file
         if isinstance(found, Measurement):
             measurement = found
         else:

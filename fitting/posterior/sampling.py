@@ -158,7 +158,7 @@ def refuse_other_model(path: Path, layout: Layout) -> None:
         other = True
     if other:
         raise ChainError(
-            f"{path}: is the chain of a fit with other settings or wavelengths; delete it to start a new one"
+            f"{path}: is the chain of a fit with other settings or wavelengths: fit again, into another folder"
         )
 
 

@@ -109,16 +109,19 @@ class Result(Strict):
     @property
     def digest(self) -> str:
         """What `numbers_sha1` is of a result that nobody has changed."""
-        numbers = [[q.name, q.value] for q in self.parameters]
         of = self.model and self.model.model_dump(
             mode="json", include={"name", "settings", "acquisition", "wavelengths_um"}
         )
-        return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers, of]).encode()).hexdigest()
+        return self._digest(of)
+
+    def _digest(self, *of: object) -> str:
+        numbers = [[q.name, q.value] for q in self.parameters]
+        return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers, *of]).encode()).hexdigest()
 
     @property
     def edited(self) -> bool:
         """Whether numbers were changed since the fit, as far as that is known: then its errors are not theirs."""
-        return self.numbers_sha1 not in (None, self.digest)
+        return self.numbers_sha1 not in (None, self.digest, self._digest())  # the last of the numbers alone, at first
 
     @property
     def data_words(self) -> str:

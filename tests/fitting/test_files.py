@@ -272,10 +272,14 @@ def test_what_the_system_says_against_a_place_is_one_line(tmp_path, monkeypatch)
 
 
 def test_a_comparison_claims_the_folder_of_each_model(tmp_path, monkeypatch):
-    monkeypatch.setattr(comparisons, "fit_file", lambda *_: pytest.fail("it should wait"))
+    monkeypatch.setattr(comparisons, "compare_file", lambda *_: pytest.fail("it should wait"))
     (tmp_path / "ggx").mkdir()
-    with keeping.claimed(tmp_path / "ggx"), pytest.raises(keeping.Taken):
-        comparisons.placed(made(), tmp_path / "ggx", Config())
+    words = ("nickel.binary", "--models", "smooth,ggx", "-o", tmp_path)
+    with keeping.claimed(tmp_path / "ggx"):
+        for command in ("compare", "which"):
+            shown = call(command, *words)
+            assert shown.exit_code == BAD_INPUT
+            assert "ggx: another merlfit is writing there" in " ".join(shown.stderr.split())
 
 
 def test_a_manifest_that_cannot_be_written_any_more_stops_what_goes_on(tmp_path, monkeypatch):
@@ -430,3 +434,19 @@ def test_a_unit_that_ends_while_a_run_is_stopped_is_booked(tmp_path, monkeypatch
     lines = [json.loads(line) for line in (tmp_path / journal.NAME).read_text().splitlines()]
     assert [line["file"] for line in lines if line["event"] == "file"] == [str(tmp_path / "b.binary")]
     assert "b.json holds" not in capsys.readouterr().err
+
+
+def test_of_two_writers_of_one_name_that_begin_together_both_keep_their_results(tmp_path):
+    """From Python, where several may write into a folder at once: each sees an empty place when it begins."""
+    with keeping.place_of(tmp_path, "nickel", alone=False) as one, keeping.place_of(tmp_path, "nickel", False) as other:
+        for place, sha1 in ((one, "1" * 40), (other, "2" * 40)):
+            result = made()
+            write_result(
+                place.folder / "nickel.json",
+                result.model_copy(update={"source": result.source.model_copy(update={"sha1": sha1})}),
+            )
+    kept = [read_result(place.path).source.sha1[0] for place in (one, other)]
+    assert kept == ["1", "2"]
+    assert one.path != other.path
+    assert "stays as it was" in one.said + other.said
+    assert [path.name for path in tmp_path.glob(".merlfit-*")] == []

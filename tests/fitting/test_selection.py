@@ -1,11 +1,17 @@
 """Which interface and body, and which weights: the rules, on numbers as fits have them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from merlfit.fitting.assess.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, lost, nearest, score
+from merlfit.fitting.fitted import Fit
+from merlfit.fitting.results.outcome import Candidate
 from merlfit.fitting.solve.levenberg_marquardt import UNEXPLAINED_COST
 from merlfit.model.effects import KINDS
 from merlfit.model.two_scale import TwoScale
+
+from tests.support.made_results import made
 
 COUNT = 13.0
 
@@ -145,3 +151,22 @@ def test_a_body_without_its_mirror_is_not_taken_where_a_conductor_explains_the_f
     assert KINDS[choose(*errors, scores, matter, DIELECTRIC)][0] == "real"
     assert KINDS[choose(*errors, scores, matter, DIELECTRIC, explains)] == ("complex", "lambert")
     assert choose(*errors, scores, matter, DIELECTRIC, [False] * 5) == choose(*errors, scores, matter, DIELECTRIC)
+
+
+@pytest.mark.parametrize(
+    ("lowest", "said"),
+    [
+        ({"cost": 0.7}, "as other leaves too much of the file unexplained"),
+        ({"cost": 0.3, "of_matter": False}, "as no matter has the constants of other"),
+        ({"cost": 0.3}, "the simplest of those that describe the file about as well as the lowest"),
+    ],
+)
+def test_why_another_kind_than_the_lowest_was_taken_is_said(lowest, said):
+    result = made()
+    taken = result.model.material.variant
+    candidates = [
+        Candidate(model="two-scale", variant=taken, cost=0.4, score=1.0),
+        Candidate(model="two-scale", variant="other", score=-5.0, **lowest),
+    ]
+    result = result.model_copy(update={"fit": result.fit.model_copy(update={"candidates": candidates})})
+    assert said in " ".join(str(Fit(result, Path("nickel.json"))).split())

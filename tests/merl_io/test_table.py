@@ -156,6 +156,8 @@ def test_a_bad_archive_gets_one_line_that_names_it(changed, words, tmp_path):
     [
         ({"theta_in": [1.0]}, "gold.npz: no array of a table is called theta_in: theta_i_deg, theta_o_deg, phi_deg, "),
         ({"phi_deg": "east"}, "gold.npz: holds what is no number"),
+        ({"phi_deg": [10**400, 0, 0]}, "gold.npz: holds what is no number"),
+        ({"values": np.ones((3, 3), complex)}, "gold.npz: array values holds complex numbers"),
         ({"phi_deg": [180.0]}, r"gold.npz: array phi_deg has shape \(1,\), not "),
     ],
 )
@@ -165,6 +167,8 @@ def test_arrays_that_are_no_table_get_one_line_that_names_them(changed, words, t
     found = inputs.read(arrays, name="gold")
     np.testing.assert_array_equal(found.values, inputs.read(tmp_path / "made.npz").values)
     assert found.name == "gold"
+    masked = np.ma.masked_less(arrays["values"], 0)
+    np.testing.assert_array_equal(np.isnan(inputs.read({**arrays, "values": masked}).values), masked.mask.T)
     with pytest.raises(MerlError, match=words):
         inputs.read({**arrays, **changed}, name="gold")
 
