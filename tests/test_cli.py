@@ -25,11 +25,14 @@ from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.geometry import Geometry
-from merlfit.model.two_scale import TwoScale, two_scale
+from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
+
+from tests.support.compiled import two_scale
 
 ROOT = Path(__file__).parents[1]
 runner = CliRunner()
+QUICK = '[effects]\nbody = "none"\ndiffraction = "lobe"\n[fit]\nstarts = 1\ngrid = "coarse"\n'
 
 
 def call(*words):
@@ -43,7 +46,7 @@ def fitted(tmp_path_factory):
     file = folder / "blue-metallic-paint.binary"
     assert call("synth", "blue-metallic-paint", "--source", "abc-microfacet", "-o", file).exit_code == 0
     settings = folder / "short.toml"
-    settings.write_text('[effects]\nbody = "none"\n[fit]\nstarts = 2\n[posterior]\nmax_steps = 100\n')
+    settings.write_text(f"{QUICK}[posterior]\nmax_steps = 20\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sampler, "LESSONS", 0)  # which tests/fitting/test_posterior.py looks at
         patch.setattr(importance, "MOST_DRAWS", 60)  # a thirtieth of a second each
@@ -56,7 +59,7 @@ def fitted(tmp_path_factory):
 def test_a_bad_file_does_not_stop_the_others(fitted, tmp_path):
     """Fitted by processes of the pool, without a chain: these know nothing of what is patched here."""
     settings = tmp_path / "quick.toml"
-    settings.write_text('[effects]\nbody = "none"\ndiffraction = "off"\n[fit]\nstarts = 1\ngrid = "coarse"\n')
+    settings.write_text(QUICK)
     words = ("-o", tmp_path / "out", "--config", settings, "--no-posterior")
     done = call("fit", fitted[1], tmp_path / "missing.binary", *words)
     assert done.exit_code == 2
@@ -157,7 +160,7 @@ def test_a_fit_becomes_a_merl_file_again(fitted):
     )
     h, d, p = np.random.default_rng(0).integers(0, [[70], [70], [180]], (3, 50))
     g = Geometry.from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
-    expected = np.asarray(two_scale(result.values(), g, TwoScale("none")))
+    expected = np.asarray(two_scale(result.values(), g, TwoScale("none", "lobe")))
     above = grid.above[h, d, p]
     assert above.sum() > 30
     np.testing.assert_allclose(again[:, h, d, p][:, above], expected[:, above], rtol=1e-2)
