@@ -43,20 +43,14 @@ def read_arrays(arrays: Mapping[str, ArrayLike], name: str) -> ScatteredMeasurem
     path = Path(f"{name}.npz")
     if unknown := [str(key) for key in arrays if key not in NAMES]:
         raise MerlError(f"{path}: no array of a table is called {listed(unknown, ', ')}: {', '.join(NAMES)}")
-    try:
-        found = {
-            key: np.ma.filled(np.ma.array(x, float), np.nan) for key, x in arrays.items() if not _complex(path, key, x)
-        }
+    if wrong := [key for key, x in arrays.items() if np.iscomplexobj(x)]:
+        raise MerlError(f"{path}: array {wrong[0]} holds complex numbers")
+    try:  # copies: what is no datum becomes NaN, and these are the caller's
+        found = {key: np.ma.filled(np.ma.array(x, float, copy=True), np.nan) for key, x in arrays.items()}
     except (ValueError, TypeError, OverflowError) as error:
         raise MerlError(f"{path}: holds what is no number ({error})") from None
     digest = hashlib.sha1(b"".join(key.encode() + found[key].tobytes() for key in sorted(found))).hexdigest()
     return _measured(path, _of_arrays(path, found), digest, digest)
-
-
-def _complex(path: Path, key: str, x: ArrayLike) -> bool:
-    if np.iscomplexobj(x):
-        raise MerlError(f"{path}: array {key} holds complex numbers")
-    return False
 
 
 def _measured(path: Path, read: "Read", sha1: str, blob: str) -> ScatteredMeasurement:

@@ -167,6 +167,9 @@ def test_arrays_that_are_no_table_get_one_line_that_names_them(changed, words, t
     found = inputs.read(arrays, name="gold")
     np.testing.assert_array_equal(found.values, inputs.read(tmp_path / "made.npz").values)
     assert found.name == "gold"
+    bright = np.where(arrays["values"] > 0, arrays["values"], 1e20)
+    assert np.isnan(inputs.read({**arrays, "values": bright}).values).sum() == 1
+    assert bright.max() == 1e20, "arrays are the caller's"
     masked = np.ma.masked_less(arrays["values"], 0)
     np.testing.assert_array_equal(np.isnan(inputs.read({**arrays, "values": masked}).values), masked.mask.T)
     with pytest.raises(MerlError, match=words):
