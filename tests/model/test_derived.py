@@ -1,16 +1,15 @@
 """Derived quantities against closed forms and against a finer rule of another author's making."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
-from merlfit.model.albedo import directional_albedo
-from merlfit.model.derived import derived
 from merlfit.model.parameters import WAVELENGTHS_UM
-from merlfit.model.two_scale import TwoScale, two_scale
+from merlfit.model.two_scale import TwoScale
 
 from tests.energy import half_vectors
 from tests.oracles import diffraction as o_diffraction
 from tests.oracles import fresnel as o_fresnel
+from tests.support.compiled import derived, directional_albedo, drawn, two_scale
 
 ANGLES = np.radians([0.0, 60.0, 80.0])
 EFFECTS = [
@@ -21,20 +20,15 @@ EFFECTS = [
 ]
 
 
-def coloured(rng, effects):
-    """One parameter set between the bounds, three channels."""
-    return {q.name: q.between(jnp.asarray(rng.uniform(size=3 if q.per_channel else None))) for q in effects.parameters}
-
-
 @pytest.mark.parametrize("effects", EFFECTS, ids=lambda e: f"{e.body} {e.diffraction} {e.split}")
 def test_directional_albedo_is_the_integral_by_a_finer_rule(effects):
     rng = np.random.default_rng(0)
     for _ in range(6):
-        values = coloured(rng, effects)
-        B = 2 * values.get("b", 1.0) / min(WAVELENGTHS_UM)
-        rule = half_vectors(np.maximum(ANGLES, 1e-4), float(values["beta"]), float(values["p"]), float(B))
-        expected = jnp.sum(two_scale(values, rule[0], effects) * rule[1], (-2, -1))
-        found = directional_albedo(effects, values, jnp.asarray(ANGLES))
+        values = drawn(rng, effects)
+        B = 2 * float(values.get("b", 1.0)) / min(WAVELENGTHS_UM)
+        nodes, measure = half_vectors(np.maximum(ANGLES, 1e-4), float(values["beta"]), float(values["p"]), B)
+        expected = np.sum(np.asarray(two_scale(values, nodes, effects)) * np.asarray(measure), (-2, -1))
+        found = directional_albedo(effects, values, ANGLES)
         np.testing.assert_allclose(found, expected, rtol=5e-3)
 
 
@@ -63,8 +57,8 @@ def test_the_others_are_those_of_the_oracles():
 
 def test_what_is_listed_is_what_is_computed():
     for effects in EFFECTS:
-        values = coloured(np.random.default_rng(1), effects)
-        found = effects.derived(values)
+        values = drawn(np.random.default_rng(1), effects)
+        found = jax.eval_shape(effects.derived, values)
         assert set(found) == {q.name for q in effects.quantities}
         for q in effects.quantities:
             assert found[q.name].shape == ((3,) if q.per_channel else ())
