@@ -10,7 +10,7 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-from tests import times
+from tests import budget, times
 from tests.support import reconstructions
 
 install_import_hook(["merlfit.model", "merlfit.merl_io"], "beartype.beartype")
@@ -20,7 +20,8 @@ HASTY = "jax_disable_most_optimizations"
 
 
 def pytest_configure(config):
-    """Measure what tests take, where that is asked for."""
+    """Count the programs of tests, and measure what tests take, where that is asked for."""
+    config.pluginmanager.register(budget.Budget())
     if folder := os.environ.get("MERLFIT_TEST_TIMES"):
         config.pluginmanager.register(times.Times(Path(folder)))
 

@@ -1,8 +1,8 @@
 """Where the time of the tests goes: `MERLFIT_TEST_TIMES=FOLDER make test`, then `python -m tests.times FOLDER...`.
 
 A worker writes for each test what it took, its fixtures with it: seconds by the clock and of processors (user and
-system, children's too), programs that were compiled and that were read from the cache, the seconds of both, and those
-that reading saved.
+system, children's too), programs that were compiled and that were read from the cache, the seconds of both, those
+that reading saved, and the programs of the test alone, without its fixtures, of which a file has the most of a test.
 The command prints a table by file; of two or more folders, side by side. `--keep` enters what the files of the first
 folder took into results/test_times.json, by which the dearest are run first.
 """
@@ -12,11 +12,13 @@ import json
 import os
 import time
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import jax
 import pytest
 
+SPENT = pytest.StashKey[int]()  # programs of a test without its fixtures, as tests/budget.py counts them
 STORE = Path(__file__).parents[1] / "results" / "test_times.json"
 PARTS = ("clock", "cpu", "compiled", "compile_s", "read", "saved_s", "trace_s")
 COMPILED, READ = "/jax/compilation_cache/cache_misses", "/jax/compilation_cache/cache_hits"
@@ -53,7 +55,8 @@ class Times:
             return (yield)
         finally:
             now = self._now()
-            self.taken[item.nodeid] = {part: round(now[part] - before[part], 3) for part in PARTS}
+            taken = {part: round(now[part] - before[part], 3) for part in PARTS}
+            self.taken[item.nodeid] = {**taken, "most": item.stash.get(SPENT, 0)}
 
     def pytest_sessionfinish(self):
         """A file for each process that ran tests."""
@@ -77,10 +80,19 @@ def read(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def by_file(taken: dict[str, dict[str, float]]) -> dict[str, Counter]:
-    """Sums over the tests of a file, with their number."""
-    found = {}
+    """Sums over the tests of a file, with their number, and the most programs of a test."""
+    found: dict[str, Counter] = {}
     for test, parts in taken.items():
-        found.setdefault(test.split("::")[0], Counter()).update({"tests": 1, **parts})
+        file = test.split("::")[0]
+        found[file] = together([found.get(file, Counter()), Counter({"tests": 1, **parts})])
+    return found
+
+
+def together(rows: Iterable[Counter]) -> Counter:
+    """Sums, and the most of "most"."""
+    rows = list(rows)
+    found = sum(rows, Counter())
+    found["most"] = max((row["most"] for row in rows), default=0)
     return found
 
 
@@ -88,10 +100,10 @@ def markdown(folders: list[Path]) -> str:
     """A row a file, the dearest of the first folder first; clock and processors of each folder."""
     found = [by_file(read(folder)) for folder in folders]
     files = sorted(set().union(*found), key=lambda file: -max(each.get(file, Counter())["cpu"] for each in found))
-    parts = ("tests", "clock", "cpu", "compiled", "read", "saved_s")
+    parts = ("tests", "clock", "cpu", "compiled", "read", "most", "saved_s")
     heads = [f"{folder.name}: {part}" for folder in folders for part in parts]
     lines = [f"| file | {' | '.join(heads)} |", f"|---{'|---:' * len(heads)}|"]
-    totals = [sum(each.values(), Counter()) for each in found]
+    totals = [together(each.values()) for each in found]
     for name, rows in (("all", totals), *((file, [each.get(file, Counter()) for each in found]) for file in files)):
         cells = [f"{row[part]:.0f}" for row in rows for part in parts]
         lines.append(f"| {name} | {' | '.join(cells)} |")

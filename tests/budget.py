@@ -1,0 +1,107 @@
+"""How many programs a test may compile or read from the cache: a test that needs more fails.
+
+JAX makes a program of every operation outside of `jax.jit`, for each shape anew, and each costs every new process 50 ms
+though it be cached. What fixtures of modules and of the session need is not the test's. A test is first in its process
+at some time, so programs that others of its module share count.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import jax
+import pytest
+
+from tests.times import COMPILED, READ, SPENT
+
+PROGRAMS = 20
+MORE = {
+    "tests/fitting/test_accuracy.py": 100,
+    "tests/fitting/test_api.py": 340,
+    "tests/fitting/test_bad_results.py": 300,
+    "tests/fitting/test_bands.py": 100,
+    "tests/fitting/test_batch.py": 110,
+    "tests/fitting/test_cases.py": 300,
+    "tests/fitting/test_cluster_fits.py": 300,
+    "tests/fitting/test_dims.py": 200,
+    "tests/fitting/test_emulator.py": 290,
+    "tests/fitting/test_files.py": 60,
+    "tests/fitting/test_fit.py": 220,
+    "tests/fitting/test_formats.py": 300,
+    "tests/fitting/test_hard_fits.py": 160,
+    "tests/fitting/test_inspect.py": 300,
+    "tests/fitting/test_models.py": 670,
+    "tests/fitting/test_objective.py": 310,
+    "tests/fitting/test_outputs.py": 300,
+    "tests/fitting/test_picture.py": 60,
+    "tests/fitting/test_pictures.py": 250,
+    "tests/fitting/test_posterior.py": 170,
+    "tests/fitting/test_problem.py": 30,
+    "tests/fitting/test_projection.py": 110,
+    "tests/fitting/test_report.py": 240,
+    "tests/fitting/test_rival_commands.py": 210,
+    "tests/fitting/test_sampling.py": 300,
+    "tests/fitting/test_scattered.py": 450,
+    "tests/fitting/test_scenes.py": 540,
+    "tests/fitting/test_starts.py": 100,
+    "tests/fitting/test_tables.py": 50,
+    "tests/fitting/test_transforms.py": 140,
+    "tests/fitting/test_trust_region.py": 100,
+    "tests/model/test_acquisition.py": 130,
+    "tests/model/test_body.py": 80,
+    "tests/model/test_chebyshev.py": 70,
+    "tests/model/test_convolution.py": 110,
+    "tests/model/test_diffraction.py": 50,
+    "tests/model/test_energy.py": 290,
+    "tests/model/test_fresnel.py": 50,
+    "tests/model/test_geometry.py": 90,
+    "tests/model/test_measured.py": 110,
+    "tests/model/test_ndf.py": 30,
+    "tests/model/test_prepared.py": 200,
+    "tests/model/test_scaled.py": 210,
+    "tests/model/test_tiers.py": 200,
+    "tests/model/test_two_scale.py": 540,
+    "tests/model/test_zonal.py": 170,
+    "tests/rivals/test_hp15.py": 80,
+    "tests/rivals/test_microfacets.py": 360,
+    "tests/rivals/test_oren_nayar.py": 50,
+    "tests/rivals/test_published.py": 60,
+    "tests/rivals/test_rivals.py": 330,
+    "tests/sampling/test_sampling.py": 270,
+    "tests/scene/test_effects.py": 110,
+    "tests/scene/test_mitsuba.py": 140,
+    "tests/scene/test_render.py": 700,
+    "tests/test_bench.py": 300,
+    "tests/test_cli.py": 410,
+    "tests/test_hard_cases.py": 180,
+}
+"""Files whose tests may need more each; no number here may grow, and no file may be added that fits nothing."""
+
+
+class Budget:
+    """A plugin of pytest that counts programs in every process of tests, and fails a test that needs too many."""
+
+    def __init__(self) -> None:
+        self.programs = 0
+        jax.monitoring.register_event_listener(self._count)
+
+    def _count(self, event: str, **_) -> None:
+        self.programs += event in (COMPILED, READ)
+
+    @contextmanager
+    def at_most(self, programs: int) -> Iterator[None]:
+        """Fails if what is done within needs more."""
+        before = self.programs
+        yield
+        spent = self.programs - before
+        if spent > programs:
+            pytest.fail(f"{spent} programs were compiled or read, {programs} are allowed: see tests/budget.py", False)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> object:
+        """The test itself, when its fixtures are there."""
+        before = self.programs
+        try:
+            with self.at_most(MORE.get(pyfuncitem.nodeid.split("::")[0], PROGRAMS)):
+                return (yield)
+        finally:
+            pyfuncitem.stash[SPENT] = self.programs - before
