@@ -15,10 +15,10 @@ from ..merl_io import inputs
 from ..merl_io.atomic import refused
 from ..merl_io.inputs import Input
 from ..merl_io.scattered import ScatteredMeasurement
-from .fitted import Fit
-from .output.keeping import claimed, place_of
+from .fit_object import Fit
+from .pipeline.place import claimed, place_of
 from .pipeline.run import fit_file, settled
-from .results.export import read_result
+from .results.storage import read_result
 from .settings.config import load as settings_of
 from .support.clock import Report, silent
 from .support.compilation import use_cache

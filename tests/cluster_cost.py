@@ -10,9 +10,10 @@ from pathlib import Path
 
 import psutil
 import typer
-from merlfit.fitting.execution.cluster import Cluster
-from merlfit.fitting.execution.slot import Brought
-from merlfit.fitting.execution.unit import Kind, Unit
+from merlfit.fitting.batch.cluster import Cluster
+from merlfit.fitting.batch.slot import Brought
+from merlfit.fitting.batch.unit import Unit
+from merlfit.fitting.results.manifest import Ending
 from merlfit.fitting.settings.config import Config
 
 from .bench.record import Record
@@ -71,7 +72,7 @@ def measured(folder, count, size, send):
         ended = dict(cluster.ended([Unit(path, out, Config()) for path in files], lambda k, stage: None))
         wall, own, after = time.perf_counter() - wall, time.process_time() - own, cpu(process)
         peak = int(next(x for x in Path(f"/proc/{its.pid}/status").read_text().splitlines() if "VmHWM" in x).split()[1])
-    if any(each.kind is not Kind.FITTED for each in ended.values()):
+    if any(each.kind is not Ending.FITTED for each in ended.values()):
         raise RuntimeError(next(each.error for each in ended.values() if each.error))
     written = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
     return {

@@ -12,7 +12,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from merlfit.fitting.execution.unit import Kind, Unit, fit_unit
+from merlfit.fitting.batch.unit import Unit, fit_unit
+from merlfit.fitting.results.manifest import Ending
 from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.compilation import use_persistent_cache
 
@@ -48,7 +49,7 @@ def fitted(path, settings, out):
     """A fit: wall and CPU seconds, and `state` after it."""
     wall, cpu = time.perf_counter(), time.process_time()
     ended = fit_unit(Unit(path, out, settings))
-    if ended.kind is not Kind.FITTED:
+    if ended.kind is not Ending.FITTED:
         raise RuntimeError(ended.error)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     gc.collect()

@@ -10,9 +10,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.hp15_procedures import ALONG, determinant, layout, one_step, random_start, selected, two_steps
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.run import COARSE
-from merlfit.fitting.solve.hp15 import ALONG, determinant, layout, one_step, random_start, selected, two_steps
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin

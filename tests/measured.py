@@ -15,7 +15,7 @@ import sys
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io import inputs
 from merlfit.merl_io.atomic import write_atomically

@@ -14,12 +14,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from merlfit.fitting.assess.selection import nearest
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.selection import nearest
+from merlfit.fitting.fit.weights import weighted_samples
+from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.pipeline.run import descend, fit
-from merlfit.fitting.results.export import finite
+from merlfit.fitting.results.storage import finite
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import layout_for, two_scale
 from merlfit.fitting.support.clock import Clock
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.atomic import write_atomically

@@ -12,12 +12,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from matplotlib.figure import Figure
-from merlfit.fitting.assess.metrics import SIN_FLOOR
-from merlfit.fitting.assess.picture import difference, view
-from merlfit.fitting.objective.weights import THETA_MAX, weighted_samples, within
+from merlfit.fitting.fit.error_metrics import SIN_FLOOR
+from merlfit.fitting.fit.picture_distance import difference, view
+from merlfit.fitting.fit.weights import weighted_samples, within
+from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import layout_for, two_scale
+from merlfit.fitting.support.choices import THETA_MAX
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.grid import merl_grid

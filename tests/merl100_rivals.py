@@ -12,14 +12,14 @@ from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
-from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.assess.published import assess_published, sources_of
-from merlfit.fitting.assess.selection import bic
-from merlfit.fitting.objective.weights import weighted_samples
-from merlfit.fitting.output.comparison import write_tables
+from merlfit.fitting.fit.error_metrics import Errors
+from merlfit.fitting.fit.published_errors import assess_published, sources_of
+from merlfit.fitting.fit.selection import bic
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.comparison import FIT, Row, config_of, published_row
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.show.comparison_table import write_tables
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read

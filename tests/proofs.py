@@ -38,7 +38,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """Files of tests, and folders with all tests that are in them."""
 EVERYWHERE = ("constraints.txt", "pyproject.toml", "tests/conftest.py", "tests/proofs.py")
-STARTED = {"clusters": ("fitting/main/__main__.py", "fitting/cli.py")}  # in other processes, which no import shows
+STARTED = {
+    "clusters": ("fitting/main/__main__.py", "fitting/commands/cli.py")
+}  # in other processes, which no import shows
 PACKAGES = {"merlfit": ROOT, "tests": ROOT / "tests"}
 
 

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from merlfit.fitting.output.report import interval, median
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.results.storage import read_result
+from merlfit.fitting.show.terminal_tables import interval, median
 from merlfit.fitting.support.numbers import number
 
 

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from merlfit.fitting.results.export import read_result, write_result
+from merlfit.fitting.results.storage import read_result, write_result
 from PIL import Image
 from playwright.sync_api import sync_playwright
 

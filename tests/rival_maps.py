@@ -11,13 +11,14 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from matplotlib import colors
-from merlfit.fitting.assess.metrics import SIN_FLOOR
-from merlfit.fitting.objective.weights import THETA_MAX, weighted_samples, within
-from merlfit.fitting.pictures.style import OKABE_ITO, PAGE_INCHES, new, printable, save
+from merlfit.fitting.fit.error_metrics import SIN_FLOOR
+from merlfit.fitting.fit.weights import weighted_samples, within
 from merlfit.fitting.pipeline.comparison import config_of
+from merlfit.fitting.pipeline.models import candidates, layout_for, two_scale
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import candidates, layout_for, two_scale
+from merlfit.fitting.show.style import OKABE_ITO, PAGE_INCHES, new, printable, save
+from merlfit.fitting.support.choices import THETA_MAX
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.grid import merl_grid
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from merlfit.fitting.pictures.labelled import DPI, MARGIN, labelled
-from merlfit.fitting.pictures.style import LETTERS, save
-from merlfit.fitting.scenes import changed, grey, plans_of, staged
+from merlfit.fitting.commands.scenes import changed, grey, plans_of, staged
+from merlfit.fitting.commands.sphere_sheets import LARGEST_SHOWN, STUDIO, sphere_of
+from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import layout_for, two_scale
-from merlfit.fitting.spheres import LARGEST_SHOWN, STUDIO, sphere_of
+from merlfit.fitting.show.labelled import DPI, MARGIN, labelled
+from merlfit.fitting.show.style import LETTERS, save
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import folded

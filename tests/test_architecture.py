@@ -53,8 +53,7 @@ def test_arrows_of_the_architecture(package):
 
 
 LINE_OF_WORK = (
-    "support", "objective", "solve", "settings", "results", "assess", "posterior", "pipeline", "pictures",
-    "output", "execution", "report", "cost",
+    "support", "settings", "results", "fit", "posterior", "pipeline", "show", "cost", "batch", "commands",
 )  # fmt: skip
 
 
@@ -85,11 +84,11 @@ def test_every_package_is_installed():
 
 
 def test_the_line_of_work_test_sees_an_arrow_back(tmp_path):
-    wrong = tmp_path / "objective" / "wrong.py"
+    wrong = tmp_path / "fit" / "wrong.py"
     wrong.parent.mkdir()
     for line, seen in (
-        ("from ..solve.starts import clues_of", {"solve"}), ("from .. import files", {"files"}),
-        ("from .weights import within", {"objective"}), ("from ...model import body", set()),
+        ("from ..posterior.chain import begin", {"posterior"}), ("from .. import api", {"api"}),
+        ("from .weights import within", {"fit"}), ("from ...model import body", set()),
     ):  # fmt: skip
         wrong.write_text(line)
         assert uses(wrong) == seen

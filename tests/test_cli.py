@@ -14,12 +14,13 @@ import jsonschema
 import numpy as np
 import pytest
 import typer.main
-from merlfit.fitting import cli
-from merlfit.fitting.pictures import prediction
+from merlfit.fitting.commands import cli
+from merlfit.fitting.fit.levenberg_marquardt import Status
 from merlfit.fitting.posterior import chain as sampler
 from merlfit.fitting.posterior import importance
-from merlfit.fitting.results import export, schema
-from merlfit.fitting.solve.levenberg_marquardt import Status
+from merlfit.fitting.results import schema
+from merlfit.fitting.results import storage as export
+from merlfit.fitting.show import prediction
 from merlfit.fitting.support.terminal import FAILED_FIT
 from merlfit.merl_io.atomic import write_atomically
 from merlfit.merl_io.binary import read, write

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from merlfit.fitting.posterior.chain import _advance
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.support.terminal import Stopped
 
 ROOT = Path(__file__).parents[1]
@@ -17,9 +17,9 @@ PROGRAM = f"""
 import os, signal, sys, time
 sys.path.insert(0, {str(ROOT)!r})
 from tests.support.made_results import made
-from merlfit.fitting import cli, files
-from merlfit.fitting.execution import here, unit
-from merlfit.fitting.results.export import write_result
+from merlfit.fitting.commands import cli, fit as files
+from merlfit.fitting.batch import here, unit
+from merlfit.fitting.results.storage import write_result
 
 def fit(path, out, settings, report, finish):
     report("reading")

@@ -7,7 +7,7 @@ import tomllib
 
 import pytest
 import typer.main
-from merlfit.fitting import cli
+from merlfit.fitting.commands import cli
 from merlfit.fitting.settings.config import Replaced, load
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale

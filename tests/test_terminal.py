@@ -11,20 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer.main
-from merlfit.fitting import cli, fitted
-from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.fitted import Fit
-from merlfit.fitting.output.catalogue import models_table
-from merlfit.fitting.output.checked import check_table, scattered_table
-from merlfit.fitting.output.comparison import table_of, verdict
-from merlfit.fitting.output.demo import EFFECTS, truth_table
-from merlfit.fitting.output.metrics import Assessed, metrics_table
-from merlfit.fitting.output.report import Outcome, pictures_table, print_result, summary_table
-from merlfit.fitting.output.synthesis import describe_sources
-from merlfit.fitting.pictures.all import PICTURES
+from merlfit.fitting import fit_object as fitted
+from merlfit.fitting.commands import cli
+from merlfit.fitting.commands.catalogue import models_table
+from merlfit.fitting.commands.checked import check_table, scattered_table
+from merlfit.fitting.commands.demo import EFFECTS, truth_table
+from merlfit.fitting.commands.metrics import Assessed, metrics_table
+from merlfit.fitting.commands.scenes import plan_tables
+from merlfit.fitting.fit.error_metrics import Errors
+from merlfit.fitting.fit_object import Fit
 from merlfit.fitting.pipeline.comparison import Row
+from merlfit.fitting.pipeline.synthesis import describe_sources
 from merlfit.fitting.results import schema
-from merlfit.fitting.scenes import plan_tables
+from merlfit.fitting.show.comparison_table import table_of, verdict
+from merlfit.fitting.show.pictures import PICTURES
+from merlfit.fitting.show.terminal_tables import Outcome, pictures_table, print_result, summary_table
 from merlfit.fitting.support import compilation, terminal
 from merlfit.fitting.support.clock import Stage
 from merlfit.fitting.support.terminal import Screen

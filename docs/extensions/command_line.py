@@ -4,7 +4,7 @@ from typing import Any
 
 import typer.main
 from docutils import nodes
-from merlfit.fitting.cli import app as cli
+from merlfit.fitting.commands.cli import app as cli
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 

@@ -21,16 +21,16 @@ import numpy as np
 from ...merl_io.binary import Measurement
 from ...merl_io.samples import Samples
 from ...model.two_scale import TwoScale
-from ..assess.outcome import Fitted
-from ..objective.problem import Problem, make_problem
-from ..objective.residuals import Objective, predict
-from ..objective.transforms import Layout
+from ..fit.levenberg_marquardt import Solution, compress, solve
+from ..fit.outcome import Fitted
+from ..fit.problem import Problem, make_problem
+from ..fit.residuals import Objective, predict
+from ..fit.transforms import Layout
+from ..pipeline.models import layout_for, variant
 from ..pipeline.run import GRIDS, assess, thinned
-from ..results import export, schema
+from ..results import schema, storage
 from ..settings.choice import FITTED, POINTS, REFERENCE, Choice, default_choice
 from ..settings.config import Config, ConfigError
-from ..settings.models import layout_for, variant
-from ..solve.levenberg_marquardt import Solution, compress, solve
 from .frontier import Point, load
 from .request import Request, needed, usable
 
@@ -190,8 +190,8 @@ class Aim:
             asked=asked, asked_seconds=self.request.seconds, calibration=self.calibration,
             expected=point.promised.p95 if self.calibrated else None,
             expected_seconds=needed(point, self.request.has_time_to_estimate(point)) if self.calibrated else None,
-            tried=[schema.Tried(settings=t.choice, estimated=export.finite(t.error), floor=t.floor) for t in tried],
-            settings=best.choice, estimated=export.finite(best.error), floor=best.floor,
+            tried=[schema.Tried(settings=t.choice, estimated=storage.finite(t.error), floor=t.floor) for t in tried],
+            settings=best.choice, estimated=storage.finite(best.error), floor=best.floor,
             met=None if asked is None else best.error <= asked,
         )  # fmt: skip
 

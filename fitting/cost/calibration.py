@@ -23,14 +23,14 @@ from ...merl_io.samples import Samples
 from ...model.effects import KINDS
 from ...model.measured import Measured
 from ...model.two_scale import TwoScale
-from ..assess.outcome import Fitted
-from ..objective.problem import Problem, directions
-from ..objective.residuals import predict
-from ..output.synthesis import from_published
+from ..fit.outcome import Fitted
+from ..fit.problem import Problem, directions
+from ..fit.residuals import predict
+from ..pipeline.models import candidates, layout_for
 from ..pipeline.run import assess, fit_file
+from ..pipeline.synthesis import from_published
 from ..settings.choice import REFERENCE, Choice
 from ..settings.config import Config, load
-from ..settings.models import candidates, layout_for
 from .accuracy import distance, estimate, reference_problem, resume_fit
 
 PLAUSIBLE = {

@@ -6,7 +6,7 @@ import typer
 
 from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
-from ..pictures.style import save
+from ..show.style import save
 from ..support.compilation import cache_folder
 from ..support.outputs import refuse_others
 from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder

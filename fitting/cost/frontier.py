@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict
 
 from ...merl_io.atomic import write_text
 from ...merl_io.source import whole
-from ..results.export import versions
+from ..results.storage import versions
 from ..settings.choice import POINTS, Choice
 from ..support.compilation import cache_folder
 from ..support.threads import machine

@@ -17,9 +17,9 @@ from typing import Any
 from ...merl_io.atomic import write_atomically
 from ...merl_io.binary import Measurement, read
 from ...merl_io.source import whole
-from ..results.export import versions
+from ..fit.levenberg_marquardt import Status
+from ..results.storage import versions
 from ..settings.choice import POINTS, REFERENCE, Choice
-from ..solve.levenberg_marquardt import Status
 from ..support.compilation import use_persistent_cache
 from ..support.threads import machine
 from . import calibration, tiers

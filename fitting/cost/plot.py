@@ -12,8 +12,8 @@ from matplotlib.text import Annotation
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogFormatterMathtext, LogLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
-from ..pictures.style import own_style, plain
 from ..settings.choice import default_choice
+from ..show.style import own_style, plain
 from .frontier import Frontier, Percentiles, pareto
 from .report import default_tier
 

@@ -24,10 +24,10 @@ from ...model.geometry import Geometry
 from ...model.measured import Measured
 from ...model.parameters import WAVELENGTHS_UM
 from ...model.two_scale import TwoScale, two_scale
-from ..objective.problem import make_problem
-from ..objective.residuals import Objective
-from ..objective.transforms import layout_of
-from ..objective.weights import weighted_samples
+from ..fit.problem import make_problem
+from ..fit.residuals import Objective
+from ..fit.transforms import layout_of
+from ..fit.weights import weighted_samples
 from .frontier import Percentiles
 
 SEED, SETS, DIRECTIONS = 20261122, 40, 64

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file lies beside fitting/ once installed
     from .fitting.api import Fit, fit, load, sample
-    from .fitting.pictures.subject import NoPicture
+    from .fitting.pipeline.draws import NoPicture
     from .fitting.posterior.chain import ChainError
-    from .fitting.results.export import ResultError
+    from .fitting.results.storage import ResultError
     from .fitting.settings.config import ConfigError
     from .merl_io.atomic import WriteError
     from .merl_io.binary import Measurement, MerlError, write
@@ -31,8 +31,8 @@ if TYPE_CHECKING:  # the same for type checkers and editors, to whom this file l
 _HOMES = {
     "fitting.api": ("Fit", "fit", "load", "sample"),
     "fitting.settings.config": ("ConfigError",),
-    "fitting.results.export": ("ResultError",),
-    "fitting.pictures.subject": ("NoPicture",),
+    "fitting.results.storage": ("ResultError",),
+    "fitting.pipeline.draws": ("NoPicture",),
     "fitting.posterior.chain": ("ChainError",),
     "merl_io.atomic": ("WriteError",),
     "merl_io.binary": ("Measurement", "MerlError", "write"),

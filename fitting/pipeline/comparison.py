@@ -14,12 +14,12 @@ from ...merl_io.scattered import ScatteredMeasurement
 from ...model import published
 from ...model.registry import made
 from ...model.two_scale import TwoScale
-from ..assess import metrics
-from ..assess.published import assess_published, sources_of
-from ..assess.selection import bic
-from ..objective.weights import weighted_samples
-from ..results.export import finite, valid_result
+from ..fit import error_metrics
+from ..fit.published_errors import assess_published, sources_of
+from ..fit.selection import bic
+from ..fit.weights import weighted_samples
 from ..results.schema import Result
+from ..results.storage import finite, valid_result
 from ..settings.config import Config, ConfigError, parse
 from ..support.clock import Report, Stage, silent
 from ..support.numbers import counted
@@ -53,7 +53,7 @@ class Row:
     weights: float | str | None
     status: str
     numbers: int
-    errors: metrics.Errors
+    errors: error_metrics.Errors
     cost: float
     bic: float
     seconds: float | None
@@ -122,7 +122,7 @@ def compare_file(
     return with_bic(rows, results), results
 
 
-def published_row(material: str, source: str, genuine: bool, errors: metrics.Errors, cost: float) -> Row:
+def published_row(material: str, source: str, genuine: bool, errors: error_metrics.Errors, cost: float) -> Row:
     """Of a published table, Ngan's on the scale of MERL's files."""
     model = published.SOURCES[source].model
     flat = {
@@ -148,7 +148,7 @@ def row_of(result: Result) -> Row:
     assert result.model is not None
     source, fit, material = result.source, result.fit, result.model.material
     known = result.metrics.model_dump().items()
-    errors = metrics.Errors(**{name: float("nan") if x is None else x for name, x in known})
+    errors = error_metrics.Errors(**{name: float("nan") if x is None else x for name, x in known})
     return Row(
         source.material, source.genuine_merl is not None, material.name, material.variant, FIT, fit.weights, fit.status,
         len(result.parameters), errors, float("nan") if fit.cost is None else fit.cost, float("nan"),

@@ -3,17 +3,18 @@
 from pathlib import Path
 
 from ...merl_io.samples import Samples
-from ..objective.problem import make_problem
-from ..objective.residuals import Objective
-from ..objective.weights import weighted_samples
+from ..fit.levenberg_marquardt import Solution
+from ..fit.problem import make_problem
+from ..fit.residuals import Objective
+from ..fit.weights import weighted_samples
 from ..posterior.sampling import sample
-from ..results import export, schema
+from ..results import schema, storage
 from ..settings.config import parse
-from ..settings.models import layout_for
-from ..solve.levenberg_marquardt import Solution
 from ..support.clock import Clock, Report, silent
+from .draws import chain_of
+from .models import layout_for
 from .result import posterior_parts
-from .run import assess, chain_of
+from .run import assess
 
 
 def resample(
@@ -27,18 +28,18 @@ def resample(
 
     Raises:
         merlfit.merl_io.binary.MerlError: the file is not the one that was fitted.
-        merlfit.fitting.results.export.ResultError: the result has no fit to sample.
+        merlfit.fitting.results.storage.ResultError: the result has no fit to sample.
         merlfit.fitting.posterior.chain.ChainError: the chain is not one of this fit.
         RuntimeError: the sampler failed; the result is as it was.
     """
     if result.model is None or not result.fit.succeeded:
-        raise export.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")
+        raise storage.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")
     if result.posterior is not None and not chain_of(path).is_file():
-        raise export.ResultError(
+        raise storage.ResultError(
             f"{path}: has a posterior, but its chain {chain_of(path).name} is not beside it: put it back, or fit again"
         )
     if result.source.format != "MERL":
-        raise export.ResultError(f"{path}: is of scattered directions, of which no posterior is sampled")
+        raise storage.ResultError(f"{path}: is of scattered directions, of which no posterior is sampled")
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = result.source.read(file)
@@ -67,5 +68,5 @@ def resample(
             "seconds": {**result.seconds, "posterior": round(spent, 3), "total": round(seconds, 3)},
         }
     )
-    export.write_result(path, result)
+    storage.write_result(path, result)
     return result

@@ -11,14 +11,14 @@ from ...merl_io.inputs import Input, told
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...model.measured import Measured
-from ..assess.identifiability import identifiability
-from ..assess.outcome import Fitted, cautions, said
-from ..objective.problem import energy
-from ..objective.transforms import Layout
-from ..results import export, schema
-from ..results.posterior import sha1_of_draws
+from ..fit.identifiability import identifiability
+from ..fit.levenberg_marquardt import Status
+from ..fit.outcome import Fitted, cautions, said
+from ..fit.problem import energy
+from ..fit.transforms import Layout
+from ..results import schema, storage
+from ..results.schema_posterior import sha1_of_draws
 from ..settings.config import Config
-from ..solve.levenberg_marquardt import Status
 
 if TYPE_CHECKING:  # the sampler's libraries take a second to load
     from ..posterior.sampling import Sampled
@@ -42,7 +42,7 @@ def make_result(
     bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {
         "source": source, "accuracy": accuracy, "seconds": seconds, "seed": config.seed,
-        "versions": export.versions(), "config": config.model_dump(mode="json"),
+        "versions": storage.versions(), "config": config.model_dump(mode="json"),
     }  # fmt: skip
     if fitted is None or fitted.status is Status.NON_FINITE:
         status = Status.NO_DATA if fitted is None else Status.NON_FINITE
@@ -58,11 +58,11 @@ def make_result(
     fit_part = schema.Fit(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=fitted.costs.tolist(), folding_scatter=samples.scatter / unit,
-        steps=s.steps, relative_offset=export.finite(s.offset), bins=bins, candidates=fitted.candidates,
-        weights=fitted.bend, cautions=cautions(fitted, config) + unread(measurement) + told(measurement),
+        steps=s.steps, relative_offset=storage.finite(s.offset), bins=bins, candidates=fitted.candidates,
+        weights=fitted.bend, cautions=cautions(fitted, config.fit.weights) + unread(measurement) + told(measurement),
         effective_bins=round(fitted.count, 2),
     )  # fmt: skip
-    errors = schema.Metrics(**{name: export.finite(x) for name, x in asdict(fitted.errors).items()})
+    errors = schema.Metrics(**{name: storage.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)
     result = schema.Result(
         model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
@@ -151,7 +151,7 @@ def posterior_parts(
     posterior = schema.PosteriorResult(
         sufficient=p.sufficient, message=p.message, steps=len(p.chain.states), walkers=p.chain.states.shape[1],
         acceptance=p.chain.acceptance, effective_bins=round(fitted.count, 2), draws=len(p.draws),
-        pareto_k=export.finite(p.pareto_k), coordinates=list(fitted.layout.coordinates),
+        pareto_k=storage.finite(p.pareto_k), coordinates=list(fitted.layout.coordinates),
         autocorrelation_steps=_numbers(d.times, 2), r_hat=_numbers(d.r_hat, 4),
         bulk_size=_numbers(d.bulk), tail_size=_numbers(d.tail), effective_size=_numbers(p.effective_size),
         contraction=_numbers(1 - deviation, 3), chain_file=f"{name}.chain.npz",
@@ -164,4 +164,4 @@ def posterior_parts(
 
 
 def _numbers(values: np.ndarray, digits: int = 1) -> list[float | None]:
-    return [export.finite(round(float(x), digits)) for x in values]
+    return [storage.finite(round(float(x), digits)) for x in values]

@@ -17,24 +17,25 @@ from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.reflectance import Clues
-from ..assess import metrics
-from ..assess import scattered as scattered_metrics
-from ..assess.albedo import largest_albedo
-from ..assess.outcome import Fitted
-from ..assess.published import assess_prediction
-from ..assess.selection import choose, nearest, score
-from ..objective.problem import Problem, make_problem
-from ..objective.residuals import Objective
-from ..objective.residuals import predict_samples as predicted_by
-from ..objective.transforms import Layout
-from ..objective.weights import THETA_MAX, weighted_samples
-from ..results import export, schema
+from ..fit import error_metrics, scattered_errors
+from ..fit.largest_albedo import largest_albedo
+from ..fit.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, solve, solve_many
+from ..fit.outcome import Fitted
+from ..fit.problem import Problem, make_problem
+from ..fit.published_errors import assess_prediction
+from ..fit.residuals import Objective
+from ..fit.residuals import predict_samples as predicted_by
+from ..fit.selection import choose, nearest, score
+from ..fit.starts import clues_of, starting_points
+from ..fit.transforms import Layout
+from ..fit.weights import weighted_samples
+from ..results import schema, storage
 from ..settings.config import Config
-from ..settings.models import candidates, layout_for
-from ..solve.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, solve, solve_many
-from ..solve.starts import clues_of, starting_points
+from ..support.choices import THETA_MAX
 from ..support.clock import Clock, Report, silent
 from ..support.threads import CORES, one_core_a_call
+from .draws import chain_of
+from .models import candidates, layout_for
 from .result import make_result
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
@@ -93,7 +94,7 @@ def fit_file(
             fitted, accuracy = finish(fitted, measurement, samples)
     result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
     target = out / f"{measurement.name}.json"
-    export.write_result(target, result)  # before the sampling, which may be interrupted
+    storage.write_result(target, result)  # before the sampling, which may be interrupted
     if fitted is not None and config.posterior.enabled and fitted.status.succeeded:
         assert isinstance(samples, Samples)
         with clock.stage("posterior"):
@@ -106,7 +107,7 @@ def fit_file(
             except RuntimeError as error:
                 raise RuntimeError(f"{error}; {target} holds the fit without a posterior") from error
         result = make_result(measurement, samples, fitted, sampled, config, clock.times(), accuracy)
-        export.write_result(target, result)
+        storage.write_result(target, result)
     return result
 
 
@@ -169,11 +170,6 @@ def descend(
     return found
 
 
-def chain_of(result: Path) -> Path:
-    """File of the chain beside a result."""
-    return result.with_name(f"{result.stem}.chain.npz")
-
-
 UNGRIDDED = {  # what there is not without a grid, by the option that asks for it
     "--posterior": "of which no posterior is sampled",
     "--accuracy": "and what settings reach is calibrated on MERL's grid",
@@ -217,19 +213,21 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
     materials = [layout.material for layout in layouts]
     if len(found) == 1:
         only = materials[0]
-        return [schema.Candidate(model=only.name, variant=only.variant, cost=export.finite(found[0].cost))], 0
+        return [schema.Candidate(model=only.name, variant=only.variant, cost=storage.finite(found[0].cost))], 0
     predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
     objectives = [float(np.nan_to_num(s.objective, nan=np.inf)) for s in found]
     count = count_of(samples, predicted[int(np.argmin(objectives))])
-    cube_root = scattered_metrics.cube_root_error if isinstance(samples, ScatteredSamples) else metrics.cube_root_error
+    cube_root = (
+        scattered_errors.cube_root_error if isinstance(samples, ScatteredSamples) else error_metrics.cube_root_error
+    )
     roots = [cube_root(samples, p) for p in predicted]  # pyright: ignore[reportArgumentType] - each of its own kind
     scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
     values = [valued(layout, s.z) for layout, s in zip(layouts, found, strict=True)]
     matter = [material.of_matter(v) for material, v in zip(materials, values, strict=True)]
     candidates = [
         schema.Candidate(
-            model=material.name, variant=material.variant, cost=export.finite(s.cost), objective=export.finite(j),
-            cube_root=export.finite(e), score=export.finite(each), of_matter=own, converged=s.converged,
+            model=material.name, variant=material.variant, cost=storage.finite(s.cost), objective=storage.finite(j),
+            cube_root=storage.finite(e), score=storage.finite(each), of_matter=own, converged=s.converged,
         )
         for material, s, j, e, each, own in zip(materials, found, objectives, roots, scores, matter, strict=True)
     ]  # fmt: skip
@@ -355,5 +353,5 @@ def predict_samples(layout: Layout, z: np.ndarray, samples: AnySamples) -> np.nd
 def count_of(samples: AnySamples, predicted: np.ndarray) -> float:
     """Effective sample count of the residuals."""
     if isinstance(samples, ScatteredSamples):
-        return scattered_metrics.effective_count(samples, predicted)
-    return metrics.effective_count(np.sqrt(samples.weight) * (samples.value - predicted), samples.weight > 0)
+        return scattered_errors.effective_count(samples, predicted)
+    return error_metrics.effective_count(np.sqrt(samples.weight) * (samples.value - predicted), samples.weight > 0)

@@ -16,7 +16,7 @@ import numpy as np
 from ...merl_io.archive import arrays
 from ...merl_io.atomic import write_atomically
 from ...merl_io.source import opened
-from ..objective.transforms import Layout
+from ..fit.transforms import Layout
 from .diagnosis import diagnose
 from .emulator import MOST_EVER, Emulator, log_posterior
 from .hamiltonian import LEAPS, Hamiltonian

@@ -15,9 +15,9 @@ import numpy as np
 from jax import Array
 
 from ...merl_io.samples import Runs, Samples, runs_for, thin
-from ..objective.problem import Part, energy, make_problem
-from ..objective.residuals import weighted_prediction
-from ..objective.transforms import Layout
+from ..fit.problem import Part, energy, make_problem
+from ..fit.residuals import weighted_prediction
+from ..fit.transforms import Layout
 from ..support.threads import side_by_side
 
 ROWS = 18  # of theta_h that are kept

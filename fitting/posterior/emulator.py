@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..objective.transforms import Layout
+from ..fit.transforms import Layout
 from .likelihood import StandIn
 
 NEGLECTED = 1e-2  # of log L, on average over the training points: components that matter less are left out

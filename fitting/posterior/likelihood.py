@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.samples import Samples
-from ..objective.problem import Problem
-from ..objective.residuals import Objective
-from ..objective.transforms import Layout
-from ..solve.levenberg_marquardt import Solution
+from ..fit.levenberg_marquardt import Solution
+from ..fit.problem import Problem
+from ..fit.residuals import Objective
+from ..fit.transforms import Layout
 from .coreset import few_rows
 
 ORDER = 12  # of the convolution

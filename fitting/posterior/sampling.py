@@ -16,10 +16,10 @@ from ...merl_io.archive import arrays
 from ...merl_io.atomic import WriteError
 from ...merl_io.samples import Samples
 from ...merl_io.source import opened
-from ..assess.laplace import laplace_covariance
-from ..assess.outcome import Fitted
-from ..objective.problem import make_problem
-from ..objective.transforms import Layout
+from ..fit.laplace import laplace_covariance
+from ..fit.outcome import Fitted
+from ..fit.problem import make_problem
+from ..fit.transforms import Layout
 from ..support.clock import Report, Stage, silent
 from ..support.threads import SHARES, one_core_a_call, side_by_side
 from .chain import Chain, ChainError, begin, extend, read_chain, write_chain

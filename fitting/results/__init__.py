@@ -1,1 +1,1 @@
-"""The result of a material as JSON: its schema, reading and writing it."""
+"""The result of a material as JSON, and the manifest of a folder of them."""

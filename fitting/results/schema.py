@@ -8,11 +8,11 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from .material import Acquisition, Model, Source
-from .outcome import Accuracy, Candidate, Fit, Metrics, Tried
-from .parameters import ROUNDING, DerivedResult, Direction, Identifiability, ParameterResult, Prior, Quantiles
-from .posterior import PosteriorResult
-from .run import Run, this_run
+from .schema_fit import Accuracy, Candidate, Fit, Metrics, Tried
+from .schema_material import Acquisition, Model, Source
+from .schema_parameters import ROUNDING, DerivedResult, Direction, Identifiability, ParameterResult, Prior, Quantiles
+from .schema_posterior import PosteriorResult
+from .schema_run import Run, this_run
 from .strict import Many, Strict
 
 __all__ = [

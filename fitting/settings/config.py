@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from ...merl_io.source import toml
 from ...model.effects import PRESETS, TWO_SCALE, idle
-from ..objective.weights import RUNGS, Bend
+from ..support.choices import RUNGS, Bend
 from .sections import (
     AcquisitionSection,
     ApparatusSection,

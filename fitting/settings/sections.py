@@ -11,8 +11,7 @@ from ...merl_io.binary import Dims, dims_of
 from ...model.apparatus import Apparatus, GrazingLoss
 from ...model.effects import PRESETS, TWO_SCALE, Colour, Diffraction, Effects, Fresnel, Masking, Split
 from ...model.priors import PRIORS
-from ..objective.weights import THETA_MAX, Weights
-from ..support.choices import Backend, Precision
+from ..support.choices import THETA_MAX, Backend, Precision, Weights
 
 if TYPE_CHECKING:
     from ...model.reflectance import Reflectance
@@ -187,7 +186,7 @@ class FitSection(Section):
         starts: of the coarse grid's race: three times as many starting points run its first lap, so many the second.
         coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on the last one.
         weights: of the bins: ``compressive`` (HP17 Eq. 57-58), ``log``, ``none``, or ``adaptive``, which tries several
-            exponents of the compressive weight and keeps the nearest picture (``weights.RUNGS``).
+            exponents of the compressive weight and keeps the nearest picture (``choices.RUNGS``).
         theta_max: light or viewer past this angle (rad) are left out, of the objective and of all errors.
         grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 21st.
         azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).

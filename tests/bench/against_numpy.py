@@ -5,7 +5,9 @@ from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.objective.problem import energy
+from merlfit.fitting.fit.levenberg_marquardt import prior_factor
+from merlfit.fitting.fit.problem import energy
+from merlfit.fitting.fit.starts import clues_of, starting_points
 from merlfit.fitting.pipeline.run import (
     CANDIDATE_ORDER,
     CANDIDATES,
@@ -16,8 +18,6 @@ from merlfit.fitting.pipeline.run import (
     make_coarse,
     race,
 )
-from merlfit.fitting.solve.levenberg_marquardt import prior_factor
-from merlfit.fitting.solve.starts import clues_of, starting_points
 from merlfit.merl_io.samples import thin
 from scipy.optimize import least_squares
 

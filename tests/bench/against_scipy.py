@@ -5,9 +5,9 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.objective.problem import directions, energy, shares
-from merlfit.fitting.objective.residuals import _predict
-from merlfit.fitting.solve.levenberg_marquardt import prior_factor
+from merlfit.fitting.fit.levenberg_marquardt import prior_factor
+from merlfit.fitting.fit.problem import directions, energy, shares
+from merlfit.fitting.fit.residuals import _predict
 from merlfit.fitting.support.threads import CORES, side_by_side
 from scipy.optimize import least_squares
 

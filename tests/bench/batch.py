@@ -4,7 +4,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from merlfit.fitting.execution.unit import Kind, Unit, fit_unit
+from merlfit.fitting.batch.unit import Unit, fit_unit
+from merlfit.fitting.results.manifest import Ending
 from merlfit.fitting.settings.config import load
 
 from .materials import TWELVE, file
@@ -23,7 +24,7 @@ def measure(out, *files):
     """Of a process of its own: seconds of a plain loop over files, one after the other with all cores."""
     settings, start = load(posterior=False), time.perf_counter()
     ended = [fit_unit(Unit(Path(path), Path(out), settings)) for path in files]
-    if any(each.kind is not Kind.FITTED for each in ended):
+    if any(each.kind is not Ending.FITTED for each in ended):
         raise RuntimeError(f"not all are fitted: {[each.error for each in ended]}")
     return time.perf_counter() - start
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.weights import weighted_samples
+from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.pipeline.run import fit, predict_samples
 from merlfit.fitting.posterior.sampling import draw
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import layout_for, two_scale
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import Measurement

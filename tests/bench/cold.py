@@ -14,8 +14,8 @@ CASES = (("nickel", "none"), ("gray-plastic", "plastic"), ("nickel", "auto"))
 
 def measure(path, body):
     """`merlfit fit` in this process: on the system's clock, when normal equations of each size first came out."""
-    from merlfit.fitting import cli
-    from merlfit.fitting.objective.residuals import Objective
+    from merlfit.fitting.commands import cli
+    from merlfit.fitting.fit.residuals import Objective
 
     first = {}
 

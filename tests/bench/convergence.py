@@ -2,11 +2,11 @@
 
 import numpy as np
 from jax import numpy as jnp
-from merlfit.fitting.assess.outcome import Fitted
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.outcome import Fitted
+from merlfit.fitting.fit.weights import weighted_samples
+from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import candidates, layout_for
 from merlfit.merl_io.binary import read
 
 from .materials import TWELVE, measured

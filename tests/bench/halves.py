@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.result import parameter_results, with_quantiles
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.posterior.sampling import sample

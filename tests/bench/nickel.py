@@ -6,14 +6,14 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.levenberg_marquardt import compress
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.posterior.importance import quantiles
 from merlfit.fitting.posterior.sampling import draw
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.solve.levenberg_marquardt import compress
 from merlfit.merl_io.binary import read
 from scipy.optimize import least_squares
 

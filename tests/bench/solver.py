@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.trust_region import TrustRegion
+from merlfit.fitting.fit.weights import weighted_samples
+from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import candidates, layout_for
-from merlfit.fitting.solve.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
-from merlfit.fitting.solve.trust_region import TrustRegion
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 
@@ -101,7 +101,7 @@ NOTES = [
     f"all. At most {MOST} evaluations of the normal equations; all stop at the same relative offset. stock: "
     "`optimistix.LevenbergMarquardt` with its defaults, residuals times 100; indirect: optimistix' own parts for a "
     "trust region, `IndirectDampedNewtonDescent` and `ClassicalTrustRegion` with thresholds 0.75 and 0.25, residuals "
-    "times 100; ours: `fitting/solve/trust_region.py`. The driving loop is the same.",
+    "times 100; ours: `fitting/fit/trust_region.py`. The driving loop is the same.",
     f"Same end: pairs whose costs differ by less than {SAME:.1%}, for which evaluations are compared (ratio of "
     "medians, the other's over ours). Lower: pairs in which one ended lower by more than that.",
 ]

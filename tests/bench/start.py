@@ -2,14 +2,14 @@
 
 import time
 
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.starts import clues_of
+from merlfit.fitting.fit.weights import weighted_samples
+from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.settings.models import candidates, layout_for
-from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io.binary import read
 
 REPEATS = 3

@@ -13,10 +13,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting import cli
-from merlfit.fitting.execution.journal import NAME, lines
-from merlfit.fitting.pictures.subject import NoPicture, chain_file
-from merlfit.fitting.results.export import write_result
+from merlfit.fitting.commands import cli
+from merlfit.fitting.pipeline.draws import NoPicture, chain_file
+from merlfit.fitting.results.manifest import NAME, lines
+from merlfit.fitting.results.storage import write_result
 from merlfit.merl_io.source import LONGEST
 from merlfit.scene import description
 from merlfit.scene.images import read_map

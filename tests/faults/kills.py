@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting.output.synthesis import tabulate
+from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.merl_io.binary import write
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate

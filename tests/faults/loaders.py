@@ -17,7 +17,7 @@ from unittest import mock
 
 import numpy as np
 from merlfit.fitting.posterior.chain import ChainError, read_chain, write_chain
-from merlfit.fitting.results.export import ResultError, read_result, write_result
+from merlfit.fitting.results.storage import ResultError, read_result, write_result
 from merlfit.fitting.settings.config import Config, ConfigError, load
 from merlfit.merl_io import binary
 
@@ -282,7 +282,7 @@ def same_again(value, path):
 
 def names(tried):
     """File names that would leave the output directory."""
-    from merlfit.fitting.execution.unit import Unit
+    from merlfit.fitting.batch.unit import Unit
 
     hostile = [
         "..",

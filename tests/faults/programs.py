@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
-from merlfit.fitting.execution.journal import FileEnded, lines
-from merlfit.fitting.results.export import ResultError, read_result
+from merlfit.fitting.results.manifest import FileEnded, lines
+from merlfit.fitting.results.storage import ResultError, read_result
 from merlfit.merl_io.archive import arrays
 from merlfit.merl_io.atomic import UNFINISHED
 from merlfit.merl_io.source import opened

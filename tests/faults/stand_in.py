@@ -14,12 +14,14 @@ from unittest import mock
 
 sys.path.append(str(Path(__file__).parents[2]))  # run as a file, in any folder
 import numpy as np
-from merlfit.fitting import cli, files
-from merlfit.fitting.execution import unit as units
-from merlfit.fitting.execution.pool import Pool, jobs_for
-from merlfit.fitting.pipeline.run import chain_of
+from merlfit.fitting.batch import unit as units
+from merlfit.fitting.batch.pool import Pool
+from merlfit.fitting.commands import cli
+from merlfit.fitting.commands import fit as files
+from merlfit.fitting.pipeline.draws import chain_of
 from merlfit.fitting.posterior.chain import write_chain
-from merlfit.fitting.results.export import write_result
+from merlfit.fitting.results.storage import write_result
+from merlfit.fitting.support.processes import jobs_for
 from merlfit.merl_io.binary import MerlError
 
 from tests.support.made_results import made

@@ -7,18 +7,18 @@ from dataclasses import replace
 import jsonschema
 import numpy as np
 import pytest
-from merlfit.fitting import cli
+from merlfit.fitting.commands import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier
 from merlfit.fitting.cost.accuracy import Aim, distance, estimate, reference_problem, remaining, resume_fit
 from merlfit.fitting.cost.request import Request
-from merlfit.fitting.objective.problem import energy
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.output.report import accuracy_line
+from merlfit.fitting.fit.problem import energy
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
-from merlfit.fitting.results.export import read_result, schema
 from merlfit.fitting.results.schema import Accuracy, Result, Tried
+from merlfit.fitting.results.storage import read_result, schema
 from merlfit.fitting.settings.choice import POINTS, REFERENCE
 from merlfit.fitting.settings.config import Config, load
+from merlfit.fitting.show.terminal_tables import accuracy_line
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner

@@ -8,13 +8,13 @@ import merlfit
 import numpy as np
 import pytest
 from merlfit.fitting import api
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.output.keeping import claimed
-from merlfit.fitting.pictures.subject import chain_file, subject_of
-from merlfit.fitting.pipeline.run import chain_of
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.pipeline.draws import chain_file, chain_of
+from merlfit.fitting.pipeline.place import claimed
 from merlfit.fitting.posterior import importance
-from merlfit.fitting.results.export import read_result, write_result
-from merlfit.fitting.results.posterior import sha1_of_draws
+from merlfit.fitting.results.schema_posterior import sha1_of_draws
+from merlfit.fitting.results.storage import read_result, write_result
+from merlfit.fitting.show.subject import subject_of
 
 from tests.support.made_results import made, put_result
 
@@ -32,11 +32,12 @@ import merlfit
 assert not seen("jax", "matplotlib", "pydantic", "numpy")
 print("nothing")
 assert set(dir(merlfit)) == {set(merlfit.__all__)}
-from merlfit.fitting import cli
+from merlfit.fitting.commands import cli
 assert not seen("jax", "equinox", "matplotlib", "pydantic", "numpy")
-from merlfit.fitting.settings import choice, command, config
+from merlfit.fitting.commands import settings
+from merlfit.fitting.settings import choice, config
 assert config.load({{"fit": {{"weights": "adaptive"}}}}).for_scattered.has_lobes
-from merlfit.fitting.output import checked
+from merlfit.fitting.commands import checked
 from merlfit.merl_io import check, inputs
 assert not seen("jax", "equinox", "matplotlib", "scipy")
 try:

@@ -6,11 +6,11 @@ import os
 
 import numpy as np
 import pytest
-from merlfit.fitting.execution.journal import NAME, lines
-from merlfit.fitting.pictures.subject import NoPicture, chain_file
-from merlfit.fitting.report import site
-from merlfit.fitting.results.export import ResultError, read_result, write_result
+from merlfit.fitting.pipeline.draws import NoPicture, chain_file
+from merlfit.fitting.results.manifest import NAME, lines
+from merlfit.fitting.results.storage import ResultError, read_result, write_result
 from merlfit.fitting.settings.config import ConfigError, load
+from merlfit.fitting.show import site
 from merlfit.fitting.support.terminal import BAD_INPUT, FAILED_FIT
 from merlfit.scene.description import SceneError
 from merlfit.scene.description import load as load_scene

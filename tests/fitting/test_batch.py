@@ -7,15 +7,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.starts import clues_of
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
-from merlfit.fitting.pipeline.batch import fit_batch, prepare, solve_batch
+from merlfit.fitting.pipeline.stacked import fit_batch, prepare, solve_batch
 from merlfit.fitting.settings.config import parse
-from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin

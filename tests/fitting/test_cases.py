@@ -1,7 +1,7 @@
 """Inputs of kinds that people met with other programs (../shared/cases): each is fitted with GGX to what is right."""
 
 import pytest
-from merlfit.fitting.assess.outcome import NINETY
+from merlfit.fitting.fit.outcome import NINETY
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.settings.config import load
 

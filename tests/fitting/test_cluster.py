@@ -8,9 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import psutil
 import pytest
-from merlfit.fitting.execution.cluster import Cluster, ClusterError
-from merlfit.fitting.execution.unit import Kind
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.batch.cluster import Cluster, ClusterError
+from merlfit.fitting.results.manifest import Ending
+from merlfit.fitting.results.storage import read_result
 
 from tests.support.clusters import PROGRAM, ended, scheduler, units, until, workers
 from tests.support.worker_tasks import task
@@ -30,7 +30,12 @@ def test_all_are_fitted_told_and_written_here(where, tmp_path):
             Cluster(where, task=task, note=noted.append),
             units(tmp_path / "out", "quick-a", "quick-b", "raises-c", "quick-d"),
         )
-    assert {k: e.kind for k, e in found.items()} == {0: Kind.FITTED, 1: Kind.FITTED, 2: Kind.FAILED, 3: Kind.FITTED}
+    assert {k: e.kind for k, e in found.items()} == {
+        0: Ending.FITTED,
+        1: Ending.FITTED,
+        2: Ending.FAILED,
+        3: Ending.FITTED,
+    }
     assert found[2].error == f"{tmp_path / 'raises-c.binary'}: it raises"
     assert set(told) <= {(k, "reading") for k in range(4)}
     assert told
@@ -46,9 +51,9 @@ def test_a_lost_worker_takes_nothing_with_it_and_a_unit_that_kills_two_is_given_
     found = units(tmp_path / "out", "killed-a", "quick-b", "quick-c", "quick-d")
     with workers(where, tmp_path, 2):
         ended_as, _ = ended(Cluster(where, task=task, note=noted.append), found)
-    assert ended_as[0].kind is Kind.LOST
+    assert ended_as[0].kind is Ending.LOST
     assert "its worker was lost" in ended_as[0].error
-    assert [ended_as[k].kind for k in (1, 2, 3)] == [Kind.FITTED] * 3
+    assert [ended_as[k].kind for k in (1, 2, 3)] == [Ending.FITTED] * 3
     lost = [text for text in noted if "was lost while fitting killed-a" in text]
     assert ["another worker starts it again" in text for text in lost] == [True, False]  # as the scheduler allows
     assert not (tmp_path / "out/killed-a.json").exists()
@@ -64,7 +69,7 @@ def test_a_worker_that_is_killed_in_mid_fit_is_survived(where, tmp_path):
 
     with workers(where, tmp_path):
         [(_, came)] = Cluster(where, task=task, note=noted.append).ended(found, tell)
-    assert came.kind is Kind.FITTED
+    assert came.kind is Ending.FITTED
     assert at_work
     [text] = noted
     assert re.fullmatch(r"worker tcp://\S+ was lost while fitting waits-a; another worker starts it again", text)
@@ -87,7 +92,7 @@ def test_two_runs_fit_no_two_files_in_one_worker_at_once(where, tmp_path):
     with workers(where, tmp_path, threads=2), ThreadPoolExecutor(2) as threads:
         runs = [(Cluster(where, task=task), units(tmp_path / f"out-{k}", f"alone-{k}")) for k in range(2)]
         found = [came[0] for came, _ in threads.map(ended, *zip(*runs, strict=True))]
-    assert [came.kind for came in found] == [Kind.FITTED] * 2, found
+    assert [came.kind for came in found] == [Ending.FITTED] * 2, found
 
 
 def test_a_file_that_workers_do_not_see_is_sent(where, tmp_path, monkeypatch):
@@ -105,7 +110,7 @@ def test_a_file_that_workers_do_not_see_is_sent(where, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster_of._client, "submit", submitted)
     with workers(where, tmp_path):
         found, _ = ended(cluster_of, [unit])
-    assert found[0].kind is Kind.FITTED
+    assert found[0].kind is Ending.FITTED
     assert sent == [None, b"sees-a"]
 
 
@@ -126,14 +131,14 @@ def test_a_stop_ends_what_goes_on_and_keeps_what_there_is(where, tmp_path):
         finally:
             signal.signal(signal.SIGALRM, before)
         [(k, came)] = cluster.stop()
-    assert (k, came.kind) == (0, Kind.STOPPED)
+    assert (k, came.kind) == (0, Ending.STOPPED)
     assert came.result.source.material == "patient-a"
     assert read_result(tmp_path / "out/patient-a.json").source.material == "patient-a"
     assert not (tmp_path / "out/quick-b.json").exists()
 
 
 def test_a_worker_of_other_versions_gets_nothing(where, tmp_path, monkeypatch):
-    from merlfit.fitting.execution import cluster
+    from merlfit.fitting.batch import cluster
 
     noted = []
     ours = cluster.versions()

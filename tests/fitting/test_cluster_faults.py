@@ -7,10 +7,10 @@ from pathlib import Path
 
 import psutil
 import pytest
-from merlfit.fitting.execution import cluster as module
-from merlfit.fitting.execution import watch
-from merlfit.fitting.execution.cluster import Cluster, ClusterError
-from merlfit.fitting.execution.unit import Kind
+from merlfit.fitting.batch import cluster as module
+from merlfit.fitting.batch import watch
+from merlfit.fitting.batch.cluster import Cluster, ClusterError
+from merlfit.fitting.results.manifest import Ending
 
 from tests.support.clusters import PROGRAM, ROOT, children, ended, program, scheduler, units, until, workers
 from tests.support.worker_tasks import task
@@ -65,7 +65,7 @@ def test_a_result_that_dies_with_its_worker_before_it_is_fetched_is_made_anew(wh
         [(_, came)] = run.ended(
             units(tmp_path / "out", "tells-a"), lambda k, stage: at_work.append(int(stage)) if stage.isdigit() else None
         )
-    assert came.kind is Kind.FITTED
+    assert came.kind is Ending.FITTED
     assert len(set(at_work)) == 2
     assert any("was lost" in text for text in noted)
 
@@ -81,7 +81,7 @@ def test_a_worker_that_is_frozen_loses_its_file_to_another(where, tmp_path):
     with workers(where, tmp_path, 2):
         found = dict(Cluster(where, task=task).ended(units(tmp_path / "out", "waits-a", "quick-b"), tell))
     assert at_work
-    assert [found[k].kind for k in (0, 1)] == [Kind.FITTED] * 2
+    assert [found[k].kind for k in (0, 1)] == [Ending.FITTED] * 2
 
 
 def test_a_worker_that_does_nothing_is_begun_anew_and_its_file_goes_on(where, tmp_path, monkeypatch):
@@ -89,7 +89,7 @@ def test_a_worker_that_does_nothing_is_begun_anew_and_its_file_goes_on(where, tm
     noted = []
     with workers(where, tmp_path):
         found, _ = ended(Cluster(where, task=task, note=noted.append), units(tmp_path / "out", "waits-a"))
-    assert found[0].kind is Kind.FITTED
+    assert found[0].kind is Ending.FITTED
     assert any("has done nothing with" in text and "waits-a.binary for" in text for text in noted)
 
 
@@ -98,7 +98,7 @@ def test_a_file_with_which_no_worker_does_anything_is_given_up(where, tmp_path, 
     noted = []
     with workers(where, tmp_path):
         found, _ = ended(Cluster(where, 1, task=task, note=noted.append), units(tmp_path / "out", "idle-a", "quick-b"))
-    assert (found[0].kind, found[1].kind) == (Kind.LOST, Kind.FITTED)
+    assert (found[0].kind, found[1].kind) == (Ending.LOST, Ending.FITTED)
     assert sum("has done nothing with" in text for text in noted) == 2  # as many as the scheduler allows
 
 
@@ -109,7 +109,7 @@ def test_a_worker_without_merlfit_is_refused_and_the_others_work(where, tmp_path
         until(lambda: children(running.pid), "no worker")
         until(lambda: b"Registered to" in (tmp_path / "bare/said").read_bytes(), "not registered")
         found, _ = ended(Cluster(where, task=task, note=noted.append), units(tmp_path / "out", "quick-a"))
-    assert found[0].kind is Kind.FITTED
+    assert found[0].kind is Ending.FITTED
     assert any("merlfit missing instead of" in text and "it gets no files" in text for text in noted)
 
 

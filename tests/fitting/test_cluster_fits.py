@@ -5,7 +5,7 @@ import sys
 
 import psutil
 import pytest
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.results.storage import read_result
 
 from tests.support.clusters import children, scheduler, until, workers
 

@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from merlfit.fitting import cli, comparisons
-from merlfit.fitting.assess.metrics import Errors, by_incidence, errors
-from merlfit.fitting.assess.published import assess_published
-from merlfit.fitting.assess.selection import ALIKE, SEEN, bic, least
-from merlfit.fitting.objective.weights import weighted_samples
-from merlfit.fitting.output import comparison, metrics
-from merlfit.fitting.output.synthesis import from_published
+from merlfit.fitting.commands import cli, metrics
+from merlfit.fitting.commands import compare as comparisons
+from merlfit.fitting.fit.error_metrics import Errors, by_incidence, errors
+from merlfit.fitting.fit.published_errors import assess_published
+from merlfit.fitting.fit.selection import ALIKE, SEEN, bic, least
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.comparison import FIT, Row, compare_file, config_of
-from merlfit.fitting.results.export import ResultError, versions, write_result
+from merlfit.fitting.pipeline.synthesis import from_published
+from merlfit.fitting.results.storage import ResultError, versions, write_result
 from merlfit.fitting.settings.config import ConfigError, load, parse
+from merlfit.fitting.show import comparison_table as comparison
 from merlfit.fitting.support import outputs
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, read, write

@@ -7,9 +7,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from merlfit.fitting import cli
+from merlfit.fitting.commands import cli
+from merlfit.fitting.pipeline.models import candidates, layout_for, two_scale
 from merlfit.fitting.settings.config import Config, ConfigError, known_keys, load, parse
-from merlfit.fitting.settings.models import candidates, layout_for, two_scale
 from merlfit.model.apparatus import Apparatus
 from merlfit.model.effects import KINDS, PRESETS
 from merlfit.model.measured import Measured

@@ -6,9 +6,9 @@ from itertools import combinations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.posterior.coreset import COLUMNS, ROWS, Rows, few_rows, runs
 from merlfit.merl_io.grid import merl_grid

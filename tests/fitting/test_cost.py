@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 from matplotlib.text import Text
-from merlfit.fitting import cli
+from merlfit.fitting.commands import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.frontier import Frontier
 from merlfit.fitting.cost.plot import frontier_figure

@@ -5,16 +5,16 @@ import math
 
 import numpy as np
 import pytest
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.output.keeping import claimed
-from merlfit.fitting.pictures import subject
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.pipeline.place import claimed
 from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.chain import ChainError, read_chain
 from merlfit.fitting.results import schema
-from merlfit.fitting.results.export import ResultError, read_result, valid_result, write_result
-from merlfit.fitting.results.posterior import sha1_of_draws
 from merlfit.fitting.results.schema import Source
+from merlfit.fitting.results.schema_posterior import sha1_of_draws
+from merlfit.fitting.results.storage import ResultError, read_result, valid_result, write_result
 from merlfit.fitting.settings.config import Config
+from merlfit.fitting.show import subject
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.atomic import unfinished
 from merlfit.model.measured import Measured

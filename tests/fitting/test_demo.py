@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting import cli
-from merlfit.fitting.execution import unit
-from merlfit.fitting.output import demo
-from merlfit.fitting.results.export import write_result
-from merlfit.fitting.settings.models import candidates
+from merlfit.fitting.batch import unit
+from merlfit.fitting.commands import cli, demo
+from merlfit.fitting.pipeline.models import candidates
+from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.binary import genuine_names, read, write
 from merlfit.model.measured import Measured

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess import picture
-from merlfit.fitting.output.synthesis import tabulate
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.fit import picture_distance as picture
+from merlfit.fitting.pipeline.synthesis import tabulate
+from merlfit.fitting.results.storage import read_result
 from merlfit.merl_io.binary import write
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate

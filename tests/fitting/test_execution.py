@@ -13,14 +13,16 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from merlfit.fitting.execution import journal, pool
-from merlfit.fitting.execution.pool import Pool, jobs_for
-from merlfit.fitting.execution.slot import sha1_of
-from merlfit.fitting.execution.unit import Ended, Kind, Unit, fit_unit
-from merlfit.fitting.files import _done
-from merlfit.fitting.results.export import versions, write_result
+from merlfit.fitting.batch.pool import Pool
+from merlfit.fitting.batch.slot import sha1_of
+from merlfit.fitting.batch.unit import Unit, fit_unit
+from merlfit.fitting.commands.fit import _done
+from merlfit.fitting.results import manifest, pool
+from merlfit.fitting.results.manifest import Ending
+from merlfit.fitting.results.storage import versions, write_result
 from merlfit.fitting.settings.config import Config, load
 from merlfit.fitting.support.outputs import log
+from merlfit.fitting.support.processes import jobs_for
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import DIMS, write
 
@@ -33,8 +35,8 @@ import signal, sys
 sys.path.insert(0, {str(ROOT)!r})
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever it is begun by: a shell's "&" makes it deaf
 from tests.support.worker_tasks import task
-from merlfit.fitting import cli, files
-from merlfit.fitting.execution.pool import Pool
+from merlfit.fitting.commands import cli, fit as files
+from merlfit.fitting.batch.pool import Pool
 files.executor_of = lambda units, jobs, where: (Pool(2, task, note=files.note), 2)
 if __name__ == "__main__":
     cli.main()
@@ -59,7 +61,12 @@ def workers_left():
 
 def test_all_are_fitted_and_told(tmp_path):
     found, told, noted = ended(tmp_path, 2, "quick-a", "prints-b", "raises-c", "quick-d")
-    assert {k: e.kind for k, e in found.items()} == {0: Kind.FITTED, 1: Kind.FITTED, 2: Kind.FAILED, 3: Kind.FITTED}
+    assert {k: e.kind for k, e in found.items()} == {
+        0: Ending.FITTED,
+        1: Ending.FITTED,
+        2: Ending.FAILED,
+        3: Ending.FITTED,
+    }
     assert set(told) == {(k, "reading") for k in range(4)}
     assert noted == []
     assert found[3].result.source.material == "quick-d"
@@ -72,7 +79,7 @@ def test_all_are_fitted_and_told(tmp_path):
 
 def test_one_that_is_killed_is_tried_again_alone_and_the_others_go_on(tmp_path):
     found, _, noted = ended(tmp_path, 2, "killed-a", "once-b", "quick-c", "quick-d")
-    assert [found[k].kind for k in range(4)] == [Kind.LOST, Kind.FITTED, Kind.FITTED, Kind.FITTED]
+    assert [found[k].kind for k in range(4)] == [Ending.LOST, Ending.FITTED, Ending.FITTED, Ending.FITTED]
     assert set(list(found)[-2:]) == {0, 1}  # the last ones
     assert len(noted) == 2
     assert "killed-a.binary: its process was killed (SIGKILL, as the system does when memory runs out)" in "".join(
@@ -83,7 +90,7 @@ def test_one_that_is_killed_is_tried_again_alone_and_the_others_go_on(tmp_path):
 
 def test_one_that_alone_is_told_to_stop_is_tried_again_and_the_others_go_on(tmp_path):
     found, _, noted = ended(tmp_path, 2, "told-a", "quick-b", "quick-c")
-    assert {k: e.kind for k, e in found.items()} == dict.fromkeys(range(3), Kind.FITTED)
+    assert {k: e.kind for k, e in found.items()} == dict.fromkeys(range(3), Ending.FITTED)
     assert "told-a.binary: its process was told to stop (SIGTERM" in noted[0]
 
 
@@ -105,7 +112,7 @@ def test_workers_that_are_halted_are_ended_at_once(tmp_path):
     at_work = Pool(2, task, print)
     assert stopped_once_begun(at_work, {0, 1}, units(tmp_path, "halted-a", "halted-b")) == []
     start = time.monotonic()
-    assert {e.kind for _, e in at_work.stop()} <= {Kind.STOPPED, Kind.FITTED}
+    assert {e.kind for _, e in at_work.stop()} <= {Ending.STOPPED, Ending.FITTED}
     assert time.monotonic() - start < pool.PATIENCE / 2
     assert not workers_left()
 
@@ -149,7 +156,7 @@ def test_who_is_at_work_when_it_is_stopped_leaves_what_it_has(tmp_path):
     at_work = Pool(2, task, print)
     assert stopped_once_begun(at_work, {0, 2}, units(tmp_path, "slow-a", "quick-b", "slow-c")) == [1]
     stopped = dict(at_work.stop())
-    assert {k: e.kind for k, e in stopped.items()} == {0: Kind.STOPPED, 2: Kind.STOPPED}
+    assert {k: e.kind for k, e in stopped.items()} == {0: Ending.STOPPED, 2: Ending.STOPPED}
     assert stopped[0].result.source.material == "slow-a"
     assert not workers_left()
 
@@ -179,7 +186,7 @@ def test_ctrl_c_ends_all_workers_and_says_how_to_go_on(tmp_path):
     assert said.endswith("not begun: 1 of 4 files; the same command with --resume goes on\n")
     assert "quick" in printed.split("Fits")[1]
     assert not psutil.wait_procs(workers, timeout=10)[1]
-    events = list(journal.lines(tmp_path))
+    events = list(manifest.lines(tmp_path))
     assert [line.event for line in events] == ["began", "file", "ended"]
     assert events[-1].stopped
 
@@ -234,15 +241,15 @@ def test_what_is_done_is_known_by_file_settings_and_versions(done):
 
 def test_the_manifest_only_grows_and_survives_a_torn_line(tmp_path):
     unit = units(tmp_path, "nickel")[0]
-    first = journal.Journal(tmp_path)
+    first = manifest.Journal(tmp_path)
     first.began(Config(), 2, 1, "Here")
-    first.ended(unit, Ended(Kind.FAILED, error="nickel.binary: no such file"))
-    path = tmp_path / journal.NAME
+    first.ended(unit.path, Ending.FAILED, None, "nickel.binary: no such file")
+    path = tmp_path / manifest.NAME
     path.write_bytes(path.read_bytes() + b'{"at": "2026-')
-    second = journal.Journal(tmp_path)
-    second.ended(unit, Ended(Kind.FITTED, made("nickel")), kept=True)
+    second = manifest.Journal(tmp_path)
+    second.ended(unit.path, "kept", made("nickel"))
     second.closed(False, 1.0)
-    read = list(journal.lines(tmp_path))
+    read = list(manifest.lines(tmp_path))
     assert [line.event for line in read] == ["began", "file", "file", "ended"]
     assert (read[1].error, read[2].ended, read[2].status) == ("nickel.binary: no such file", "kept", "CONVERGED")
     assert [json.loads(line)["event"] for line in path.read_text().splitlines() if line.endswith("}")] == [
@@ -251,13 +258,13 @@ def test_the_manifest_only_grows_and_survives_a_torn_line(tmp_path):
 
 
 def test_a_line_without_an_end_takes_no_memory_and_the_next_ones_are_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(journal, "LONGEST", 1000)
+    monkeypatch.setattr(manifest, "LONGEST", 1000)
     unit = units(tmp_path, "nickel")[0]
-    path = tmp_path / journal.NAME
-    journal.Journal(tmp_path).closed(False, 1.0)
+    path = tmp_path / manifest.NAME
+    manifest.Journal(tmp_path).closed(False, 1.0)
     path.write_bytes(path.read_bytes() + b"x" * 5000)
-    journal.Journal(tmp_path).ended(unit, Ended(Kind.FAILED, error="no"))
-    assert [line.event for line in journal.lines(tmp_path)] == ["ended", "file"]
+    manifest.Journal(tmp_path).ended(unit.path, Ending.FAILED, None, "no")
+    assert [line.event for line in manifest.lines(tmp_path)] == ["ended", "file"]
 
 
 def test_a_pipe_in_the_place_of_a_workers_file_is_no_file(tmp_path):
@@ -277,6 +284,6 @@ def test_a_folder_that_went_away_does_not_come_back_empty(tmp_path):
     [unit] = units(tmp_path / "gone", "quick-a")
     log(unit.log, "something")
     came = fit_unit(unit)
-    assert came.kind is Kind.FAILED
+    assert came.kind is Ending.FAILED
     assert came.error == f"{tmp_path / 'gone'}: is there no more; make it again, and go on with --resume"
     assert not (tmp_path / "gone").exists()

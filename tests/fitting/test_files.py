@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from merlfit.fitting import comparisons, files
-from merlfit.fitting.execution import here, journal, unit
-from merlfit.fitting.output import keeping
-from merlfit.fitting.output.keeping import Complete, completeness, place_of
-from merlfit.fitting.pipeline.run import chain_of, fit_file
-from merlfit.fitting.results.export import read_result, write_result
+from merlfit.fitting.batch import here, unit
+from merlfit.fitting.commands import compare as comparisons
+from merlfit.fitting.commands import fit as files
+from merlfit.fitting.pipeline import place as keeping
+from merlfit.fitting.pipeline.draws import chain_of
+from merlfit.fitting.pipeline.place import Complete, completeness, place_of
+from merlfit.fitting.pipeline.run import fit_file
+from merlfit.fitting.results import manifest
+from merlfit.fitting.results.storage import read_result, write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.fitting.support.terminal import BAD_INPUT, FAILED_FIT, Stopped
 from merlfit.merl_io.atomic import WriteError, unfinished, write_atomically
@@ -27,7 +30,7 @@ from tests.support.made_results import made, put_result
 
 def results_in(folder):
     """Names in there, but for what a run says of itself."""
-    return sorted(p.name for p in folder.iterdir() if p.name not in (journal.NAME, "logs"))
+    return sorted(p.name for p in folder.iterdir() if p.name not in (manifest.NAME, "logs"))
 
 
 @pytest.fixture
@@ -197,11 +200,11 @@ def test_a_measurement_is_not_overwritten_by_synthesis(tmp_path):
 
 
 def test_the_file_of_a_fit_says_what_it_lacks_and_has_it_if_asked(tmp_path, monkeypatch):
-    monkeypatch.setattr("merlfit.fitting.output.synthesis.tabulate", lambda evaluate: evaluate(None))
+    monkeypatch.setattr("merlfit.fitting.pipeline.synthesis.tabulate", lambda evaluate: evaluate(None))
     seen = []
-    monkeypatch.setattr("merlfit.fitting.output.synthesis.evaluate", lambda *words: seen.append(words[0]) or 0.0)
-    monkeypatch.setattr("merlfit.fitting.output.synthesis.write", lambda out, values: None)
-    monkeypatch.setattr("merlfit.fitting.output.synthesis.use_persistent_cache", lambda: None)
+    monkeypatch.setattr("merlfit.fitting.pipeline.synthesis.evaluate", lambda *words: seen.append(words[0]) or 0.0)
+    monkeypatch.setattr("merlfit.fitting.pipeline.synthesis.write", lambda out, values: None)
+    monkeypatch.setattr("merlfit.fitting.pipeline.synthesis.use_persistent_cache", lambda: None)
     put_result(tmp_path)
     alone = call("synth", tmp_path / "nickel.json", "-o", tmp_path / "x.binary")
     assert "near grazing angles many times brighter" in " ".join(alone.stdout.split())
@@ -289,7 +292,7 @@ def test_a_manifest_that_cannot_be_written_any_more_stops_what_goes_on(tmp_path,
         def ended(self, units, tell):
             (tmp_path / "manifest.jsonl").unlink()
             (tmp_path / "manifest.jsonl").mkdir()
-            yield 0, unit.Ended(unit.Kind.FAILED, error="nothing")
+            yield 0, unit.Ended(manifest.Ending.FAILED, error="nothing")
 
         def stop(self):
             stopped.append(True)
@@ -402,7 +405,7 @@ def test_what_stood_there_before_is_no_result_of_a_fit_that_is_stopped(before, t
         (tmp_path / "nickel.json").write_text(before)
     monkeypatch.setattr(unit, "fit_file", stop)
     ended = unit.fit_unit(unit.Unit(Path("nickel.binary"), tmp_path, Config()))
-    assert ended.kind is unit.Kind.STOPPED
+    assert ended.kind is manifest.Ending.STOPPED
     assert ended.result is None
 
 
@@ -422,16 +425,16 @@ def test_a_unit_that_ends_while_a_run_is_stopped_is_booked(tmp_path, monkeypatch
         name = "two"
 
         def ended(self, units, tell):
-            yield 0, unit.Ended(unit.Kind.STOPPED, code=130)
+            yield 0, unit.Ended(manifest.Ending.STOPPED, code=130)
 
         def stop(self):
             write_result(tmp_path / "b.json", made("b"))
-            return [(1, unit.Ended(unit.Kind.FITTED, made("b")))]
+            return [(1, unit.Ended(manifest.Ending.FITTED, made("b")))]
 
     monkeypatch.setattr(files, "executor_of", lambda *_: (Two(), 2))
     with pytest.raises(typer.Exit):
         files.fit_files([tmp_path / "a.binary", tmp_path / "b.binary"], tmp_path, Config())
-    lines = [json.loads(line) for line in (tmp_path / journal.NAME).read_text().splitlines()]
+    lines = [json.loads(line) for line in (tmp_path / manifest.NAME).read_text().splitlines()]
     assert [line["file"] for line in lines if line["event"] == "file"] == [str(tmp_path / "b.binary")]
     assert "b.json holds" not in capsys.readouterr().err
 

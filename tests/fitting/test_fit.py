@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit import levenberg_marquardt
+from merlfit.fitting.fit.levenberg_marquardt import Status
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.settings.config import Config, load
-from merlfit.fitting.solve import levenberg_marquardt
-from merlfit.fitting.solve.levenberg_marquardt import Status
 from merlfit.merl_io.binary import read, write
 from merlfit.model.acquisition import derived_exponent
 from merlfit.model.effects import KINDS

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess.picture import difference
-from merlfit.fitting.output.formats import Angles, fresnel_dielectric, gloss_albedo, gltf, nearest, openpbr
-from merlfit.fitting.output.synthesis import tabulate
+from merlfit.fitting.commands.nearest_ggx import Angles, fresnel_dielectric, gloss_albedo, gltf, nearest, openpbr
+from merlfit.fitting.fit.picture_distance import difference
+from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.reflectance import evaluate
 from merlfit.model.registry import models

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.fitting import cli
+from merlfit.fitting.commands import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
 from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
 from merlfit.fitting.cost.measure import ROWS, CostError, _kept
 from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
+from merlfit.fitting.pipeline.models import two_scale
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.settings.config import Config, ConfigError, load
-from merlfit.fitting.settings.models import two_scale
 from typer.testing import CliRunner
 
 from tests.support.frontiers import point

@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.results.schema import Quantiles
-from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.assess.outcome import Fitted
+from merlfit.fitting.fit.error_metrics import Errors
+from merlfit.fitting.fit.levenberg_marquardt import Solution
+from merlfit.fitting.fit.outcome import Fitted
 from merlfit.fitting.pipeline.result import parameter_results, posterior_parts, with_quantiles
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.posterior.chain import WALKERS, Chain
 from merlfit.fitting.posterior.diagnosis import LEAST_SIZE, diagnose
 from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
-from merlfit.fitting.solve.levenberg_marquardt import Solution
 
 from tests.support.stand_ins import LAYOUT
 

@@ -4,10 +4,10 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting.output import keeping
-from merlfit.fitting.output.inspection import file_of
-from merlfit.fitting.output.keeping import Complete
-from merlfit.fitting.results.export import write_result
+from merlfit.fitting.pipeline import place as keeping
+from merlfit.fitting.pipeline.place import Complete
+from merlfit.fitting.results.storage import write_result
+from merlfit.fitting.show.inspection import file_of
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.binary import DIMS, write
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.assess.laplace import laplace_covariance
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.laplace import laplace_covariance
+from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.posterior.coreset import BATCH, STEP
 from merlfit.fitting.posterior.likelihood import FLATTER, log_likelihood, stand_in
-from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold
 from merlfit.model.two_scale import TwoScale

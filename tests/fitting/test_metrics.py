@@ -4,9 +4,9 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess import picture
-from merlfit.fitting.assess.metrics import Errors, correlation_length, effective_count, errors
-from merlfit.fitting.objective.weights import within
+from merlfit.fitting.fit import picture_distance as picture
+from merlfit.fitting.fit.error_metrics import Errors, correlation_length, effective_count, errors
+from merlfit.fitting.fit.weights import within
 from merlfit.merl_io.grid import merl_grid
 
 SHAPE = (3, 60, 12, 9)  # channels, theta_h, theta_d, phi_d

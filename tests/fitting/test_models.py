@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import directions, make_problem
-from merlfit.fitting.objective.residuals import Objective, predict
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.starts import clues_of, starting_points
+from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.problem import directions, make_problem
+from merlfit.fitting.fit.residuals import Objective, predict
+from merlfit.fitting.fit.starts import clues_of, starting_points
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry

@@ -6,16 +6,16 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.assess.outcome import Fitted
-from merlfit.fitting.objective import problem as problems
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective, compact_normal_equations, spread_out
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit import problem as problems
+from merlfit.fitting.fit.error_metrics import Errors
+from merlfit.fitting.fit.levenberg_marquardt import Status, solve
+from merlfit.fitting.fit.outcome import Fitted
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective, compact_normal_equations, spread_out
+from merlfit.fitting.fit.starts import clues_of, starting_points
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
-from merlfit.fitting.solve.levenberg_marquardt import Status, solve
-from merlfit.fitting.solve.starts import clues_of, starting_points
 from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin

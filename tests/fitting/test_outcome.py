@@ -5,16 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess.albedo import largest_albedo
-from merlfit.fitting.assess.metrics import Errors
-from merlfit.fitting.assess.outcome import POOR, Fitted, cautions, excess
-from merlfit.fitting.assess.selection import ALIKE, MARGIN
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.error_metrics import Errors
+from merlfit.fitting.fit.largest_albedo import largest_albedo
+from merlfit.fitting.fit.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, Status
+from merlfit.fitting.fit.outcome import POOR, Fitted, cautions, excess
+from merlfit.fitting.fit.selection import ALIKE, MARGIN
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.pipeline.result import make_result
 from merlfit.fitting.results.schema import Candidate
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.solve.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, Status
 from merlfit.merl_io.bands import MERL
 from merlfit.merl_io.binary import DIMS
 from merlfit.model.measured import Measured
@@ -41,7 +41,7 @@ def fitted(values=VALUES, cost=0.01, candidates=(), errors=GOOD, converged=True)
 
 
 def said(one, **given):
-    return " ".join(cautions(one, load(**given)))
+    return " ".join(cautions(one, load(**given).fit.weights))
 
 
 def test_statuses_tell_the_numbers_that_decide():
@@ -67,7 +67,7 @@ def test_a_good_fit_needs_no_caution():
 ])  # fmt: skip
 def test_what_is_doubtful_is_said(one, words):
     assert all(word in said(one) for word in words), said(one)
-    assert len(cautions(one, load())) == 1
+    assert len(cautions(one, load().fit.weights)) == 1
 
 
 def test_the_costs_of_all_bins_leave_the_matrix_of_the_last_grid_alone(monkeypatch):

@@ -9,11 +9,11 @@ import pytest
 from merlfit.fitting.cost.command import OUTPUTS
 from merlfit.fitting.cost.frontier import keep
 from merlfit.fitting.cost.report import write_markdown
-from merlfit.fitting.pictures import style
-from merlfit.fitting.report.site import FIRST, _page_names
-from merlfit.fitting.report.table import HEADS
-from merlfit.fitting.results.export import versions, write_result
-from merlfit.fitting.results.run import Run
+from merlfit.fitting.results.schema_run import Run
+from merlfit.fitting.results.storage import versions, write_result
+from merlfit.fitting.show import style
+from merlfit.fitting.show.results_table import HEADS
+from merlfit.fitting.show.site import FIRST, _page_names
 from merlfit.fitting.support.outputs import MARKS, as_csv, is_ours, refuse_others
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.atomic import WriteError

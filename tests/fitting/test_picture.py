@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess import picture
-from merlfit.fitting.assess.picture import (
+from merlfit.fitting.fit import picture_distance as picture
+from merlfit.fitting.fit.picture_distance import (
     LAMP,
     LAMP_RADIUS_RAD,
     PIXELS,

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from merlfit.fitting.output import inspection
-from merlfit.fitting.pictures import corner, prediction, residuals, style
-from merlfit.fitting.pictures.all import PICTURES
-from merlfit.fitting.pictures.labelled import labelled
-from merlfit.fitting.pictures.lobes import INCIDENCES_DEG
-from merlfit.fitting.pictures.spheres import of_file_and_fit, of_parts
-from merlfit.fitting.pictures.subject import NoPicture, Subject
+from merlfit.fitting.pipeline.draws import NoPicture
+from merlfit.fitting.show import corner, inspection, prediction, style
+from merlfit.fitting.show import residual_maps as residuals
+from merlfit.fitting.show.labelled import labelled
+from merlfit.fitting.show.lobes import INCIDENCES_DEG
+from merlfit.fitting.show.pictures import PICTURES
+from merlfit.fitting.show.spheres import of_file_and_fit, of_parts
+from merlfit.fitting.show.subject import Subject
 from merlfit.merl_io.binary import DIMS, Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.geometry import Geometry

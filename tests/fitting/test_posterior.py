@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.assess.laplace import laplace_covariance
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.laplace import laplace_covariance
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.posterior import chain as sampler
 from merlfit.fitting.posterior import diagnosis, sampling
 from merlfit.fitting.posterior.chain import (

@@ -5,10 +5,10 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective import problem as problems
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective, predict
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit import problem as problems
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective, predict
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.measured import Measured

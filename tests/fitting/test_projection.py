@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit import projection
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.projection import ALBEDOS, BATCH, project
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.run import predict_samples
-from merlfit.fitting.solve import projection
-from merlfit.fitting.solve.projection import ALBEDOS, BATCH, project
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.effects import KINDS

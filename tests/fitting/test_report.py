@@ -11,17 +11,18 @@ from urllib.parse import unquote
 import jax
 import numpy as np
 import pytest
-from merlfit.fitting import cli
-from merlfit.fitting.execution.journal import Journal
-from merlfit.fitting.execution.unit import Ended, Kind, Unit
-from merlfit.fitting.output.synthesis import tabulate
-from merlfit.fitting.pictures.peak import half_width
-from merlfit.fitting.pictures.subject import Subject
-from merlfit.fitting.pipeline.run import chain_of
-from merlfit.fitting.report import charts, rows
-from merlfit.fitting.report.site import _units
-from merlfit.fitting.results.export import write_result
+from merlfit.fitting.batch.unit import Unit
+from merlfit.fitting.commands import cli
+from merlfit.fitting.pipeline.draws import chain_of
+from merlfit.fitting.pipeline.synthesis import tabulate
+from merlfit.fitting.results.manifest import Ending, Journal
+from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.settings.config import Config
+from merlfit.fitting.show import chart_rows as rows
+from merlfit.fitting.show import charts
+from merlfit.fitting.show.peak import half_width
+from merlfit.fitting.show.site import _units
+from merlfit.fitting.show.subject import Subject
 from merlfit.merl_io.binary import read, write
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
@@ -63,7 +64,7 @@ def run(tmp_path_factory, compiled_quickly):
     moved.fit.cautions, moved.metrics.rmse = [EVIL], 0.001
     write_result(folder / "white-fabric.json", moved)
     failed = Unit(folder / "brass.binary", folder, Config())
-    Journal(folder).ended(failed, Ended(Kind.BAD_INPUT, error="brass.binary: too short"))
+    Journal(folder).ended(failed.path, Ending.BAD_INPUT, None, "brass.binary: too short")
     (folder / "sub").mkdir()
     write_result(folder / "sub" / "a name.json", made("a name", str(folder / "nickel.binary"), model=GGX(), sha1=sha1))
     return folder

@@ -3,12 +3,10 @@
 import csv
 from pathlib import Path
 
-from merlfit.fitting.execution.journal import NAME, Journal
-from merlfit.fitting.execution.unit import Ended, Kind, Unit
-from merlfit.fitting.report.simulated import reproducing
-from merlfit.fitting.report.table import HEADS
-from merlfit.fitting.results.export import write_result
-from merlfit.fitting.settings.config import Config
+from merlfit.fitting.results.manifest import NAME, Ending, Journal
+from merlfit.fitting.results.storage import write_result
+from merlfit.fitting.show.results_table import HEADS
+from merlfit.fitting.show.simulated import reproducing
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.rivals.ggx import GGX
 
@@ -24,7 +22,7 @@ def table_in(path):
 
 
 def ended(folder, path, kind, error=""):
-    Journal(folder).ended(Unit(path, folder, Config()), Ended(kind, error=error))
+    Journal(folder).ended(path, kind, None, error)
 
 
 def test_a_row_a_result_with_its_parameters_and_intervals(tmp_path):
@@ -63,11 +61,11 @@ def test_a_row_a_result_with_its_parameters_and_intervals(tmp_path):
 def test_files_without_a_result_are_there_with_their_error(tmp_path):
     write_result(tmp_path / "nickel.json", made())
     for _ in range(2):
-        ended(tmp_path, tmp_path / "brass.binary", Kind.BAD_INPUT, "brass.binary: too short")
-    ended(tmp_path, tmp_path / "gold.binary", Kind.LOST, "gold.binary: its process was killed (SIGKILL)")
-    ended(tmp_path, tmp_path / "nickel.binary", Kind.FAILED, "nickel.binary: the disk is full")
-    ended(tmp_path, tmp_path / "steel.binary", Kind.FAILED, "steel.binary: the disk is full")
-    ended(tmp_path, tmp_path / "steel.binary", Kind.FITTED)
+        ended(tmp_path, tmp_path / "brass.binary", Ending.BAD_INPUT, "brass.binary: too short")
+    ended(tmp_path, tmp_path / "gold.binary", Ending.LOST, "gold.binary: its process was killed (SIGKILL)")
+    ended(tmp_path, tmp_path / "nickel.binary", Ending.FAILED, "nickel.binary: the disk is full")
+    ended(tmp_path, tmp_path / "steel.binary", Ending.FAILED, "steel.binary: the disk is full")
+    ended(tmp_path, tmp_path / "steel.binary", Ending.FITTED)
     (tmp_path / "alum.json").write_text("{")
     done = call("table", tmp_path, "-o", tmp_path / "all.csv")
     rows = {r["material"]: r for r in table_in(tmp_path / "all.csv")}

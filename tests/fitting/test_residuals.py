@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import Part, directions
-from merlfit.fitting.objective.residuals import compact_normal_equations
+from merlfit.fitting.fit.problem import Part, directions
+from merlfit.fitting.fit.residuals import compact_normal_equations
 from merlfit.model.materialised import materialised, true_of
 from merlfit.model.two_scale import TwoScale
 

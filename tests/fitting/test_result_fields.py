@@ -9,13 +9,14 @@ from datetime import UTC, datetime, timedelta
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.assess.identifiability import identifiability, priors
-from merlfit.fitting.assess.laplace import laplace_covariance
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.identifiability import identifiability, priors
+from merlfit.fitting.fit.laplace import laplace_covariance
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.pipeline.models import candidates, layout_for, two_scale
 from merlfit.fitting.pipeline.run import fit_file
-from merlfit.fitting.results import export, schema
+from merlfit.fitting.results import schema
+from merlfit.fitting.results import storage as export
 from merlfit.fitting.settings.config import Config, parse
-from merlfit.fitting.settings.models import candidates, layout_for, two_scale
 from merlfit.merl_io.binary import DIMS, write
 from merlfit.model.apparatus import Apparatus
 from merlfit.model.measured import Measured

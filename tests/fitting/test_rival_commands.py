@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting import cli
-from merlfit.fitting.output.synthesis import tabulate
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.commands import cli
+from merlfit.fitting.pipeline.synthesis import tabulate
+from merlfit.fitting.results.storage import read_result
 from merlfit.merl_io.binary import read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.measured import Measured

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.chain import ChainError
 from merlfit.fitting.posterior.importance import Posterior
-from merlfit.fitting.results.material import Model
+from merlfit.fitting.results.schema_material import Model
 from merlfit.fitting.support.terminal import FAILED_FIT
 from merlfit.merl_io.bands import Bands
 from merlfit.model.measured import Measured
@@ -61,7 +61,7 @@ def test_a_sampler_that_fails_is_said_in_a_line(tmp_path, monkeypatch):
     put_result(tmp_path)
     before = (tmp_path / "nickel.json").read_bytes()
     monkeypatch.setattr(
-        "merlfit.fitting.output.sampling.resample", lambda *_: sampling.sample(None, None, 10, 0, Path("x"))
+        "merlfit.fitting.commands.sample.resample", lambda *_: sampling.sample(None, None, 10, 0, Path("x"))
     )
     shown = call("sample", tmp_path / "nickel.json")
     assert shown.exit_code == FAILED_FIT

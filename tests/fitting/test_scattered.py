@@ -6,17 +6,17 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.assess import scattered as assess
-from merlfit.fitting.objective.problem import Arrangement, make_problem
-from merlfit.fitting.objective.residuals import Objective, predict_samples
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.objective.weights import compressive_weight, cos_weighted_median, weighted_samples
-from merlfit.fitting.output.metrics import samples_by_incidence
+from merlfit.fitting.commands.metrics import samples_by_incidence
+from merlfit.fitting.fit import scattered_errors as assess
+from merlfit.fitting.fit.problem import Arrangement, make_problem
+from merlfit.fitting.fit.residuals import Objective, predict_samples
+from merlfit.fitting.fit.starts import clues_of
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.fit.weights import compressive_weight, cos_weighted_median, weighted_samples
 from merlfit.fitting.pipeline.result import unread
 from merlfit.fitting.pipeline.run import fit_file
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.settings.config import load
-from merlfit.fitting.solve.starts import clues_of
 from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import MerlError, read

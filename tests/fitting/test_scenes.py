@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.fitting import exports, scenes, spheres
-from merlfit.fitting.output import formats
-from merlfit.fitting.output.synthesis import tabulate
-from merlfit.fitting.pictures.labelled import MARGIN, labelled
-from merlfit.fitting.pictures.style import save
-from merlfit.fitting.results.export import write_result
+from merlfit.fitting.commands import export as exports
+from merlfit.fitting.commands import nearest_ggx as formats
+from merlfit.fitting.commands import scenes
+from merlfit.fitting.commands import sphere_sheets as spheres
+from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.fitting.results.schema import UNSAID
+from merlfit.fitting.results.storage import write_result
+from merlfit.fitting.show.labelled import MARGIN, labelled
+from merlfit.fitting.show.style import save
 from merlfit.fitting.support import outputs
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import DIMS, read, write
@@ -161,7 +163,7 @@ def test_a_long_title_is_on_several_lines(tmp_path):
 
 
 def test_an_exported_merl_file_takes_the_place_of_none(tmp_path, result, monkeypatch):
-    monkeypatch.setattr("merlfit.fitting.exports.from_result", lambda path: (np.ones((3, *DIMS)), ""))
+    monkeypatch.setattr("merlfit.fitting.commands.export.from_result", lambda path: (np.ones((3, *DIMS)), ""))
     mine = tmp_path / "mine" / "nickel.binary"
     mine.parent.mkdir()
     mine.write_bytes(b"measured")
@@ -300,7 +302,7 @@ def test_what_cannot_be_exported(tmp_path, words, said):
 
 def test_a_fit_beside_its_file(tmp_path, monkeypatch):
     """Measured and fitted are alike where the file is of the fit itself, and the distance between them is black."""
-    from merlfit.fitting.output.synthesis import tabulate
+    from merlfit.fitting.pipeline.synthesis import tabulate
     from merlfit.merl_io.binary import read, write
     from merlfit.model.reflectance import evaluate
 

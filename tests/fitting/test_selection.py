@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.fitting.assess.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, lost, nearest, score
-from merlfit.fitting.fitted import Fit
-from merlfit.fitting.results.outcome import Candidate
-from merlfit.fitting.solve.levenberg_marquardt import UNEXPLAINED_COST
+from merlfit.fitting.fit.levenberg_marquardt import UNEXPLAINED_COST
+from merlfit.fitting.fit.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, lost, nearest, score
+from merlfit.fitting.fit_object import Fit
+from merlfit.fitting.results.schema_fit import Candidate
 from merlfit.model.effects import KINDS
 from merlfit.model.two_scale import TwoScale
 

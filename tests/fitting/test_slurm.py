@@ -6,9 +6,8 @@ import subprocess
 import sys
 
 import pytest
-from merlfit.fitting.execution.journal import lines
-from merlfit.fitting.execution.unit import Kind
-from merlfit.fitting.results.export import read_result
+from merlfit.fitting.results.manifest import Ending, lines
+from merlfit.fitting.results.storage import read_result
 
 from tests.support.clusters import PROGRAM, SBATCH, jobs, slurm, units, until
 
@@ -119,4 +118,4 @@ def test_a_run_goes_on_with_the_jobs_that_sbatch_takes(tmp_path):
         _, said = running.communicate(timeout=BOUND)
     assert running.returncode == 0, said
     assert said == f"merlfit: dask-slurm: sbatch did not take a job ({REFUSAL}); the others go on\n"
-    assert [line.ended for line in lines(tmp_path / "out") if line.event == "file"] == [Kind.FITTED] * 2
+    assert [line.ended for line in lines(tmp_path / "out") if line.event == "file"] == [Ending.FITTED] * 2

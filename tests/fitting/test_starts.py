@@ -8,13 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.pipeline.run import predict_samples
-from merlfit.fitting.solve.levenberg_marquardt import solve
-from merlfit.fitting.solve.projection import ALBEDOS, project
-from merlfit.fitting.solve.starts import (
+from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.projection import ALBEDOS, project
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.starts import (
     DARK_QUANTILE,
     NEAR,
     RIM,
@@ -23,6 +21,8 @@ from merlfit.fitting.solve.starts import (
     half_width,
     starting_points,
 )
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.interfaces import DIELECTRICS

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.settings.config import Config, ConfigError, load, parse
-from merlfit.fitting.settings.models import layout_for, two_scale
 from merlfit.model.diffraction import renormalisation
 from merlfit.model.effects import KINDS
 from merlfit.model.measured import Measured

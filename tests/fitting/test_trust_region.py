@@ -7,7 +7,7 @@ import lineax as lx
 import numpy as np
 import optimistix as optx
 import pytest
-from merlfit.fitting.solve.trust_region import FIRST_RADIUS, BoundedStep, Radius, TrustRegion
+from merlfit.fitting.fit.trust_region import FIRST_RADIUS, BoundedStep, Radius, TrustRegion
 
 
 def linear(residual, jacobian):

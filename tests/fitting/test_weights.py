@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.fitting.objective.weights import (
-    RUNGS,
-    THETA_MAX,
+from merlfit.fitting.fit.weights import (
     _compressive,
     compressive_weight,
     cos_weighted_median,
@@ -15,6 +13,7 @@ from merlfit.fitting.objective.weights import (
     weighted_samples,
     within,
 )
+from merlfit.fitting.support.choices import RUNGS, THETA_MAX
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold

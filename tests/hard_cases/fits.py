@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 
 import jax
 import numpy as np
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.levenberg_marquardt import Status
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.pipeline.result import make_result
 from merlfit.fitting.results.schema import Result
 from merlfit.fitting.settings.config import parse
-from merlfit.fitting.solve.levenberg_marquardt import Status
 from merlfit.merl_io.binary import Measurement, MerlError, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.geometry import Geometry

@@ -6,9 +6,9 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.objective.problem import directions, make_problem
-from merlfit.fitting.objective.residuals import Objective, predict
-from merlfit.fitting.solve import hp15
+from merlfit.fitting.fit import hp15_procedures as hp15
+from merlfit.fitting.fit.problem import directions, make_problem
+from merlfit.fitting.fit.residuals import Objective, predict
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry

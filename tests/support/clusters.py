@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
-from merlfit.fitting.execution.unit import Unit
+from merlfit.fitting.batch.unit import Unit
 from merlfit.fitting.settings.config import Config
 
 ROOT = Path(__file__).parents[2]
@@ -18,8 +18,8 @@ _PROGRAM = f"""
 import signal, sys
 sys.path.insert(0, {str(ROOT)!r})
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from merlfit.fitting import cli
-from merlfit.fitting.execution import cluster
+from merlfit.fitting.commands import cli
+from merlfit.fitting.batch import cluster
 from tests.support.worker_tasks import task
 made = cluster.Cluster.__init__
 cluster.Cluster.__init__ = lambda self, where, jobs=None, task=task, note=print: made(self, where, jobs, task, note)

@@ -1,6 +1,6 @@
 """The command line in this process."""
 
-from merlfit.fitting import cli
+from merlfit.fitting.commands import cli
 from typer.testing import CliRunner
 
 

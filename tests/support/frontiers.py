@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 from merlfit.fitting.cost import calibration, tiers
 from merlfit.fitting.cost.frontier import OBJECTIVE, Frontier, Percentiles, Point, Tier
-from merlfit.fitting.objective.weights import weighted_samples
-from merlfit.fitting.output import synthesis
-from merlfit.fitting.pipeline import run
-from merlfit.fitting.results.export import versions
+from merlfit.fitting.fit.weights import weighted_samples
+from merlfit.fitting.pipeline import run, synthesis
+from merlfit.fitting.results.storage import versions
 from merlfit.fitting.settings.choice import POINTS
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.support.threads import machine

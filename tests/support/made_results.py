@@ -1,9 +1,10 @@
 """Results made by hand: what a fit would have written, without a fit."""
 
 import jax.numpy as jnp
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.pipeline.run import chain_of
-from merlfit.fitting.results import export, schema
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.pipeline.draws import chain_of
+from merlfit.fitting.results import schema
+from merlfit.fitting.results import storage as export
 from merlfit.fitting.settings.config import Config
 from merlfit.merl_io.bands import MERL
 from merlfit.merl_io.binary import DIMS

@@ -5,8 +5,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from merlfit.fitting.objective import problem as problems
-from merlfit.fitting.objective.residuals import _predict
+from merlfit.fitting.fit import problem as problems
+from merlfit.fitting.fit.residuals import _predict
 
 
 def plain(layout, z, samples):

@@ -1,12 +1,12 @@
 """Fits that go on from another fit's optimum with other effects: what is compared is optima, not two searches."""
 
-from merlfit.fitting.objective.problem import make_problem
-from merlfit.fitting.objective.residuals import Objective
-from merlfit.fitting.objective.transforms import layout_of
-from merlfit.fitting.objective.weights import weighted_samples
+from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.settings.config import parse
-from merlfit.fitting.solve.levenberg_marquardt import solve
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured

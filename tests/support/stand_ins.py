@@ -1,7 +1,7 @@
 """Stand-ins of which everything is known, for the tests of the sampler: residuals in closed form."""
 
 import numpy as np
-from merlfit.fitting.objective.transforms import layout_of
+from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.posterior.emulator import Emulator, coordinates_of
 from merlfit.fitting.posterior.likelihood import StandIn
 from merlfit.model.two_scale import TwoScale

@@ -4,8 +4,9 @@ import os
 import signal
 import time
 
-from merlfit.fitting.execution.unit import Ended, Kind
-from merlfit.fitting.results.export import write_result
+from merlfit.fitting.batch.unit import Ended
+from merlfit.fitting.results.manifest import Ending
+from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.support.terminal import Stopped
 
 from .made_results import made
@@ -32,7 +33,7 @@ def task(unit, report):
         if kind == "halted":
             os.kill(os.getpid(), signal.SIGSTOP)
         if kind == "raises":
-            return Ended(Kind.FAILED, error=f"{unit.path}: it raises")
+            return Ended(Ending.FAILED, error=f"{unit.path}: it raises")
         if kind == "prints":
             os.write(1, b"said by a library\n")
         if kind == "waits":
@@ -54,6 +55,6 @@ def task(unit, report):
             time.sleep(FOREVER)
     except Stopped as stop:
         write_result(unit.target, made(unit.name))
-        return Ended(Kind.STOPPED, made(unit.name), code=stop.code)
+        return Ended(Ending.STOPPED, made(unit.name), code=stop.code)
     write_result(unit.target, made(unit.name))
-    return Ended(Kind.FITTED, made(unit.name))
+    return Ended(Ending.FITTED, made(unit.name))

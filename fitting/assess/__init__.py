@@ -1,1 +1,0 @@
-"""Assessing a fit: errors, pictures, choice between models, status, what the data determine."""

@@ -1,0 +1,1 @@
+"""Fits of many files: in this process, in worker processes, or on a cluster."""

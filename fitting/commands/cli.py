@@ -1,0 +1,533 @@
+"""The command line: parses, calls, prints."""
+
+import logging
+import os
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..support.terminal import (
+    Commands,
+    console,
+    fail,
+    run,
+    writable_folder,
+)
+
+# the commands import what they need: `merlfit --help` does not wait for JAX
+app = typer.Typer(
+    name="merlfit", cls=Commands, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    help="Fit reflectance models to measured BRDFs, with error bars: MERL files, tables, RGL's files.",
+)  # fmt: skip
+
+# typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        help="MERL .binary files, tables (.csv, .npz: docs/tables.md), or RGL's .bsdf files (docs/rgl.md).",
+        show_default=False,
+        readable=False,
+    ),
+]
+Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
+Models = Annotated[
+    str | None,
+    typer.Option(
+        help="Models to fit, by name and with commas between: see `merlfit models` \\[default: all].",
+        show_default=False,
+    ),
+]
+Weights = Annotated[
+    str | None,
+    typer.Option(help="compressive (dark bins count, too), log, none (least RMSE) or adaptive (nearest picture)."),
+]
+SameWeights = Annotated[
+    str | None,
+    typer.Option(
+        "--weights", help="compressive (dark bins count, too), log or none (least RMSE): the same for every model."
+    ),
+]
+Dims = Annotated[
+    str | None,
+    typer.Option(
+        help="Bins that MERL-like files may have, if they are not MERL's 90x90x180: 45x45x90.", show_default=False
+    ),
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False, min=0, max=2**31 - 1)]
+
+
+Force = Annotated[
+    bool, typer.Option("--force", help="Write over files that are no earlier output of this command, too.")
+]
+
+
+def main() -> None:
+    """Entry point of the ``merlfit`` command."""
+    _fill_streams()
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts concerns nobody
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # all cores have threads of ours, which its own would hinder
+    run(app)
+
+
+def _fill_streams() -> None:
+    """Put nothing in the place of standard streams that are closed: pipes to workers would get their numbers."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest free number, for workers as well
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        console.print(f"merlfit {metadata.version('merlfit')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    if (asked := os.environ.get("JAX_PLATFORMS")) and "cpu" not in asked.split(","):
+        _refuse_missing(asked)
+
+
+def _refuse_missing(platforms: str) -> None:
+    """End with a line if JAX was told to compute on a device that is not here; it raises errors without words."""
+    import jax
+
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):
+        raise fail(f"JAX_PLATFORMS={platforms}: JAX finds no such device here; unset it, or set it to cpu") from None
+
+
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "-j",
+        "--jobs",
+        min=1,
+        help="Files to fit at once, or workers of dask-slurm \\[default: as cores and memory allow].",
+        show_default=False,
+    ),
+]
+
+
+Pages = Annotated[
+    int | None,
+    typer.Option(
+        "-j",
+        "--jobs",
+        min=1,
+        help="Pages to make at once \\[default: as cores and memory allow].",
+        show_default=False,
+    ),
+]
+
+
+@app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
+def check(files: Files, dims: Dims = None) -> None:
+    """Print what files hold: bins or samples, bad numbers, largest values, and whether they are genuine MERL files."""
+    from .checked import check_files
+    from .settings import settings_of
+
+    check_files(files, settings_of(dims=dims).input.allowed)
+
+
+@app.command(epilog="Example: merlfit fit nickel.binary gray-plastic.binary -o fits --no-posterior")
+def fit(
+    files: Files,
+    out: Out = Path("fits"),
+    config: Annotated[
+        Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
+    ] = None,
+    dims: Dims = None,
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Model to fit, one of `merlfit models`; given several times, they are compared "
+            "\\[default: two-scale].",
+            show_default=False,
+        ),
+    ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(help="Two-scale model: what is simulated, hp17, conserving, microfacet, preview or fast."),
+    ] = None,
+    index: Annotated[
+        str | None,
+        typer.Option(help="Two-scale model: index of refraction, auto, complex (metal) or real (plastic, coat)."),
+    ] = None,
+    body: Annotated[
+        str | None,
+        typer.Option(help="Two-scale model: what lies under the surface, auto, none, lambert, plastic or subsurface."),
+    ] = None,
+    weights: Weights = None,
+    posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
+    seed: Seed = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(help="What the files are, in words that results and pages repeat: synthetic, say."),
+    ] = None,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(help="Choose the fastest settings that are this accurate, such as 1e-2 (relative)."),
+    ] = None,
+    within: Annotated[
+        str | None,
+        typer.Option("--time", help="Choose the most accurate settings within this time for each file: 20s, 1.5min."),
+    ] = None,
+    jobs: Jobs = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Leave alone what is done, of the same file, settings and versions.")
+    ] = False,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            help="Fit on a cluster, dask://HOST:PORT or dask-slurm; see docs/clusters.md.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Fit each file and write OUT/NAME.json, OUT/logs/NAME.log and a line of OUT/manifest.jsonl.
+
+    Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
+    """
+    from .settings import settings_of
+
+    settings = settings_of(
+        config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
+        posterior=posterior, seed=seed,
+    )  # fmt: skip
+    from .fit import aim_of, fit_files, refuse_unoffered, summarise
+
+    given = {"--accuracy": accuracy is not None, "--time": within is not None, "--posterior": bool(posterior)}
+    refuse_unoffered(files, settings, *(option for option, asked in given.items() if asked))
+    outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
+    summarise(outcomes)
+
+
+@app.command(epilog="Example: merlfit compare nickel.binary red-plastic.binary --models two-scale,ggx,sgd -o compared")
+def compare(
+    files: Files,
+    models: Models = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the tables and all results.")] = Path("compared"),
+    config: Annotated[
+        Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
+    ] = None,
+    dims: Dims = None,
+    weights: SameWeights = None,
+    published: Annotated[
+        bool, typer.Option("--published/--no-published", help="Beside the fits, published parameters of the material.")
+    ] = True,
+    force: Force = False,
+) -> None:
+    """Fit several models to each file; write one table (CSV, Markdown, HTML) and a plot of all their errors.
+
+    Results are in OUT/MODEL/NAME.json; those that are there already are kept if they are of the same file and settings.
+    """
+    from .settings import settings_of
+
+    settings = settings_of(config, dims=dims, weights=weights, posterior=False)
+    from .compare import compare_files
+
+    compare_files(files, models, out, settings, published, force)
+
+
+@app.command(epilog="Example: merlfit which nickel.binary")
+def which(
+    file: Annotated[Path, typer.Argument(help="The file, as of `merlfit fit`.", show_default=False, readable=False)],
+    models: Models = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder to keep the results in \\[default: they are not kept].")
+    ] = None,
+    dims: Dims = None,
+    weights: SameWeights = None,
+) -> None:
+    """Say which model is the least that explains a material, and how the others compare."""
+    from tempfile import TemporaryDirectory
+
+    from .settings import settings_of
+
+    settings = settings_of(None, dims=dims, weights=weights, posterior=False)
+    from .compare import which_model
+
+    with TemporaryDirectory(prefix="merlfit-") as scratch:
+        which_model(file, models, out or Path(scratch), settings)
+
+
+@app.command(epilog="Example: merlfit metrics fits/nickel.json --against nickel.binary")
+def metrics(
+    results: Annotated[list[Path], typer.Argument(help="RESULT.json of fits.", show_default=False, readable=False)],
+    against: Annotated[Path, typer.Option(help="The MERL file to compare with.", show_default=False, readable=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Folder for metrics.csv and the RMSE by theta_i as CSV and PNG."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Print all errors of fits against a file: RMSE, sMAPE, cube root, log, CIELAB of spheres, peak."""
+    from .compare import metrics_of
+
+    metrics_of(results, against, out, force)
+
+
+@app.command(epilog="Example: merlfit sample fits/nickel.json")
+def sample(
+    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
+    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
+    max_steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Most steps, beside those of a finished chain \\[default: as the fit was told].",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Sample the posterior of a fit, or continue the chain that lies beside it, and update both files."""
+    from .sample import sample_result
+
+    sample_result(result, file, max_steps)
+
+
+@app.command(epilog="Example: merlfit synth nickel --source sgd -o nickel-sgd.binary")
+def synth(
+    material: Annotated[str, typer.Argument(help="MATERIAL of a published table, or RESULT.json of a fit.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The .binary file to write.", show_default=False)],
+    source: Annotated[
+        str | None, typer.Option(help="Published table, see `merlfit materials` \\[default: sgd].", show_default=False)
+    ] = None,
+    loss: Annotated[
+        bool,
+        typer.Option(
+            "--with-grazing-loss",
+            help="Of a fit: with the light missing that MERL's apparatus loses at grazing angles.",
+        ),
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+) -> None:
+    """Write a MERL file from a published parameter set, or from a fit (of the material, without the apparatus)."""
+    from ..pipeline.synthesis import synthesise
+
+    synthesise(material, out, source, loss, force)
+
+
+@app.command(epilog="Example: merlfit materials")
+def materials() -> None:
+    """List the published tables that `merlfit synth` knows, and their materials."""
+    from ..pipeline.synthesis import describe_sources
+
+    console.print(describe_sources())
+
+
+@app.command(epilog="Example: merlfit models")
+def models() -> None:
+    """List the reflectance models: their parameters, and where they are from."""
+    from .catalogue import models_table
+
+    console.print(models_table())
+
+
+@app.command(epilog="Example: merlfit inspect fits/nickel.json")
+def inspect(
+    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
+    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for the pictures \\[default: beside it].")
+    ] = None,
+    pictures: Annotated[
+        str | None,
+        typer.Option(
+            help="Which pictures, with commas between: lobes,corner; none for the numbers alone \\[default: all].",
+            show_default=False,
+        ),
+    ] = None,
+    kind: Annotated[str, typer.Option("--format", help="png, pdf or svg.")] = "png",
+    force: Force = False,
+) -> None:
+    """Print a fit's parameters with intervals; write pictures of it, each fit to be printed in a column of a paper.
+
+    Spheres, lobes, isolines, peak, residuals, errors, effects; with a posterior corner plots and a trace.
+    """
+    from ..show.inspection import inspect_result
+
+    inspect_result(result, file, out, pictures, kind, force)
+
+
+@app.command(epilog="Example: merlfit table fits")
+def table(
+    folder: Annotated[
+        Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", show_default=False, readable=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The CSV file to write \\[default: RUN_DIR/table.csv].")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write all results of a folder as one table for a spreadsheet: errors, times, parameters, intervals.
+
+    A row a result, and one a file that has none, with the error. Columns: docs/result.md.
+    """
+    from ..show.results_table import write_table
+
+    write_table(folder, out or folder / "table.csv", force)
+
+
+@app.command(epilog="Example: merlfit report fits")
+def report(
+    folder: Annotated[
+        Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", show_default=False, readable=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for the pages \\[default: RUN_DIR/report].")
+    ] = None,
+    files: Annotated[
+        Path | None, typer.Option(help="Folder with the MERL files, if they moved since the fits.", readable=False)
+    ] = None,
+    origin: Annotated[
+        str | None, typer.Option(help="What the files are, in words, if the fits were not told.", show_default=False)
+    ] = None,
+    jobs: Pages = None,
+    force: Force = False,
+) -> None:
+    """Write pages that open from disk: an index of all results with pictures, and a page for each one.
+
+    Spheres of file, fit and their difference, lobes, errors over all angles, parameters, posterior. No network is used.
+    """
+    from .report import report_on
+
+    report_on(folder, out or folder / "report", files, jobs, origin, force)
+
+
+@app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")
+def effects(
+    scene: Annotated[Path, typer.Argument(help="SCENE.toml (docs/scenes.md).", show_default=False, readable=False)],
+) -> None:
+    """Find out which effects a scene calls for: each is left out in turn, on the directions that the scene uses."""
+    from .scenes import plan_scene
+
+    plan_scene(scene)
+
+
+@app.command(epilog="Example: merlfit render configs/scenes/metal.toml -o pictures")
+def render(
+    what: Annotated[
+        list[Path],
+        typer.Argument(help="SCENE.toml, or RESULT.json of fits.", show_default=False, readable=False),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the pictures.")] = Path("pictures"),
+    every: Annotated[bool, typer.Option("--all-effects", help="Leave no effect out.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check/--no-check", help="Of a scene: render it with all effects, too, and compare.")
+    ] = True,
+    samples: Annotated[int | None, typer.Option(min=1, help="Of each pixel.", show_default=False)] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the samples.", show_default=False)] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of one fit: a parameter and factors of its value, as in b=0.5,1,2; given twice, a grid.",
+            show_default=False,
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Render a scene with the effects that it calls for, or fits as spheres beside what was measured.
+
+    A scene's picture is written as picture.exr and .png; with --check the picture of all effects and the difference lie
+    beside it, and render.json says what took how long. Exit code: 1 if they differ by more than the tolerance.
+    """
+    from .scenes import render_scene
+    from .sphere_sheets import render_results
+
+    if what[0].suffix == ".toml":
+        if len(what) > 1 or vary:
+            raise fail("one scene at a time; --vary is for the RESULT.json of a fit")
+        render_scene(what[0], out, every, check, samples, seed, force)
+    else:
+        render_results(what, out, vary or [], samples, seed, force)
+
+
+@app.command(epilog="Example: merlfit export fits/nickel.json --to mitsuba -o exported")
+def export(
+    result: Annotated[
+        Path,
+        typer.Argument(help="RESULT.json of a fit; --to mitsuba also a MERL file.", show_default=False, readable=False),
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            help="mitsuba (scene and tables), merl (.binary), json (parameters alone), gltf or openpbr (nearest GGX).",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),
+    force: Force = False,
+) -> None:
+    """Write a fitted material for another program.
+
+    A scene for Mitsuba 3 renders at once: python -m merlfit.scene.mitsuba OUT/NAME.xml (it needs the extra "mitsuba").
+    """
+    from .export import export as write_export
+
+    write_export(result, to, out, force)
+
+
+@app.command(epilog="Example: merlfit cost -o cost")
+def cost(
+    file: Annotated[
+        Path | None, typer.Argument(help="A MERL .binary file to measure on \\[default: synthetic materials].")
+    ] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for JSON, table and plot.")] = Path("cost"),
+    repeats: Annotated[int, typer.Option(min=1, help="Fits to measure each time with; their median is taken.")] = 1,
+    force: Force = False,
+) -> None:
+    """Measure on this machine how much time accuracy takes. `merlfit fit --accuracy` and `--time` choose by the result.
+
+    Takes half an hour; if it is interrupted, the same command continues.
+
+    With a FILE it measures that material only and writes the result, but `merlfit fit` does not use it.
+    """
+    from ..cost.command import measure_on
+
+    measure_on(file, out, repeats, force)
+
+
+@app.command(epilog="Example: merlfit demo -o demo-out")
+def demo(
+    out: Out = Path("demo-out"),
+    seed: Seed = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+) -> None:
+    """Make a synthetic material of known parameters as a MERL file, fit it, and show how near the fit comes to them."""
+    from ...merl_io.atomic import WriteError
+    from ...merl_io.binary import MerlError
+    from ..pipeline.place import claimed
+    from ..show.inspection import show
+    from ..support.compilation import use_persistent_cache
+    from .demo import SAID, Occupied, make, settings, truth_table, verdict
+    from .fit import fit_files, summarise
+
+    start = time.perf_counter()
+    writable_folder(out)
+    use_persistent_cache()
+    try:
+        with claimed(out, alone=False):
+            path = make(out, force)
+    except (Occupied, MerlError, WriteError) as error:
+        raise fail(str(error)) from None
+    console.print(f"{path}: {SAID}")
+    outcomes = fit_files([path], out, settings(seed))
+    result = outcomes[0].result
+    if result is not None:
+        show(out / f"{path.stem}.json", result, path, out, force=force)
+    summarise(outcomes)
+    if result is not None and result.model is not None:
+        console.print(truth_table(result))
+        console.print(verdict(result))
+    console.print(f"demo done in {time.perf_counter() - start:.0f} s; results in {out}/")

@@ -1,0 +1,196 @@
+"""Models compared on files, as `merlfit compare`, `which` and `metrics` do it."""
+
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import typer
+
+from ...merl_io.atomic import WriteError, refused
+from ...merl_io.binary import MerlError
+from ...merl_io.inputs import Input
+from ...model.registry import made, models
+from ..pipeline.comparison import FIT, compare_file
+from ..pipeline.place import claimed, place_of
+from ..pipeline.run import fit_file
+from ..results.schema import Result
+from ..results.storage import ResultError, read_result
+from ..settings.config import Config, ConfigError
+from ..show.comparison_table import NAME, by_label, compared_in, table_of, verdict, write_tables
+from ..support.compilation import programs_told, use_persistent_cache
+from ..support.numbers import counted
+from ..support.outputs import log, log_of, refuse_others
+from ..support.terminal import (
+    BAD_INPUT,
+    FAILED_FIT,
+    Stopped,
+    console,
+    fail,
+    note,
+    progress_display,
+    reporter,
+    unexpected,
+    writable_folder,
+)
+from .fit import numbered, refuse_same_names
+from .metrics import assessed_result, metrics_in, metrics_table, write_metrics
+
+NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
+
+
+def chosen_models(names: str | None) -> list[str]:
+    """Models by name, with commas between; all for none."""
+    if names is None:
+        return list(models())
+    found = [name.strip() for name in names.split(",") if name.strip()]
+    try:
+        for name in found:
+            made(name, {})
+    except ValueError as error:
+        raise fail(str(error)) from None
+    if not found or len(set(found)) < len(found):
+        raise fail(f"--models {names!r} should be different names, with commas between")
+    return found
+
+
+def placed(measurement: Input, folder: Path, settings: Config) -> Result:
+    """Fit, and write the result where it replaces none that is more complete."""
+    with place_of(folder, measurement.name) as place:
+        result = fit_file(measurement, place.folder, settings)
+    if place.said:
+        note(place.said)
+    return result
+
+
+@contextmanager
+def claimed_for(models: Iterable[str], out: Path) -> Iterator[None]:
+    """Claim a folder and that of each model in it, which `merlfit fit` of this model may want.
+
+    Raises:
+        WriteError: one cannot be made, or another run has it.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(claimed(out))
+        for folder in (out / model for model in models):
+            with refused(folder, "made"):
+                folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(claimed(folder))
+        yield
+
+
+def compare_files(
+    files: list[Path], names: str | None, out: Path, settings: Config, with_published: bool = True, force: bool = False
+) -> None:
+    """Fit all models to each file, print medians and write tables; whatever one file runs into, the others go on.
+
+    Exits with 2 after bad input, with 1 if no model could be fitted to a file.
+    """
+    use_persistent_cache()
+    writable_folder(out)
+    refuse_same_names(files)
+    try:
+        refuse_others(compared_in(out), force)
+    except WriteError as error:
+        raise fail(str(error)) from None
+    wanted, rows, code = chosen_models(names), [], 0
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(claimed_for(wanted, out))
+        except WriteError as error:
+            raise fail(str(error)) from None
+        progress = stack.enter_context(progress_display())
+        for k, path in enumerate(files):
+            task = progress.add_task(path.name, total=None)
+            say = reporter(progress, task, numbered(k, len(files), path.stem))
+            try:
+                with programs_told(say) as told:
+                    found, _ = compare_file(path, wanted, settings, out, told, with_published, placed)
+                rows += found
+                code = max(code, 0 if any(row.origin == FIT for row in found) else FAILED_FIT)
+                console.print(numbered(k, len(files), verdict(found)))
+            except ConfigError as error:
+                raise fail(str(error)) from None
+            except MerlError as error:
+                code = BAD_INPUT
+                fail(str(error))
+            except WriteError as error:
+                code = max(code, FAILED_FIT)
+                fail(str(error))
+            except Stopped as stop:
+                note(f"stopped by {stop}; the same command goes on from there")
+                raise typer.Exit(stop.code) from None
+            except Exception as error:  # of any kind: said with its name, and the next file has its turn
+                code = max(code, FAILED_FIT)
+                log(log_of(out, path.stem), traceback.format_exc())
+                fail(f"{unexpected(path, error)}; {log_of(out, path.stem)} says where")
+            progress.remove_task(task)
+    if rows:
+        data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE
+        materials = len({row.material for row in rows})
+        title = f"{counted(materials, 'material')}, {counted(len(by_label(rows)), 'model')}"
+        console.print(table_of(rows))
+        try:
+            written = write_tables(rows, out, NAME, title, data)
+        except WriteError as error:
+            raise fail(str(error)) from None
+        console.print(f"wrote {written[0]}, and .md, .html and .png beside it")
+    if code:
+        raise typer.Exit(code)
+
+
+def which_model(path: Path, names: str | None, out: Path, settings: Config) -> None:
+    """Print which model is the least that explains a file; exits with 2 after bad input, with 1 if none was fitted."""
+    use_persistent_cache()
+    writable_folder(out)
+    wanted = chosen_models(names)
+    try:
+        with claimed_for(wanted, out), progress_display() as progress:
+            task = progress.add_task(path.name, total=None)
+            with programs_told(reporter(progress, task, path.stem)) as told:
+                rows, _ = compare_file(path, wanted, settings, out, told, False, placed)
+    except (MerlError, WriteError, ConfigError) as error:
+        raise fail(str(error)) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}")
+        raise typer.Exit(stop.code) from None
+    if not rows:
+        fail(f"{path}: no model could be fitted; see `merlfit check`")
+        raise typer.Exit(FAILED_FIT)
+    console.print(table_of(rows))
+    console.print(verdict(rows))
+
+
+def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool = False) -> None:
+    """Print the errors of results against a file; with a folder, write them and the curves over theta_i.
+
+    Exits with 2 if one of them has none; the others are assessed.
+    """
+    use_persistent_cache()
+    try:
+        refuse_others([] if out is None else metrics_in(out), force)
+    except WriteError as error:
+        raise fail(str(error)) from None
+    found, said = [], {}
+    for path in results:
+        try:
+            found.append(assessed_result(path, read_result(path), against))
+        except (MerlError, ResultError) as error:
+            said[str(error)] = None  # once, if it is about the file
+        except Exception as error:  # of any kind: said with its name, and the next result has its turn
+            said[unexpected(path, error)] = None
+    for line in said:
+        fail(line)
+    if not found:
+        raise typer.Exit(BAD_INPUT)
+    console.print(metrics_table(found, against))
+    if out is not None:
+        writable_folder(out)
+        try:
+            written = write_metrics(found, out)
+        except WriteError as error:
+            raise fail(str(error)) from None
+        for path in written:
+            console.print(f"wrote {path}")
+    if said:
+        raise typer.Exit(BAD_INPUT)

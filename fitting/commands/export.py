@@ -1,0 +1,226 @@
+"""Materials for other programs: Mitsuba, MERL files, plain parameters, and the nearest GGX of glTF and OpenPBR."""
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal, get_args
+from xml.sax.saxutils import quoteattr
+
+from ...merl_io.atomic import write_text
+from ...merl_io.bands import MERL
+from ...merl_io.binary import MerlError, read, write
+from ...merl_io.samples import folded
+from ...merl_io.source import PLAIN
+from ...model.registry import models
+from ...scene.description import SceneError
+from ...scene.surface import Material, measurement
+from ...scene.tables import write_tables
+from ..pipeline.synthesis import from_result
+from ..results.schema import EDITED, UNSAID, Model, Result, genuine_words
+from ..results.storage import ResultError, read_result
+from ..support.compilation import use_persistent_cache
+from ..support.numbers import number
+from ..support.outputs import refuse_others
+from ..support.terminal import console, fail, progress_display, reporter, writable_folder
+from .nearest_ggx import nearest
+from .scenes import of_result
+
+To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
+ENDINGS = {"mitsuba": ("mitsuba.npz", "xml"), "json": ("material.json",), "gltf": ("gltf",), "openpbr": ("mtlx",)}
+"""Of files that are written but for MERL files, which may always be measurements."""
+SCENE = """<?xml version="1.0" encoding="utf-8"?>
+<!-- {said}. Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr -->
+<scene version="3.0.0">
+    <integrator type="path"/>
+    <sensor type="perspective">
+        <float name="fov" value="20"/>
+        <transform name="to_world"><lookat origin="0, 0, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="256"/><integer name="height" value="256"/></film>
+        <sampler type="multijitter"><integer name="sample_count" value="32"/></sampler>
+    </sensor>
+    <emitter type="constant"><rgb name="radiance" value="0.3"/></emitter>
+    <emitter type="directional">
+        <vector name="direction" value="-0.45, -0.55, -0.7"/><rgb name="irradiance" value="2"/>
+    </emitter>
+    <shape type="sphere"><bsdf type="merlfit"><string name="filename" value={tables}/></bsdf></shape>
+</scene>
+"""
+MATERIALX = """<?xml version="1.0"?>
+<!-- {said} -->
+<materialx version="1.39" colorspace="lin_rec709">
+  <open_pbr_surface name="{name}_surface" type="surfaceshader">
+    <input name="base_color" type="color3" value="{base}"/>
+    <input name="base_metalness" type="float" value="{metal:g}"/>
+    <input name="specular_roughness" type="float" value="{roughness:.6g}"/>
+    <input name="specular_ior" type="float" value="{ior:.6g}"/>
+  </open_pbr_surface>
+  <surfacematerial name="{name}" type="material">
+    <input name="surfaceshader" type="surfaceshader" nodename="{name}_surface"/>
+  </surfacematerial>
+</materialx>
+"""
+
+
+def export(path: Path, to: str, out: Path, force: bool = False) -> None:
+    """`merlfit export`: write what another program reads; exits with 2 after bad input."""
+    use_persistent_cache()
+    if to not in get_args(To):
+        raise fail(f"--to {to!r} is none of {', '.join(get_args(To))}")
+    target = out / f"{path.stem}.binary"
+    if to == "merl" and os.path.exists(target) and not force:
+        raise fail(f"{target}: is there already, and may be a measurement; --force overwrites it")
+    writable_folder(out)
+    stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
+    try:
+        if to != "merl":
+            names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
+            refuse_others([out / f"{name}.{ending}" for ending, name in names.items()], force)
+        with progress_display() as progress:
+            say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
+            written = _exported(path, to, out, say)
+    except (ResultError, MerlError, SceneError, OSError) as error:
+        raise fail(str(error)) from None
+    console.print("wrote " + ", ".join(map(str, written)))
+
+
+def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> list[Path]:
+    if path.suffix == ".binary":
+        if to != "mitsuba":
+            raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
+        file = read(path)
+        said = f"{path.name}, {genuine_words(file.genuine) if file.genuine else UNSAID}"
+        return to_mitsuba(f"{path.stem}.measured", measurement(*folded(file)), said, out)
+    result = read_result(path)
+    if result.model is None:
+        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
+    error = EDITED if result.edited else f"RMSE {number(result.metrics.rmse, 3)}/sr"
+    said = (
+        f"{result.model.name} fit of {result.source.material} ({result.data_words}) by merlfit "
+        f"{result.versions.get('merlfit', '')}, {error}, {_colours(result.model)}"
+    )
+    match to:
+        case "mitsuba":
+            say("tables")
+            given = of_result(path.stem, result, path)
+            assert given.model is not None
+            return to_mitsuba(path.stem, given.of(given.model), said, out)
+        case "merl":
+            say("bins")
+            write(out / f"{path.stem}.binary", from_result(path)[0])
+            return [out / f"{path.stem}.binary"]
+        case "json":
+            return [_write_json(out / f"{path.stem}.material.json", parameters_of(result))]
+        case _:
+            say("nearest GGX")
+            write_ = to_gltf if to == "gltf" else to_openpbr
+            return [write_(path.stem, nearest_of(path, result, to), said, out)]
+
+
+def _colours(model: Model) -> str:
+    """Where R, G and B are from."""
+    same = set(model.channels) == set(MERL.names)
+    return "colours as in that file" if same else "colours as the CIE 1931 observer sees them, equal energy being white"
+
+
+def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path]:
+    """Tables and a scene that renders at once: a sphere under a lamp in an even room."""
+    tables = out / f"{_word(name)}.mitsuba.npz"
+    write_tables(tables, material)
+    text = SCENE.format(said=_comment(said), tables=quoteattr(tables.name))
+    return [tables, _write_text(out / f"{name}.xml", text)]
+
+
+def parameters_of(result: Result) -> dict[str, Any]:
+    """What an own implementation of the model needs, without what is of the fit."""
+    assert result.model is not None
+    m = result.model
+    return {
+        "format": "merlfit-material 1", "material": result.source.material, "data": result.data_words,
+        "source_sha1": result.source.sha1, "versions": result.versions,
+        "rmse_per_sr": None if result.edited else result.metrics.rmse,
+        "model": m.name,
+        "citation": models()[m.name].citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
+        "channels": m.channels, "wavelengths_um": m.wavelengths_um,
+        "parameters": {
+            q.name: {
+                "value": q.value, "unit": q.unit, "meaning": q.meaning, "laplace": q.laplace and q.laplace.model_dump(),
+                "posterior": q.quantiles and q.quantiles.model_dump(),
+            }
+            for q in result.parameters if not q.parameter.startswith("grazing_")
+        },
+        "note": f"BRDF in 1/sr, {m.colour_space}; without the apparatus's loss of light at grazing angles",
+    }  # fmt: skip
+
+
+def nearest_of(path: Path, result: Result, to: str) -> dict[str, Any]:
+    """What metallic-roughness materials can say of a fit, and how far off they are: `output.formats.nearest`.
+
+    A fit with a conductor's index is a metal there, too; of the others it is whichever is nearer.
+    """
+    assert result.model is not None
+    return nearest(from_result(path)[0], to, metal=result.model.settings.get("index") == "complex")
+
+
+def in_words(found: dict[str, Any], to: str) -> str:
+    """What the file holds, and how far off it is."""
+    return (
+        f"the nearest GGX material of this format, without diffraction: spheres drawn by the formulas of {to} differ "
+        f"from the fit by a mean CIELAB distance of {found['error']['cielab']:.2f}"
+    )
+
+
+def to_gltf(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
+    """A glTF 2.0 asset of one material."""
+    material = {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*found["base_color"], 1.0], "metallicFactor": found["metallic"],
+            "roughnessFactor": found["roughness"],
+        },
+        "extensions": {"KHR_materials_ior": {"ior": found["ior"]}},
+        "extras": {
+            "merlfit": {"source": said, "what": in_words(found, "glTF 2.0, Appendix B"), "error": found["error"]}
+        },
+    }  # fmt: skip
+    asset = {
+        "asset": {"version": "2.0", "generator": "merlfit"}, "extensionsUsed": ["KHR_materials_ior"],
+        "materials": [material],
+    }  # fmt: skip
+    return _write_json(out / f"{name}.gltf", asset)
+
+
+def to_openpbr(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
+    """A MaterialX document of one OpenPBR surface."""
+    plain = "".join(c if c.isalnum() else "_" for c in name)
+    text = MATERIALX.format(
+        said=_comment(f"{said}: {in_words(found, 'OpenPBR')}"), name=f"m_{plain}", metal=found["metallic"],
+        base=", ".join(f"{x:.6g}" for x in found["base_color"]), roughness=found["roughness"], ior=found["ior"],
+    )  # fmt: skip
+    return _write_text(out / f"{name}.mtlx", text)
+
+
+def _word(name: str) -> str:
+    """Of a file that XML names: Mitsuba takes ``$`` for a parameter of the scene, and XML has no control codes.
+
+    A name that is changed for that is no other's.
+    """
+    plain = re.sub(r"[$\x00-\x1f\x7f-\x9f]", "_", name)
+    return plain if plain == name else f"{plain}-{hashlib.sha1(os.fsencode(name)).hexdigest()[:8]}"
+
+
+def _comment(text: str) -> str:
+    """What XML allows in a comment."""
+    return re.sub("-{2,}", "-", text.translate(PLAIN)).replace("<", " ").replace("&", "and")
+
+
+def _write_json(path: Path, what: dict[str, Any]) -> Path:
+    return _write_text(path, json.dumps(what, indent=2, allow_nan=False) + "\n")
+
+
+def _write_text(path: Path, text: str) -> Path:
+    write_text(path, text)
+    return path

@@ -1,0 +1,296 @@
+"""Fits of files, as the commands `merlfit fit` and `merlfit demo` make them."""
+
+import hashlib
+import shlex
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Literal, Protocol
+
+import typer
+from rich.progress import Progress, TaskID
+
+from ...merl_io.atomic import WriteError
+from ...merl_io.binary import MerlError
+from ...merl_io.inputs import is_scattered
+from ...merl_io.source import opened
+from ..batch.cluster import Cluster, ClusterError
+from ..batch.here import Here
+from ..batch.pool import Pool
+from ..batch.unit import Ended, Unit
+from ..cost.accuracy import Aim, aim
+from ..cost.request import request
+from ..pipeline.place import Complete, claimed, completeness, results_beside
+from ..pipeline.run import settled
+from ..results.manifest import Ending, Journal
+from ..results.schema import Result
+from ..results.storage import valid_result
+from ..settings.config import Config
+from ..show.terminal_tables import Outcome, accuracy_line, summary_table
+from ..support.numbers import counted
+from ..support.processes import jobs_for
+from ..support.terminal import (
+    BAD_INPUT,
+    FAILED_FIT,
+    Stopped,
+    console,
+    fail,
+    note,
+    progress_display,
+    reporter,
+    writable_folder,
+)
+
+
+def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim | None:
+    """Choose settings for an accuracy or a time, and print them; None if neither was asked for."""
+    if accuracy is None and within is None:
+        return None
+    try:
+        chosen = aim(request(accuracy, within), settings)
+    except ValueError as error:
+        raise fail(str(error)) from None
+    console.print(chosen.summary)
+    return chosen
+
+
+def numbered(k: int, of: int, name: str) -> str:
+    """Which of several files it is; of one its name is enough."""
+    return f"[{k + 1}/{of}] {name}" if of > 1 else name
+
+
+def refuse_same_names(files: list[Path]) -> None:
+    """End with an error where two results would have one name."""
+    twice = [name for name, count in Counter(path.stem for path in files).items() if count > 1]
+    if twice:
+        raise fail(
+            f"several files are named {twice[0]}, and a result is named after its file: fit them into different folders"
+        )
+
+
+def refuse_unoffered(files: list[Path], settings: Config, *options: str) -> None:
+    """End with an error where more is asked for than there is of scattered directions, before anything is read."""
+    try:
+        for path in filter(is_scattered, files):
+            settled(path, settings, *options)
+    except MerlError as error:
+        raise fail(str(error)) from None
+
+
+class Executor(Protocol):
+    """What fits units: `Here`, a `Pool`, or a `Cluster`.
+
+    Attributes:
+        name: for the manifest.
+    """
+
+    name: str
+
+    def ended(self, units: Sequence[Unit], tell: Callable[[int, str], None]) -> Iterator[tuple[int, Ended]]:
+        """Number of a unit and what came of it, as they end."""
+        ...
+
+    def stop(self) -> Sequence[tuple[int, Ended]]:
+        """End what goes on, and say what came of it."""
+        ...
+
+
+def executor_of(
+    units: int, jobs: int | None = None, where: str | None = None
+) -> tuple[Executor, int | Literal["one a worker"]]:
+    """What fits so many units, and how many at once; a single one needs no process of its own.
+
+    Args:
+        where: of a cluster, as `execution.cluster.Cluster` takes it; None for this machine.
+
+    Raises:
+        merlfit.fitting.batch.cluster.ClusterError: the cluster cannot be used.
+    """
+    if where is not None and units:
+        return Cluster(where, jobs, note=note), jobs or "one a worker"
+    count = jobs_for(units, jobs)
+    return (Here(), 1) if units <= 1 else (Pool(count, note=note), count)
+
+
+def fit_files(
+    files: list[Path], out: Path, settings: Config, aim: Aim | None = None, jobs: int | None = None,
+    resume: bool = False, where: str | None = None,
+) -> list[Outcome]:  # fmt: skip
+    """Fit files, and write each result when it is done; whatever one runs into, the others are fitted.
+
+    Args:
+        jobs: processes at the same time; None for as many as cores and memory allow.
+        resume: leave alone what has a result of the same file, settings and versions.
+        where: of a cluster, as `executor_of` takes it.
+
+    Returns:
+        what came of each file, in their order.
+    """
+    writable_folder(out)
+    refuse_same_names(files)
+    chosen, finish = (aim.settings, aim.finish) if aim else (settings, None)
+    units = [Unit(path, out, chosen, finish) for path in files]
+    found: dict[int, Outcome] = {}
+    start = time.perf_counter()
+    try:
+        with claimed(out), progress_display() as progress:
+            for k, result in enumerate(map(_done, units) if resume else ()):
+                if result is not None:
+                    found[k] = Outcome(files[k], result)
+            left = [k for k in range(len(units)) if k not in found]
+            journal = Journal(out)
+            executor, count = executor_of(len(left), jobs, where)
+            journal.began(chosen, len(files), count, executor.name)
+            for k, outcome in found.items():
+                journal.ended(units[k].path, "kept", outcome.result)
+            if found:
+                done = f"{len(found)} of {counted(len(files), 'file')}"
+                console.print(f"done already: {done}, of the same data, settings and versions")
+            run = _Run(units, left, progress, journal)
+            try:
+                for k, ended in executor.ended([units[k] for k in left], run.tell):
+                    if ended.kind is Ending.STOPPED:
+                        run.stopped.append((left[k], ended))
+                        raise Stopped(ended.code - 128)
+                    found[left[k]] = run.book(left[k], ended)
+            except Stopped as stop:
+                for k, ended in executor.stop():
+                    if ended.kind is Ending.STOPPED:
+                        run.stopped.append((left[k], ended))
+                    else:  # it came to its end meanwhile
+                        found[left[k]] = run.book(left[k], ended)
+                journal.closed(True, time.perf_counter() - start)
+                _say_stopped(stop, run, [found[k] for k in sorted(found)])
+                raise typer.Exit(stop.code) from None
+            except ClusterError as error:
+                journal.closed(True, time.perf_counter() - start)
+                fail(str(error))
+                left = f"not fitted: {len(run.left) - run.done} of {counted(len(files), 'file')}"
+                _say_left([left], len(files), [found[k] for k in sorted(found)])
+                raise typer.Exit(FAILED_FIT) from None
+            except WriteError:  # of the manifest: nobody waits for what others still do
+                executor.stop()
+                raise
+            journal.closed(False, time.perf_counter() - start)
+    except ClusterError as error:
+        raise fail(str(error)) from None
+    except WriteError as error:  # of the folder itself, or of its manifest
+        raise fail(str(error)) from None
+    return [found[k] for k in sorted(found)]
+
+
+def _done(unit: Unit) -> Result | None:
+    """A whole result of the same file, settings and versions, in its place or beside another of its name."""
+    try:
+        with opened(unit.path) as (file, _):
+            sha1 = hashlib.file_digest(file, "sha1").hexdigest()  # pyright: ignore[reportArgumentType] - it is a file
+    except MerlError:
+        return None  # said when it is fitted
+    settings = unit.settings.for_scattered if is_scattered(unit.path) else unit.settings
+    for path in (unit.target, *results_beside(unit.target)):
+        found = valid_result(path, sha1, settings)
+        if found is None or not found.fit.succeeded or (found.accuracy is None) != (unit.finish is None):
+            continue
+        if found.posterior is not None or not settings.posterior.enabled:
+            return found
+    return None
+
+
+class _Run:
+    """What is shown and written down while units are fitted.
+
+    Attributes:
+        stopped: units that were not fitted to the end, and what there is of them.
+    """
+
+    def __init__(self, units: list[Unit], left: list[int], progress: Progress, journal: Journal) -> None:
+        self.units, self.left, self.progress, self.journal = units, left, progress, journal
+        self.stopped: list[tuple[int, Ended]] = []
+        self.done = 0
+        self.batch = progress.add_task("", total=len(left), visible=len(left) > 1)
+        self._count()
+        self.tasks: dict[int, tuple[TaskID, Callable[[str], None]]] = {}
+
+    def label(self, k: int) -> str:
+        return numbered(k, len(self.units), self.units[k].name)
+
+    def tell(self, k: int, stage: str) -> None:
+        k = self.left[k]
+        if k not in self.tasks:
+            task = self.progress.add_task(self.units[k].path.name, total=None)
+            self.tasks[k] = task, reporter(self.progress, task, self.label(k))
+        self.tasks[k][1](stage)
+
+    def book(self, k: int, ended: Ended) -> Outcome:
+        """Show and write down what came of a unit."""
+        result, label = ended.result, self.label(k)
+        self.journal.ended(self.units[k].path, ended.kind, ended.result, ended.error)
+        if result is not None:
+            console.print(f"{label}: {result.fit.status}, {result.seconds['total']:.1f} s")
+            if result.accuracy is not None:
+                console.print(f"{label}: {accuracy_line(result.accuracy)}")
+        else:
+            fail(_with_command(self.units[k].path, ended.error))
+        if ended.said:
+            note(ended.said)
+        if k in self.tasks:
+            self.progress.remove_task(self.tasks.pop(k)[0])
+        self.done += 1
+        self._count()
+        return Outcome(self.units[k].path, result, ended.error or None, ended.kind is Ending.BAD_INPUT)
+
+    def _count(self) -> None:
+        words = f"{self.done} of {counted(len(self.left), 'file')}"
+        self.progress.update(self.batch, completed=self.done, description=words)
+
+
+def _with_command(path: Path, error: str) -> str:
+    """What is wrong with a file; of a folder, how the files in it are fitted."""
+    if not path.is_dir() or not any(path.glob("*.binary")):
+        return error
+    return f"{path}: is a folder; name its files: merlfit fit {shlex.quote(str(path))}/*.binary"
+
+
+def _say_stopped(stop: Stopped, run: _Run, outcomes: list[Outcome]) -> None:
+    """What is kept of a run that was stopped, and how it goes on."""
+    begun = {k for k, _ in run.stopped}
+    left = len(run.left) - run.done - len(begun)
+    words = [_kept(run.units[k], ended) for k, ended in sorted(run.stopped, key=lambda each: each[0])]
+    if left:
+        words.append(f"not begun: {left} of {counted(len(run.units), 'file')}")
+    outcomes = outcomes + [Outcome(run.units[k].path, e.result) for k, e in run.stopped if e.result is not None]
+    _say_left(words, len(run.units), outcomes, f"stopped by {stop}: ")
+
+
+def _say_left(words: list[str], files: int, outcomes: list[Outcome], why: str = "") -> None:
+    """What was not done of a run that ends before all of it is, and a table of what was."""
+    more = ["the same command with --resume goes on"] if files > 1 else []
+    note(why + "; ".join(words + more))
+    if outcomes:
+        console.print(summary_table(outcomes))
+
+
+def _kept(unit: Unit, ended: Ended) -> str:
+    """What there is of a fit that was stopped."""
+    if ended.said:
+        return ended.said
+    found = completeness(unit.target)
+    if found == Complete.NOTHING:
+        return f"{unit.name} was not fitted"
+    more = "continues it" if found == Complete.CHAIN else "samples it"
+    return f"{unit.target} holds {found.words}; `merlfit sample {unit.target}` {more}"
+
+
+def summarise(outcomes: list[Outcome]) -> None:
+    """Table of all fits; exits with 2 after bad input, with 1 after a fit that failed."""
+    console.print(summary_table(outcomes))
+    for o in outcomes:
+        if o.result is not None and not o.result.fit.succeeded:
+            console.print(f"{o.path.stem}: {o.result.fit.message}")
+        for caution in o.result.fit.cautions if o.result is not None else ():
+            console.print(f"{o.path.stem}: {caution}")
+    if any(o.bad_input for o in outcomes):
+        raise typer.Exit(BAD_INPUT)
+    if any(o.result is None or not o.result.fit.succeeded for o in outcomes):
+        raise typer.Exit(FAILED_FIT)

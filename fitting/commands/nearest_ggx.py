@@ -1,0 +1,188 @@
+"""What glTF 2.0 and OpenPBR draw of their parameters, by their own formulas, and which parameters look nearest.
+
+glTF: specification 2.0.1, Appendix B: "Metals" (B.2.1), "Dielectrics" (B.2.2), "Specular BRDF" (B.3.2: D, and masking
+in its separable form; the text of December 2025 and the Khronos renderer have the height-correlated one), "Fresnel"
+(B.3.4); its index of refraction by KHR_materials_ior. OpenPBR: specification 1.1, sections "Microfacet model" (GGX,
+Smith's masking), "Dielectric base" (Fresnel's exact factor), "Metal" (F82-tint, which with a white ``specular_color``
+is Schlick's factor) and "Layering" (albedo-scaling: the diffuse slab weighed by one minus the albedo of the gloss above
+it). Neither with light of several bounces between facets, which some renderers add: rough metals are brighter there.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ...merl_io.binary import DIMS
+from ...merl_io.grid import merl_grid
+from ...scene.colour import cielab
+from ..fit.picture_distance import PIXELS, View, comparison, difference
+
+LARGEST_IOR = 3.0  # of a dielectric; what reflects more is a metal
+ROUGHNESSES, IORS = np.linspace(0.05, 1.0, 14), (1.0, 1.2, 1.5, 2.0, LARGEST_IOR)
+LEAST_ROUGHNESS = 0.01
+NODES = 48  # of an albedo: cosines of the viewer, and facets by slope and by azimuth
+
+
+class Angles(NamedTuple):
+    """Cosines of light, viewer, half vector (to the normal), and of light to half vector, of any shape."""
+
+    i: np.ndarray
+    o: np.ndarray
+    h: np.ndarray
+    d: np.ndarray
+
+
+class Brdf(NamedTuple):
+    """A BRDF (1/sr) that is linear in the base colour: ``base_color * slope + rest``."""
+
+    slope: np.ndarray
+    rest: np.ndarray
+
+
+Format = Callable[[Angles, float, float | None], Brdf]
+"""From angles, roughness and index of refraction (None: a metal)."""
+
+
+def gltf(a: Angles, roughness: float, ior: float | None) -> Brdf:
+    """glTF 2.0: ``specular_brdf`` of B.3.2, in ``metal_brdf`` of B.2.1 or in ``dielectric_brdf`` of B.2.2."""
+    alpha2 = roughness**4
+    masked = [x + np.sqrt(alpha2 + (1 - alpha2) * x**2) for x in (a.i, a.o)]
+    facets = _ggx(a.h, alpha2) / (masked[0] * masked[1])
+    if ior is None:
+        return _metal(facets, a.d)
+    f0 = ((1 - ior) / (1 + ior)) ** 2
+    fresnel = f0 + (1 - f0) * (1 - a.d) ** 5
+    return Brdf((1 - fresnel) / np.pi, fresnel * facets)
+
+
+def openpbr(a: Angles, roughness: float, ior: float | None) -> Brdf:
+    """OpenPBR 1.1 with ``specular_weight`` 1 and without diffuse roughness.
+
+    The albedo of the gloss is that towards the viewer; of a pair whose light and viewer are not told apart, as in
+    MERL's folded bins, the mean of both.
+    """
+    facets = _ggx(a.h, roughness**4) * _correlated(a.i, a.o, roughness**4)
+    if ior is None:
+        return _metal(facets, a.d)
+    cosines, found = gloss_albedo(roughness, ior)
+    above = 1 - (np.interp(a.i, cosines, found) + np.interp(a.o, cosines, found)) / 2
+    return Brdf(above / np.pi, fresnel_dielectric(a.d, ior) * facets)
+
+
+FORMATS: dict[str, Format] = {"gltf": gltf, "openpbr": openpbr}
+
+
+def _metal(facets: np.ndarray, cos_d: np.ndarray) -> Brdf:
+    """Schlick's factor with the base colour at normal incidence."""
+    grazing = (1 - cos_d) ** 5
+    return Brdf(facets * (1 - grazing), facets * grazing)
+
+
+def _ggx(cos_h: np.ndarray, alpha2: float) -> np.ndarray:
+    return alpha2 / (np.pi * (1 - (1 - alpha2) * cos_h**2) ** 2)
+
+
+def _correlated(cos_i: np.ndarray, cos_o: np.ndarray, alpha2: float) -> np.ndarray:
+    """Smith's masking of light and viewer together over 4 cos_i cos_o (Heitz 2014, Eq. 99)."""
+    one, other = (x * np.sqrt(alpha2 + (1 - alpha2) * y**2) for x, y in ((cos_i, cos_o), (cos_o, cos_i)))
+    return 0.5 / np.maximum(one + other, 1e-12)
+
+
+def fresnel_dielectric(cos: np.ndarray, ior: float) -> np.ndarray:
+    """Of unpolarised light from outside."""
+    if ior == 1:
+        return np.zeros_like(cos)
+    inside = np.sqrt(ior**2 - 1 + cos**2)
+    s, p = (cos - inside) / (cos + inside), (ior**2 * cos - inside) / (ior**2 * cos + inside)
+    return (s**2 + p**2) / 2
+
+
+def gloss_albedo(roughness: float, ior: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines of the viewer, and the share of light that dielectric facets reflect towards there.
+
+    Facets are drawn by D cos_h on midpoints; to 2e-3 (tests/fitting/test_formats.py).
+    """
+    alpha2 = roughness**4
+    u = (np.arange(NODES) + 0.5) / NODES
+    o = u[:, None, None]
+    h = np.sqrt((1 - u) / (1 - (1 - alpha2) * u))[:, None]
+    d = o * h + np.sqrt((1 - o**2) * (1 - h**2)) * np.cos(np.pi * u)
+    i = 2 * d * h - o
+    seen = 4 * fresnel_dielectric(np.clip(d, 0, 1), ior) * _correlated(np.maximum(i, 0), o, alpha2) * i * d / h
+    return u, np.mean(np.where((i > 0) & (d > 0), seen, 0.0), (1, 2))
+
+
+@cache
+def _looked_at() -> tuple[np.ndarray, Angles, list[View]]:
+    """The folded bins that pictures look at, their angles, and pixels as sums over these bins."""
+    views = [comparison(lighting) for lighting in PIXELS]
+    bins = np.unique(np.concatenate([view.bins.ravel() for view in views]))
+    angles = Angles(*(x.ravel()[bins] for x in _folded_angles()))
+    return bins, angles, [View(np.searchsorted(bins, view.bins), view.weights) for view in views]
+
+
+def _folded_angles() -> Angles:
+    """Of MERL's folded bins; below the horizon its cosine is that of the horizon."""
+    grid, half = merl_grid(), DIMS[2] // 2
+    i, o = (np.clip(x[..., :half], 0, 1) for x in (grid.cos_i, grid.cos_o))
+    h, d = np.cos(grid.theta_h)[:, None, None], np.cos(grid.theta_d)[:, None]
+    return Angles(i, o, np.broadcast_to(h, i.shape), np.broadcast_to(d, i.shape))
+
+
+def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
+    """The parameters of a format whose spheres differ the least from a material's, and by how much.
+
+    Args:
+        values: BRDF on MERL's grid (3, 90, 90, 180), 1/sr, NaN where there is none. metal: whether it is known to be
+            one; else it becomes whichever is nearer.
+    """
+    half, draw = DIMS[2] // 2, FORMATS[to]
+    ours = (values[..., :half] + values[..., : half - 1 : -1]) / 2
+    used = np.asarray(np.isfinite(ours).all(0))
+    kinds = [_search(ours, used, draw, kind) for kind in ((True,) if metal else (True, False))]
+    _, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
+    drawn = draw(_folded_angles(), roughness, ior)
+    theirs = base[:, None, None, None] * drawn.slope + drawn.rest
+    return {
+        "base_color": base.tolist(), "metallic": float(ior is None), "roughness": roughness,
+        "ior": 1.5 if ior is None else ior, "error": {"cielab": difference(ours, theirs, used)},
+    }  # fmt: skip
+
+
+def _search(
+    ours: np.ndarray, used: np.ndarray, draw: Format, metal: bool
+) -> tuple[float, float, float | None, np.ndarray]:
+    """Mean CIELAB distance, roughness, index and base colour: the best node of a grid, and from there downhill.
+
+    A picture is linear in the base colour, which is found for each roughness and index by itself.
+    """
+    bins, angles, views = _looked_at()
+    seen = used.ravel()[bins]
+    planes = np.where(seen, ours.reshape(3, -1)[:, bins], 0.0)
+    target = [cielab(view.render(planes)) for view in views]
+
+    def attempt(at: np.ndarray) -> tuple[float, np.ndarray]:
+        parts = [np.where(seen, x, 0.0) for x in draw(angles, float(at[0]), None if metal else float(at[1]))]
+        pixels = [view.render(np.stack(parts)) for view in views]
+
+        def off(base: np.ndarray) -> float:
+            labs = [cielab(p[:, :1] * base + p[:, 1:]) for p in pixels]
+            return float(np.mean([np.linalg.norm(a - b, axis=-1).mean() for a, b in zip(labs, target, strict=True)]))
+
+        found = minimize(off, start["base"], bounds=[(0, 1)] * 3, method="L-BFGS-B")
+        return float(found.fun), found.x
+
+    start = {"base": np.full(3, 0.5)}
+    nodes = [(r, ior) for r in ROUGHNESSES for ior in ((1.5,) if metal else IORS)]
+    first = min(nodes, key=lambda node: attempt(np.array(node))[0])
+    start["base"] = attempt(np.array(first))[1]
+    free = 1 if metal else 2
+    least = minimize(
+        lambda at: attempt(at)[0], first[:free], method="Nelder-Mead",
+        bounds=[(LEAST_ROUGHNESS, 1.0), (1.0, LARGEST_IOR)][:free], options={"xatol": 1e-3, "fatol": 1e-3},
+    )  # fmt: skip
+    off, base = attempt(least.x)
+    return off, float(least.x[0]), None if metal else float(least.x[1]), base

@@ -1,0 +1,43 @@
+"""`merlfit sample`: its progress, and what it says."""
+
+import traceback
+from pathlib import Path
+
+import typer
+
+from ...merl_io.atomic import WriteError
+from ...merl_io.binary import MerlError
+from ..pipeline.place import claimed
+from ..pipeline.resampling import resample
+from ..posterior.chain import ChainError
+from ..results.storage import ResultError, read_result
+from ..settings.config import ConfigError
+from ..show.inspection import file_of
+from ..show.terminal_tables import print_result
+from ..support.compilation import programs_told, use_persistent_cache
+from ..support.outputs import log, log_of
+from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter
+
+
+def sample_result(result: Path, file: Path | None, max_steps: int | None) -> None:
+    """Sample the posterior of a result, and print it; exits with 1 if the chain is too short still."""
+    use_persistent_cache()
+    try:
+        read = read_result(result)
+        with claimed(result.parent), progress_display() as progress:
+            task = progress.add_task(result.name)
+            with programs_told(reporter(progress, task, read.source.material)) as told:
+                found = resample(result, read, file or file_of(result, read), max_steps, told)
+    except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
+        raise fail(str(error)) from None
+    except RuntimeError as error:
+        where = log_of(result.parent, result.stem)
+        log(where, traceback.format_exc())
+        fail(f"{error}; {result} is as it was, {where} says where it failed")
+        raise typer.Exit(FAILED_FIT) from None
+    except Stopped as stop:
+        note(f"stopped by {stop}: {result} is as it was; `merlfit sample {result}` continues the chain so far")
+        raise typer.Exit(stop.code) from None
+    print_result(console, found)
+    if found.posterior is not None and not found.posterior.sufficient:
+        raise typer.Exit(FAILED_FIT)

@@ -1,1 +1,0 @@
-"""Fits of many files: in this process, in worker processes, or on a cluster; what was done is written down."""

@@ -1,0 +1,1 @@
+"""Fitting one model to samples: weights, data, normal equations, solver, starts, choice between models, errors."""

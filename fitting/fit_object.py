@@ -1,0 +1,290 @@
+"""A fitted material as an object of Python: numbers, predictions, pictures, the posterior."""
+
+import os
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jax.tree_util import register_pytree_node
+from jax.typing import ArrayLike
+from matplotlib.figure import Figure
+
+from ..merl_io.atomic import refused, write_bytes
+from ..merl_io.inputs import Input
+from ..merl_io.source import PLAIN
+from .pipeline.draws import chain_file, chain_of, own_chain
+from .pipeline.place import claimed, place_of
+from .pipeline.resampling import resample
+from .results.schema import Metrics, Model, ParameterResult, Quantiles, Result
+from .results.storage import ResultError, write_result
+from .show import style
+from .show.inspection import file_of
+from .show.pictures import PICTURES
+from .show.prediction import Fitted, predicted_lobe
+from .show.subject import subject_of
+from .show.terminal_tables import print_result
+from .support.clock import Report, silent
+from .support.compilation import use_cache
+from .support.terminal import Screen, console
+
+if TYPE_CHECKING:
+    import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
+
+WIDTH = 118  # columns of a fit that is printed, at the most
+
+
+class Values(dict[str, Any]):
+    """Values of a fit; to set one of them would change a copy, and nothing that the fit predicts."""
+
+    def __setitem__(self, name: str, value: object) -> None:
+        raise TypeError(
+            f'values of a fit are what was found; change a copy of them: {{**fit.values, "{name}": {value}}}'
+        )
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
+        return dict, (dict(self),)
+
+
+def _plain(names: Any, values: Any) -> Any:  # noqa: ANN401 - as JAX has them
+    return dict(zip(names, values, strict=True))
+
+
+register_pytree_node(Values, lambda v: (tuple(v.values()), tuple(v)), _plain)  # a dictionary to what JAX compiles
+
+
+class Fit:
+    """A fitted material: parameters with their uncertainty, errors, predictions and pictures.
+
+    Made by :func:`fit` and :func:`load`; ``print(fit)`` shows all that `merlfit inspect` does.
+
+    Attributes:
+        result: everything that goes into the JSON (docs/result.md).
+        path: of that file.
+    """
+
+    def __init__(self, result: Result, path: Path, measured: Input | None = None) -> None:
+        self.result = result
+        self.path = path
+        self._measured = measured
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the parameters may be used."""
+        return self.result.fit.succeeded
+
+    @property
+    def status(self) -> str:
+        """How the fit ended: CONVERGED, AT_BOUND, STEP_LIMIT, UNEXPLAINED, NON_FINITE or NO_DATA (docs/result.md)."""
+        return self.result.fit.status
+
+    @property
+    def cost(self) -> float | None:
+        """What is left of the weighted energy of the measurement (HP17 Eq. 56); None if the fit failed."""
+        return self.result.fit.cost
+
+    @property
+    def metrics(self) -> Metrics:
+        """Errors of the fit: RMSE, sMAPE, pictures and the highlight (docs/howto/metrics.md)."""
+        return self.result.metrics
+
+    @property
+    def parameters(self) -> dict[str, ParameterResult]:
+        """Every fitted number by its name (``beta``, ``eta_R``), with unit, quantiles and bounds."""
+        return {q.name: q for q in self.result.parameters}
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them.
+
+        What was found is not changed here: ``{**fit.values, "beta": 0.2}`` is a copy to change.
+        """
+        return Values(self.result.values())
+
+    def table(self) -> list[dict[str, Any]]:
+        """One row a fitted number, for ``pandas.DataFrame`` and the like.
+
+        ``q05``, ``q50`` and ``q95`` are quantiles of the posterior, None without one; ``low`` and ``high`` the 90 %
+        interval by the Laplace approximation, None at a bound and where the data do not decide.
+        """
+        rows = []
+        for q in self.result.parameters:
+            low, high = (q.laplace.q05, q.laplace.q95) if q.laplace else (None, None)
+            quantiles = q.quantiles.model_dump() if q.quantiles else dict.fromkeys(Quantiles.model_fields)
+            rows.append({
+                "name": q.name, "value": q.value, "low": low, "high": high, **quantiles,
+                "unit": q.unit, "at_bound": q.at_bound, "meaning": q.meaning,
+            })  # fmt: skip
+        return rows
+
+    def brdf(self, i: ArrayLike, o: ArrayLike) -> np.ndarray:
+        """BRDF of the fitted material (1/sr), shape (C, ...); 0 where light or viewer are below the surface.
+
+        Args:
+            i, o: unit vectors of light and viewer, (..., 3), in a frame whose third axis is the surface's normal.
+
+        Raises:
+            merlfit.ResultError: the fit failed, there is no material.
+            ValueError: i or o is no unit vector.
+        """
+        return self._predicted(i, o, with_grazing_loss=False)
+
+    def predict(self, i: ArrayLike, o: ArrayLike) -> np.ndarray:
+        """What the apparatus measures of the material, as :meth:`brdf`: MERL's loses light at grazing angles."""
+        return self._predicted(i, o, with_grazing_loss=True)
+
+    def _predicted(self, i: ArrayLike, o: ArrayLike, *, with_grazing_loss: bool) -> np.ndarray:
+        model, (light, viewer) = self._model(), (np.asarray(x, float) for x in (i, o))
+        for name, vectors in (("i", light), ("o", viewer)):
+            if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):
+                raise ValueError(f"{name} should be unit vectors of shape (..., 3)")
+        return predicted_lobe(Fitted.of(model, self.values), light, viewer, with_grazing_loss)
+
+    def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
+        """Sample the posterior, or continue its chain; file and this object hold the intervals then.
+
+        Args:
+            max_steps: of the chain, at the most.
+            report: called with a few words on what is being done.
+
+        Raises:
+            merlfit.MerlError: the fitted file is missing, or is another one now.
+            merlfit.ResultError: the fit failed, or its chain is missing.
+            merlfit.ChainError: the chain is of another fit.
+            merlfit.WriteError: it cannot be kept, or a command is writing there.
+            RuntimeError: the sampler failed; file and object are as they were.
+        """
+        use_cache()
+        with claimed(self.path.parent, alone=False):
+            self.result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
+        return self
+
+    def to_arviz(self) -> "xarray.DataTree":
+        """The posterior as ArviZ has it: one chain of equally likely draws in units of physics, by parameter.
+
+        The draws of a merlfit posterior are weighted; as many are drawn from them by systematic resampling, in no order
+        of time: R-hat and effective sizes are those of ``result.posterior``, not what ArviZ would compute from these.
+
+        Raises:
+            ImportError: arviz-base is not installed (``pip install 'merlfit[arviz]'``).
+            merlfit.NoPicture: there is no posterior, or its chain is missing.
+        """
+        try:
+            import arviz_base  # pyright: ignore[reportMissingImports] - of the extra `arviz`
+        except ImportError:
+            raise ImportError("to_arviz() needs arviz-base: pip install 'merlfit[arviz]'") from None
+        chain = chain_file(self.result, self.path)
+        weights = chain["weights"].ravel()
+        places = (np.arange(len(weights)) + 0.5) / len(weights)
+        drawn = chain["values"][np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)]
+        grouped: dict[str, list[np.ndarray]] = {}
+        for k, q in enumerate(self.result.parameters):
+            grouped.setdefault(q.parameter, []).append(drawn[:, k])
+        per_channel = {q.parameter for q in self.result.parameters if q.channel}
+        found = {name: np.stack(x, -1)[None] if name in per_channel else x[0][None] for name, x in grouped.items()}
+        return arviz_base.from_dict(
+            {"posterior": found}, dims={name: ["channel"] for name in per_channel},
+            coords={"channel": self._model().channels},
+        )  # fmt: skip
+
+    def plot(self, name: str, path: str | os.PathLike[str] | None = None) -> Figure:
+        """One of the pictures that `merlfit inspect` draws, as wide as a column of a paper (8.5 cm).
+
+        Args:
+            name: spheres, lobes, isolines, peak, residuals, errors, effects, corner, corner-all or trace.
+            path: a PNG, PDF or SVG to write, too.
+
+        Raises:
+            KeyError: there is no such picture.
+            merlfit.NoPicture: it needs the fitted file, which is missing or is another one now, or a posterior.
+            merlfit.ResultError: the fit failed.
+        """
+        if name not in PICTURES:
+            raise KeyError(f"{name!r} is none of {', '.join(PICTURES)}")
+        self._model()
+        use_cache()
+        subject = subject_of(self.result, self.path, self._measured or file_of(self.path, self.result))
+        if subject.result.posterior is not None and "chain" in subject.lacks:
+            warnings.warn(f"no posterior is shown: {subject.lacks['chain']}", stacklevel=2)
+        figure = PICTURES[name].draw(subject)
+        if path is not None:
+            style.save(figure, Path(path))
+        return figure
+
+    def plot_lobes(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Lobes in the plane of incidence beside those of the file, with the bands of the posterior if there is one."""
+        return self.plot("lobes", path)
+
+    def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Corner plot of the posterior: what all channels share, and the middle channel."""
+        return self.plot("corner", path)
+
+    def plot_trace(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """How the walkers of the posterior moved: median and 90 % of them, step by step, in free coordinates."""
+        return self.plot("trace", path)
+
+    def plot_spheres(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Spheres under a lamp and under an environment: the file, the fit, and their CIELAB difference."""
+        return self.plot("spheres", path)
+
+    def plot_errors(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Maps over theta_h and theta_d: fit over file, and how far their cube roots are apart."""
+        return self.plot("errors", path)
+
+    def plot_isolines(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Isolines of the middle channel over all viewers, on the projected hemisphere, as HP17 Fig. 14."""
+        return self.plot("isolines", path)
+
+    def plot_effects(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """What reflection, diffraction and body add: spheres, lobes, shares of the light."""
+        return self.plot("effects", path)
+
+    def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
+        """The result as JSON, without the chain (docs/result.md); ``path``: a file to write it to, too."""
+        if path is not None:
+            write_result(Path(path), self.result)
+        return self.result.model_dump_json(indent=2)
+
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write result and chain into a folder, as `merlfit fit` does; the path of the result, which is the fit's then.
+
+        Where a result stands there that is of another file or model, or more complete, it stays, and a warning says
+        in which folder beside it this one is; also where that was this fit's, and somebody sampled it since.
+
+        Raises:
+            merlfit.WriteError: it cannot be written, or a command is writing there.
+        """
+        folder, name = Path(folder), self.result.source.material
+        with refused(folder, "made"):
+            folder.mkdir(parents=True, exist_ok=True)
+        with claimed(folder, alone=False), place_of(folder, name, alone=False) as place:
+            own, chain = own_chain(self.result, self.path), chain_of(place.path)
+            if own is None:
+                chain.unlink(missing_ok=True)
+            elif own.absolute() != chain.absolute():
+                write_bytes(chain, own.read_bytes())
+            self._write(place.path)
+        self.path = place.path
+        if place.said:
+            warnings.warn(place.said, stacklevel=2)
+        return self.path
+
+    def _write(self, path: Path) -> None:
+        if (posterior := self.result.posterior) is not None:
+            posterior = posterior.model_copy(update={"chain_file": chain_of(path).name})
+            self.result = self.result.model_copy(update={"posterior": posterior})
+        write_result(path, self.result)
+
+    def _model(self) -> Model:
+        if self.result.model is None:
+            raise ResultError(f"{self.path}: the fit failed ({self.result.fit.status}), it has no material")
+        return self.result.model
+
+    def __str__(self) -> str:
+        shown = Screen(width=min(console.width, WIDTH), force_terminal=True, color_system=None, highlight=False)
+        with shown.capture() as capture:
+            print_result(shown, self.result)
+        return capture.get()
+
+    def __repr__(self) -> str:
+        return f"<Fit of {self.result.source.material}: {self.result.fit.status}, {self.path}>".translate(PLAIN)

@@ -1,1 +1,0 @@
-"""What is minimised: weights, data in blocks, free coordinates, cost and normal equations."""

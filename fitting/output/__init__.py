@@ -1,1 +1,0 @@
-"""What comes out: tables, pictures, MERL files."""

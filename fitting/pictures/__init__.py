@@ -1,1 +1,0 @@
-"""Pictures of a fit: each a function that returns a matplotlib figure, one file a picture."""

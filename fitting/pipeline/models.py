@@ -1,0 +1,65 @@
+"""The models to fit, made of the settings."""
+
+from ...merl_io.bands import MERL, Bands
+from ...model.apparatus import Apparatus
+from ...model.effects import KINDS, TWO_SCALE, Kind
+from ...model.measured import Measured
+from ...model.priors import LogNormal, Priors
+from ...model.reflectance import Reflectance
+from ...model.two_scale import TwoScale
+from ..fit.transforms import Layout, layout_of
+from ..settings.config import Config
+
+
+def candidates(config: Config) -> list[Measured]:
+    """Models to compare, those with the fewest parameters first; of the two-scale model every kind asked for."""
+    kinds = _kinds(config) if TWO_SCALE in config.model.names else []
+    found = {TWO_SCALE: [two_scale(config, kind) for kind in kinds]}
+    found |= {material.name: [measured(config, material)] for material in config.model.rivals}
+    named = [model for name in config.model.names for model in found[name]]
+    return sorted(named, key=lambda model: _numbers(model.material))
+
+
+def _kinds(config: Config) -> list[Kind]:
+    """Interfaces and bodies to compare, the simplest first."""
+    given = config.effects.index, config.effects.body
+    found = [kind for kind in KINDS if all(g in ("auto", k) for g, k in zip(given, kind, strict=True))]
+    return found or [("real", "none")]  # the only other one that `TwoScale` allows
+
+
+def _numbers(material: Reflectance) -> int:
+    """How many numbers its parameters are, of three channels."""
+    return sum(3 if q.per_channel else 1 for q in material.parameters)
+
+
+def two_scale(config: Config, kind: Kind) -> Measured:
+    """The two-scale model to fit with one interface and body."""
+    chosen = config.effects.model_copy(update=dict(zip(("index", "body"), kind, strict=True)))
+    return measured(config, TwoScale().changed(**chosen.model_dump(exclude={"preset"})))
+
+
+def measured(config: Config, material: Reflectance) -> Measured:
+    """A material as the apparatus sees it."""
+    if not material.lobes:
+        return Measured(material)
+    loss = config.acquisition.grazing_loss
+    return Measured(material, "free" if loss == "auto" else loss, Apparatus(**config.apparatus.model_dump()))
+
+
+def variant(config: Config, name: str, variant: str) -> Measured:
+    """One of the models to compare.
+
+    Raises:
+        KeyError: it is not among them.
+    """
+    compared = candidates(config)
+    for model in compared:
+        if (model.material.name, model.variant) == (name, variant):
+            return model
+    raise KeyError(f"{name} {variant} is none of {', '.join(map(str, compared))}")
+
+
+def layout_for(config: Config, model: Reflectance, bands: Bands = MERL) -> Layout:
+    """The parameters of a model to fit, in the coordinates that the priors make."""
+    priors = Priors(**{name: LogNormal(**given) for name, given in config.priors.model_dump().items()})
+    return layout_of(model, priors, bands)

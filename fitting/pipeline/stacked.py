@@ -1,0 +1,109 @@
+"""Many materials fitted as one program: Levenberg-Marquardt mapped over materials that share their directions.
+
+One material's directions are too few to fill a GPU; the problems of many, stacked, are not. Normal equations and steps
+are those of `residuals` and `levenberg_marquardt`, so each material goes the way it would go by itself (costs to 1e-6,
+``tests/fitting/test_batch.py``). Materials that have finished stay where they are until all have, their equations being
+summed on: a batch takes as long as its slowest. On a CPU, files one by one are faster.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial, reduce
+from operator import add
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ...merl_io.samples import Samples, thin
+from ...model.reflectance import Clues
+from ..fit.levenberg_marquardt import Solution, solve_many
+from ..fit.problem import Part, Problem, make_problem
+from ..fit.residuals import compact_normal_equations, spread_out
+from ..fit.starts import clues_of, starting_points
+from ..fit.transforms import Layout
+from ..settings.config import Config
+from ..support.threads import side_by_side
+from .run import CANDIDATE_ORDER, COARSE_ORDER, GRIDS, RUNNERS_EACH, cheaper, make_coarse, race
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a fit needs of one material.
+
+    Attributes:
+        clues: where to start. coarse, roughly: problems of the race and of the candidates for starting points.
+        problem: of the last steps.
+    """
+
+    clues: Clues
+    coarse: Problem
+    roughly: Problem
+    problem: Problem
+
+
+def prepare(samples: Samples, config: Config) -> Prepared:
+    """Samples of a file gathered as `run.fit` does it."""
+    settings = config.fit
+    whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
+    return Prepared(clues_of(samples), *make_coarse(samples), whole)
+
+
+def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> list[Solution]:
+    """All materials with the same effects: a race on the coarse grid, then the last grid.
+
+    As `run.fit` does it one by one, without its choice of a body and its assessment on all bins.
+    """
+    cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
+    count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
+    runners = [starting_points([rough], m.clues, m.roughly, count)[0] for m in materials]
+
+    def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+        model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])
+        rows = [[each[min(k, len(each) - 1)] for each in runners] for k in range(max(map(len, runners)))]
+        found = [solve_batch(model, np.array(row), problems, steps) for row in rows]
+        return [list(each)[: len(own)] for each, own in zip(zip(*found, strict=True), runners, strict=True)]
+
+    best = race(runners, follow, config)
+    return solve_batch(layout, np.array([s.z for s in best]), [m.problem for m in materials], settings.max_steps)
+
+
+def solve_batch(
+    layout: Layout, z: np.ndarray, problems: Sequence[Problem], max_steps: int = 100, rtol: float = 1e-5
+) -> list[Solution]:
+    """`levenberg_marquardt.solve` for many materials at once.
+
+    Args:
+        z: starting points, (M, P). problems: of M materials, with the same directions.
+        max_steps, rtol: as for `solve`, for every material.
+
+    Raises:
+        ValueError: problems whose directions differ.
+    """
+    stacked = _stack(problems)
+    return solve_many(lambda points: _equations(layout, jnp.asarray(points), stacked), z, max_steps, rtol)
+
+
+def _stack(problems: Sequence[Problem]) -> Problem:
+    """One problem with a leading axis of materials everywhere but in the directions, which all share."""
+    first = problems[0]
+    for other in problems[1:]:
+        if not eqx.tree_equal([p.directions for p in first.parts], [p.directions for p in other.parts]):
+            raise ValueError("materials of a batch must share their directions: grid, azimuths and precision")
+    parts = [
+        Part(same[0].directions, jnp.stack([p.root for p in same]), jnp.stack([p.target for p in same]))
+        for same in zip(*(q.parts for q in problems), strict=True)
+    ]
+    return Problem(tuple(parts), jnp.stack([q.rest for q in problems]), jnp.stack([q.scatter for q in problems]))
+
+
+def _equations(layout: Layout, z: Array, stacked: Problem) -> Array:
+    """Normal equations of all materials, (M, C, P+1, P+1)."""
+    by_material: Any = Part(directions=None, root=0, target=0)  # type: ignore
+    mapped = jax.vmap(partial(compact_normal_equations, layout.model), in_axes=(0, by_material))
+    values, slopes = jax.vmap(layout.values_and_slopes)(z)
+    compact = reduce(add, side_by_side(lambda part: mapped(values, part), stacked.parts))
+    return jax.vmap(partial(spread_out, layout))(slopes, compact, stacked.rest)

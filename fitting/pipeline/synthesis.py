@@ -1,0 +1,106 @@
+"""`merlfit synth`: MERL files without a measurement, tabulated from published parameter sets or from a fit."""
+
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ...merl_io.binary import DIMS, Dims, MerlError, write
+from ...merl_io.grid import merl_grid
+from ...model import published
+from ...model.geometry import Geometry
+from ...model.reflectance import evaluate
+from ...scene.colour import coloured
+from ..results.storage import ResultError, read_result
+from ..support.compilation import use_persistent_cache
+from ..support.terminal import console, fail
+
+ROWS = 10  # of theta_h evaluated at a time
+WITHOUT_SURFACE = "index printed as 1.00, so that the Fresnel term and with it all specular light are 0"
+
+
+def synthesise(material: str, out: Path, source: str | None, loss: bool, force: bool) -> None:
+    """Write a MERL file of a published material or of a result, over another file only if that is asked for."""
+    fitted = material.endswith(".json")
+    if fitted and source is not None:
+        raise fail(f"--source names a published table; {material} is a fit: leave it out")
+    if loss and not fitted:
+        raise fail(f"--with-grazing-loss is for the RESULT.json of a fit; {material} is none: leave it out")
+    if os.path.exists(out) and not force:
+        raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
+    use_persistent_cache()
+    try:
+        table = (source or "sgd").replace("_", "-")  # as tables were named before
+        values, said = from_result(Path(material), loss) if fitted else from_published(material, table)
+        write(out, values)
+    except (MerlError, ResultError, KeyError, ValueError) as error:
+        raise fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
+    console.print(f"{out}: {said}")
+
+
+def tabulate(evaluate: object, dims: Dims = DIMS) -> np.ndarray:
+    """BRDF on MERL's grid (3, 90, 90, 180), or on one of other dims, 1/sr; NaN below the horizon."""
+    grid = merl_grid(dims)
+    compiled = jax.jit(evaluate)  # type: ignore[arg-type]
+    parts = [
+        np.asarray(compiled(Geometry.from_half_difference(
+            grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])))
+        for rows in np.array_split(np.arange(len(grid.theta_h)), -(-len(grid.theta_h) // ROWS))
+    ]  # fmt: skip
+    return np.where(grid.above, np.concatenate(parts, 1), np.nan)
+
+
+def from_published(material: str, source: str) -> tuple[np.ndarray, str]:
+    """A published parameter set, and in words what it is; of one that has lost its specular part, that it has.
+
+    Raises:
+        KeyError: unknown material or source; the message names the nearest known one.
+    """
+    values = tabulate(lambda g: published.evaluate(material, source, g, rescaled=True))
+    table = published.SOURCES[source]
+    rescaled = f", albedos times {table.channel_scale} (R, G, B)" if set(table.channel_scale) != {1.0} else ""
+    said = f"synthetic MERL file of {material}, from published parameters: {table.citation}{rescaled}"
+    if material in published.without_surface(source):
+        said += f"; {WITHOUT_SURFACE}: the file is of a diffuse material"
+    return values, said
+
+
+def from_result(path: Path, grazing_loss: bool = False) -> tuple[np.ndarray, str]:
+    """A fitted material, and in words what it is; R, G and B of other bands are what is seen (`scene.colour`).
+
+    Args:
+        grazing_loss: as MERL's apparatus would have measured it, which loses light at grazing angles; otherwise the
+            material itself, which is brighter there than the file that was fitted.
+
+    Raises:
+        ResultError: not a result, or a failed one.
+    """
+    result = read_result(path)
+    if result.model is None:
+        raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to tabulate")
+    m, params = result.model, result.values()
+    model = m.measured if grazing_loss else m.material
+    values = np.maximum(tabulate(lambda g: coloured(evaluate(model, params, g, m.wavelengths_um), m.bands)), 0.0)
+    said = f"synthetic MERL file from the {m.name} fit of {result.source.material}"
+    if not m.measured.loses:
+        return values, said
+    if grazing_loss:
+        return values, f"{said}, with the grazing loss of MERL's apparatus, as the file that was fitted has it"
+    return values, (
+        f"{said}, the material alone: near grazing angles many times brighter than the file that was fitted, which "
+        "lacks light that MERL's apparatus lost there; --with-grazing-loss writes it as measured"
+    )
+
+
+def describe_sources() -> str:
+    """The published tables, which materials they lack and of which they print no specular part."""
+    every = set().union(*map(published.materials, published.SOURCES))
+    lines = [f"{len(every)} materials: {', '.join(sorted(every))}"]
+    for name, s in published.SOURCES.items():
+        missing = sorted(every - set(published.materials(name)))
+        line = f"{name}: {s.citation}; " + (f"lacks {', '.join(missing)}" if missing else "all materials")
+        if flat := published.without_surface(name):
+            line += f"; diffuse alone: {', '.join(flat)} ({WITHOUT_SURFACE})"
+        lines.append(line)
+    return "\n".join(lines)

@@ -1,1 +1,0 @@
-"""A folder of results for people: one table, and pages with pictures."""

@@ -1,0 +1,127 @@
+"""How a fit ended: what was compared, what was chosen, the errors, and what was asked of it."""
+
+from typing import Literal
+
+from ..settings.choice import Choice
+from .strict import Many, Strict
+
+
+class Candidate(Strict):
+    """One model, or variant of a model, that was compared on the coarse grid."""
+
+    model: str
+    """Name of the model."""
+    variant: str
+    """Variant in short words: interface and body of a two-scale model, ``complex none`` (a metal) or ``real lambert``;
+    the model's name where it has no variants."""
+    cost: float | None
+    """Cost on the coarse grid, as in `fit.cost`."""
+    bic: float | None = None
+    """What results before version 1.3 chose by."""
+    objective: float | None = None
+    """Cost with the prior."""
+    cube_root: float | None = None
+    """Error of cube roots on the coarse grid."""
+    score: float | None = None
+    """What the choice goes by, lower is better; of kinds that are about as good the simplest is taken
+    (``fitting/fit/selection.py``)."""
+    of_matter: bool = True
+    """False of constants that no matter has, such as those of a metal over a bright body: it is taken only if it is far
+    better than all others. True before this was looked at."""
+    converged: bool = True
+    """False of a kind that was too far behind to be followed to the end, or was still creeping on the coarse grid."""
+
+
+class Fit(Strict):
+    """How the fit ended."""
+
+    status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "UNEXPLAINED", "NON_FINITE", "NO_DATA"]
+    """How it ended, as a word for programs."""
+    message: str
+    """The same in a sentence, with what is wrong with the file."""
+    succeeded: bool
+    """Whether its parameters may be used: it converged, at a bound or not, or stopped at the step limit."""
+    cost: float | None
+    """HP17 Eq. 56, relative to the measurement's weighted energy."""
+    cost_per_channel: Many[float] | None
+    """The cost by channel."""
+    folding_scatter: float | None
+    """Part of the cost by which bins at phi_d and pi - phi_d differ, which should be equal; no model can lower it."""
+    steps: int
+    """Steps on the last grid."""
+    relative_offset: float | None
+    """How far from the minimum the fit stopped, as Bates and Watts measure it."""
+    bins: int
+    """Bins with a weight."""
+    effective_bins: float | None = None
+    """How many independent residuals those of the fit count as (docs/statistics.md). Null before version 2.1."""
+    candidates: Many[Candidate]
+    """Models and their variants that were compared."""
+    weights: float | Literal["log"] | None = None
+    """Exponent of the compressive weight that the fit was made with, or ``log``."""
+    cautions: Many[str] = []  # noqa: RUF012 - pydantic copies it
+    """What a user of the parameters should know, in words."""
+
+
+class Metrics(Strict):
+    """Errors over all valid bins with light and viewer at theta < ``fit.theta_max``, of a prediction with the loss."""
+
+    rmse: float | None
+    """Root of the mean squared error (1/sr)."""
+    smape: float | None
+    """Symmetric mean absolute percentage error, as a share."""
+    cube_root: float | None = None
+    """RMS difference of the cube roots of BRDF times cos_i."""
+    log: float | None = None
+    """RMS difference of log(1 + BRDF cos_i)."""
+    highlight: float | None = None
+    """Fitted over measured peak."""
+    picture: float | None = None
+    """Mean CIELAB distance of rendered spheres over all pixels, black ones too, under a lamp and an environment alike;
+    weights and models are chosen by it."""
+    lamp: float | None = None
+    """Mean CIELAB distance of the spheres' lit pixels under a lamp, highlights as they are. Null before version 2.3."""
+    environment: float | None = None
+    """The same under an environment. Null before version 2.3."""
+
+
+class Tried(Strict):
+    """Settings that a fit was taken to, and what was estimated there."""
+
+    settings: Choice
+    """The settings."""
+    estimated: float | None
+    """Error there, as in `accuracy.estimated`."""
+    floor: bool = False
+    """As in `accuracy.floor`."""
+
+
+class Accuracy(Strict):
+    """What ``--accuracy`` or ``--time`` asked for, what was chosen, and what came of it.
+
+    Errors are distances from the prediction of the reference fit, over all bins, relative to the measurement, with the
+    weights of Eq. 56. `config` is what the fit began with; it was carried on through the settings ``tried``.
+    """
+
+    asked: float | None
+    """Error that was asked for; null if a time was."""
+    asked_seconds: float | None
+    """Seconds that were asked for; null if an error was."""
+    calibration: str
+    """Which calibration the settings were chosen by, in words."""
+    expected: float | None
+    """What 95 % of the calibration's fits with the first settings keep to; null for effects or limits of steps that
+    were not calibrated."""
+    expected_seconds: float | None
+    """The same of the seconds."""
+    tried: Many[Tried]
+    """Settings that the fit was taken to, one after the other."""
+    settings: Choice
+    """Those of the result."""
+    estimated: float | None
+    """Error of the result; null where there was no time to estimate it."""
+    floor: bool = False
+    """True where ``estimated`` is what 95 % of the calibration's fits with these settings keep to, because the estimate
+    of this fit alone was lower."""
+    met: bool | None
+    """Whether the error that was asked for is kept to; null for a time."""

@@ -1,0 +1,1 @@
+"""What people look at: pictures (each a function that returns a figure), tables of the terminal, pages."""

@@ -1,0 +1,116 @@
+"""`merlfit inspect`: a result in tables and pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import typer
+
+from ...merl_io.atomic import WriteError
+from ...merl_io.source import is_regular
+from ..pipeline.draws import NoPicture
+from ..results.schema import Result
+from ..results.storage import ResultError, read_result
+from ..support.compilation import use_persistent_cache
+from ..support.outputs import refuse_others
+from ..support.terminal import BAD_INPUT, console, fail, note, writable_folder
+from . import style
+from .pictures import PICTURES, SCATTERED
+from .subject import Subject, subject_of
+from .terminal_tables import pictures_table, print_result
+
+FORMATS = ("png", "pdf", "svg")
+
+
+def inspect_result(
+    result: Path, file: Path | None, out: Path | None, pictures: str | None, kind: str,
+    force: bool = False,
+) -> None:  # fmt: skip
+    """Print a result and write its pictures; exits with 2 where the file that was asked for cannot be drawn.
+
+    Args:
+        pictures: names with commas between; "none" for the numbers alone. force: write over any file.
+    """
+    try:
+        read = read_result(result)
+    except ResultError as error:
+        raise fail(str(error)) from None
+    if pictures == "none":
+        return print_result(console, read)
+    only = [] if pictures is None else [name.strip() for name in pictures.split(",")]
+    for name in only:
+        if name not in PICTURES:
+            raise fail(f"--pictures {name}: no such picture; there are {', '.join(PICTURES)}, or none")
+    if kind not in FORMATS:
+        raise fail(f"--format {kind}: should be png, pdf or svg")
+    found = file or file_of(result, read)
+    if not show(result, read, found, out or result.parent, kind, only, file is not None, force):
+        raise typer.Exit(BAD_INPUT)
+
+
+def file_of(path: Path, result: Result) -> Path:
+    """The MERL file of a result: as it was named, seen from here, from a folder above the result or from where it ran.
+
+    A project may have moved as a whole.
+    """
+    named = Path(result.source.path)
+    places = [named, *(folder / named for folder in path.absolute().parents), path.parent / named.name]
+    if result.run is not None and result.run.folder is not None:
+        places.append(Path(result.run.folder) / named)
+    return next((place for place in places if is_regular(place)), named)
+
+
+def show(
+    path: Path, result: Result, file: Path, out: Path, kind: str = "png", only: Sequence[str] = (),
+    needs_file: bool = False, force: bool = False,
+) -> bool:  # fmt: skip
+    """Print and draw.
+
+    Args:
+        kind: format of the pictures, png, pdf or svg. only: names of pictures; all by default.
+        needs_file: whether it is bad input if the MERL file is of no use. force: write over any file.
+
+    Returns:
+        False if the file is of no use and was asked for, or nothing could be drawn.
+    """
+    print_result(console, result)
+    if result.model is None:
+        note(f"nothing to draw: the fit ended {result.fit.status}")
+        return True
+    writable_folder(out)
+    use_persistent_cache()
+    subject = subject_of(result, path, file)
+    kinds = PICTURES if subject.scattered is None else SCATTERED
+    if "measurement" in subject.lacks and subject.scattered is None:
+        note(f"the file is not shown: {subject.lacks['measurement']}; name the file with --file")
+    drawn = draw(subject, out, kind, only or [*kinds], force)
+    if drawn:
+        console.print(pictures_table(drawn))
+    else:
+        note("nothing was drawn")
+    return bool(drawn) and (subject.lacks.get("measurement") is None or subject.scattered is not None or not needs_file)
+
+
+def draw(subject: Subject, out: Path, kind: str, names: Sequence[str], force: bool = False) -> dict[Path, str]:
+    """Write pictures; what each written one shows. What cannot be drawn is named."""
+    stem = f"{subject.result.source.material}.{subject.model.name}"  # of two models in one folder both have theirs
+    targets, written, missing = {name: out / f"{stem}.{name}.{kind}" for name in names}, {}, {}
+    try:
+        refuse_others(targets.values(), force)
+    except WriteError as error:
+        raise fail(str(error)) from None
+    for name, target in targets.items():
+        try:
+            style.save(({**PICTURES, **SCATTERED})[name].draw(subject), target)
+        except NoPicture as error:
+            missing.setdefault(str(error), []).append(name)
+            continue
+        except WriteError as error:
+            raise fail(str(error)) from None
+        except Exception as error:  # of any kind, text that was edited into what is no formula say
+            note(f"{target}: cannot be drawn ({type(error).__name__}: {str(error).strip()})")
+            continue
+        written[target] = ({**PICTURES, **SCATTERED})[name].words
+    for why, those in missing.items():
+        reason = "they need the file" if why == subject.lacks.get("measurement") else why
+        note(f"not drawn: {', '.join(those)} ({reason})")
+    return written

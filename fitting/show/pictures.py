@@ -1,0 +1,41 @@
+"""Every picture of a fit by its name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from .corner import corner, corner_all
+from .effect_shares import effects
+from .isolines import isolines
+from .lobes import lobes
+from .peak import peak
+from .residual_maps import errors, residuals
+from .sample_plots import samples
+from .spheres import spheres
+from .subject import Subject
+from .trace import trace
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture: what it shows, in words, and the function that draws it, which raises NoPicture where it cannot."""
+
+    words: str
+    draw: Callable[[Subject], Figure]
+
+
+SCATTERED = {"samples": Picture("samples and fit, their ratio, and parameters over the wavelength", samples)}
+"""Of files of scattered directions; those below are of files of bins."""
+PICTURES = {
+    "spheres": Picture("spheres of file and fit, and their CIELAB difference", spheres),
+    "lobes": Picture("lobes in the plane of incidence, with the posterior's bands", lobes),
+    "isolines": Picture("isolines over all viewers, on the projected hemisphere", isolines),
+    "peak": Picture("every datum of the peak, and its width in each channel", peak),
+    "residuals": Picture("fit over file along theta_h and theta_d", residuals),
+    "errors": Picture("maps of the errors over theta_h and theta_d", errors),
+    "effects": Picture("what reflection, diffraction and body add", effects),
+    "corner": Picture("corner plot of the posterior: shared parameters and one channel", corner),
+    "corner-all": Picture("corner plot of all parameters, as wide as a page", corner_all),
+    "trace": Picture("the walkers of the posterior's chain, step by step", trace),
+}

@@ -1,0 +1,147 @@
+"""A folder of results as one table for a spreadsheet: what `merlfit table` writes."""
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import typer
+
+from ...merl_io.atomic import WriteError, write_text
+from ..results.manifest import NAME as MANIFEST
+from ..results.manifest import Ending, FileEnded, lines
+from ..results.schema import Metrics, Result
+from ..results.storage import ResultError, read_result
+from ..support.outputs import as_csv, refuse_others
+from ..support.terminal import BAD_INPUT, console, fail, note, unexpected
+
+UNREADABLE = "unreadable"
+HEADS = (
+    "material", "status", "model", "variant", "genuine_merl", "data", "cost", *Metrics.model_fields, "seconds",
+    "posterior", "cautions", "error", "result", "file", "sha1",
+)  # fmt: skip
+Row = dict[str, str | float | None]
+
+
+def write_table(folder: Path, path: Path, force: bool = False) -> None:
+    """Write the table of a folder and say what it holds; ends with an error line where there is nothing.
+
+    Exits with 2 if a result cannot be read; the others are in the table.
+
+    Args:
+        force: write over any file.
+    """
+    rows = results_in(folder)
+    try:
+        refuse_others([path], force, "table.csv")
+        write_csv(rows, path)
+    except WriteError as error:
+        raise fail(str(error)) from None
+    code = tell_errors(rows)
+    counts = Counter(str(row["status"]) for row in rows)
+    said = ", ".join(f"{count} {status}" for status, count in counts.most_common())
+    console.print(f"wrote {path}: {said}")
+    if code:
+        raise typer.Exit(code)
+
+
+def tell_errors(rows: Sequence[Row]) -> int:
+    """Say what is wrong, a line a row; the exit code that follows from results that cannot be read."""
+    for row in rows:
+        if row["error"]:
+            note(str(row["error"]))
+    return BAD_INPUT if any(row["status"] == UNREADABLE for row in rows) else 0
+
+
+def results_in(folder: Path) -> list[Row]:
+    """As `rows_of`; ends with an error line where there is nothing."""
+    if not os.path.isdir(folder):  # which takes names of any length
+        raise fail(f"{folder}: no such folder")
+    rows = rows_of(folder)
+    if not rows:
+        raise fail(f"{folder}: no results in there; `merlfit fit FILE ... -o {folder}` writes some")
+    return rows
+
+
+def rows_of(folder: Path) -> list[Row]:
+    """A row a result in a folder and those in it, and one a file that has none.
+
+    Returns:
+        by material and model: the columns of ``HEADS``, then of each parameter its value, ``_low`` and ``_high``
+        (90 % interval by the Laplace approximation), ``_q05``, ``_q50`` and ``_q95`` (of the posterior). What there is
+        not is None.
+    """
+    last = dict(_last(folder))
+    found = [
+        _row(path, folder, last.pop(path, None)) for path in sorted(folder.rglob("*.json")) if _shown(path, folder)
+    ]
+    found += [
+        _blank() | {"material": line.material, "status": str(line.ended), "error": line.error, "file": line.file}
+        for line in last.values()
+        if line.ended not in (Ending.FITTED, "kept")
+    ]
+    found.sort(key=lambda row: (str(row["material"]), str(row["model"]), str(row["result"])))
+    return found
+
+
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """CSV: UTF-8, commas, a decimal point, numbers of six digits, nothing where there is no value."""
+    heads = list(dict.fromkeys([*HEADS, *(head for row in rows for head in row)]))
+    write_text(path, as_csv(heads, rows))
+
+
+def _last(folder: Path) -> Iterator[tuple[Path, FileEnded]]:
+    """Where the result of a file should be, and how the last work on it ended, by the manifests."""
+    for manifest in sorted(folder.rglob(MANIFEST)):
+        for line in lines(manifest.parent):
+            if isinstance(line, FileEnded):
+                yield manifest.parent / f"{line.material}.json", line
+
+
+def _shown(path: Path, folder: Path) -> bool:
+    hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+    return not hidden and not path.name.endswith(".material.json")  # of `merlfit export`
+
+
+def _blank() -> Row:
+    return dict.fromkeys(HEADS)
+
+
+def _row(path: Path, folder: Path, last: FileEnded | None) -> Row:
+    """Of a result; an error is that of a later run that did not replace it."""
+    row = _blank() | {
+        "material": path.stem,
+        "result": str(path.relative_to(folder)),
+        "error": last.error if last else None,
+    }
+    try:
+        return row | _found(read_result(path))
+    except ResultError as error:
+        return row | {"status": UNREADABLE, "error": str(error)}
+    except Exception as error:  # of any kind: said with its name, and the next result has its row
+        return row | {"status": UNREADABLE, "error": unexpected(path, error)}
+
+
+def _found(result: Result) -> Row:
+    """What a result says."""
+    material, posterior = result.model.material if result.model else None, result.posterior
+    return {
+        "material": result.source.material, "status": result.fit.status, "model": material and material.name,
+        "variant": material and material.variant, "genuine_merl": result.source.genuine_merl or "no",
+        "data": result.data_words, "cost": result.fit.cost, **result.metrics.model_dump(),
+        "seconds": result.seconds["total"],
+        "posterior": posterior and ("ok" if posterior.sufficient else posterior.message),
+        "cautions": "; ".join(result.fit.cautions), "file": result.source.path, "sha1": result.source.sha1,
+        **_parameters(result),
+    }  # fmt: skip
+
+
+def _parameters(result: Result) -> Mapping[str, float | None]:
+    found: dict[str, float | None] = {}
+    for p in result.parameters:
+        found |= {
+            p.name: p.value,
+            f"{p.name}_low": p.laplace and p.laplace.q05, f"{p.name}_high": p.laplace and p.laplace.q95,
+            **{f"{p.name}_{q}": p.quantiles and getattr(p.quantiles, q) for q in ("q05", "q50", "q95")},
+        }  # fmt: skip
+    return found

@@ -1,0 +1,92 @@
+"""What a fit simulated and what it left out, in words, and the command that makes it again."""
+
+import numpy as np
+
+from ...merl_io.inputs import SCATTERED
+from ...model.two_scale import TwoScale
+from ..results.schema import Result
+from .terminal_tables import number
+
+DIFFRACTION = {
+    "lobe": "with the normals of facets taken as all alike", "scaled": "blurred by a lobe of another width and height",
+    "zonal": "blurred by zonal harmonics", "quadrature": "blurred by the distribution of normals, by quadrature",
+    "exact": "blurred by the distribution of normals, exactly",
+}  # fmt: skip
+BODIES = {
+    "lambert": "a Lambert body under the interface",
+    "plastic": "a diffuse body whose light crosses the interface twice",
+    "subsurface": "light that was scattered below the surface",
+}  # fmt: skip
+NEVER = (
+    "light that the surface scatters more than once, where the model does not say otherwise",
+    "interreflection between samples, polarisation, fluorescence, anisotropy: no fit here has them",
+    "the spectrum within a channel: one wavelength stands for it",
+)
+
+
+def simulated(result: Result) -> list[str]:
+    """Effects that the fit has, a line each."""
+    if result.model is None:
+        return []
+    m = result.model.material
+    said = [f"the {m.name} model"] if not isinstance(m, TwoScale) else _two_scale(m)
+    exponents = {lobe: x for lobe, x in result.model.acquisition.exponents.items() if x}
+    if exponents:
+        lost = " and ".join(f"{number(x, 3)} of {lobe} light" for lobe, x in exponents.items())
+        how = "loss of light at grazing angles, by MERL's apparatus: exponent"
+        said.append(f"{how} {lost} ({result.model.acquisition.grazing_loss})")
+    return said
+
+
+def _two_scale(m: TwoScale) -> list[str]:
+    interface = "a conductor" if m.index == "complex" else "a dielectric"
+    masked = "no masking" if m.masking == "none" else f"{m.masking.replace('_', ' ')} masking"
+    fresnel = "Fresnel's formulas" if m.fresnel == "exact" else "Schlick's polynomial"
+    said = [f"reflection by microfacets of {interface}: {fresnel}, {masked}"]
+    if m.diffraction != "off":
+        colour = "Rayleigh-Rice" if m.colour == "rayleigh_rice" else "Fresnel"
+        split = "as printed" if m.split == "printed" else "such that no energy is made"
+        said.append(
+            f"diffraction by nano-geometry: {DIFFRACTION[m.diffraction]}; colour by {colour}, energy split {split}"
+        )
+    if m.body in BODIES:
+        said.append(BODIES[m.body])
+    return said
+
+
+def left_out(result: Result) -> list[str]:
+    """What the fit does not have, a line each, and why where that is known."""
+    if result.model is None:
+        return []
+    m, said = result.model.material, []
+    if isinstance(m, TwoScale):
+        if m.diffraction == "off":
+            said.append("diffraction by nano-geometry: switched off")
+        if m.body == "none":
+            said.append(
+                "a body under the interface" + (": the choice between kinds did without" if _chose(result) else "")
+            )
+        if m.masking == "none":
+            said.append("masking and shadowing: switched off")
+    if result.model.measured.lobes and not result.model.measured.loses:
+        said.append("loss of light at grazing angles by the apparatus")
+    if (limit := result.theta_max) is not None:
+        said.append(f"directions past {np.degrees(limit):.0f} degrees from the normal: neither fitted nor assessed")
+    return [*said, *NEVER]
+
+
+def _chose(result: Result) -> bool:
+    return len(result.fit.candidates) > 1
+
+
+def reproducing(result: Result) -> list[str]:
+    """The words of the command that fitted this file, of a batch without its other files."""
+    words = [] if result.run is None else [str(word) for word in result.run.command]
+    own = result.source.path
+    if own not in words:
+        return words
+    measured = (".binary", *SCATTERED)
+    return [
+        word for k, word in enumerate(words)
+        if word == own or not word.lower().endswith(measured) or words[k - 1] in ("-o", "--out")
+    ]  # fmt: skip

@@ -1,0 +1,144 @@
+"""What is pictured: a result, the file that was fitted, and the draws of its posterior."""
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ...merl_io.binary import DIMS, Dims, Measurement, MerlError
+from ...merl_io.grid import MerlGrid, merl_grid
+from ...merl_io.inputs import Input
+from ...merl_io.scattered import ScatteredMeasurement
+from ..pipeline.draws import Chain, NoPicture, chain_file, states
+from ..results.schema import Model, Result
+from ..support.choices import THETA_MAX
+from . import prediction
+from .style import plain
+
+COLUMN_LETTERS = 62  # of 7 points, in 8.5 cm
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A fit to picture.
+
+    Attributes:
+        measurement: the file, of bins; or scattered: the file, of scattered directions. chain: weighted draws from the
+            posterior (`chain_file`). walkers: their states in free coordinates, (steps, walkers, P). lacks: why one of
+            them is not there, by its name.
+    """
+
+    result: Result
+    measurement: Measurement | None = None
+    chain: Chain | None = None
+    walkers: np.ndarray | None = None
+    lacks: Mapping[str, str] = field(default_factory=dict)
+    scattered: ScatteredMeasurement | None = None
+
+    @property
+    def model(self) -> Model:
+        """What was fitted; NoPicture if the fit failed."""
+        if self.result.model is None:
+            raise NoPicture(f"the fit ended {self.result.fit.status}")
+        return self.result.model
+
+    @property
+    def file(self) -> Measurement:
+        """The measurement; NoPicture if it is not there."""
+        if self.measurement is None:
+            raise NoPicture(self.lacks.get("measurement", "there is no file to compare with"))
+        return self.measurement
+
+    @property
+    def draws(self) -> Chain:
+        """The draws, whether there are enough of them or not; NoPicture if there are none."""
+        if self.chain is None:
+            raise NoPicture(self.lacks.get("chain", "the posterior was not sampled"))
+        return self.chain
+
+    @property
+    def trusted(self) -> Chain | None:
+        """The draws, if they are good enough for intervals."""
+        sufficient = self.result.posterior is not None and self.result.posterior.sufficient
+        return self.chain if sufficient else None
+
+    @cached_property
+    def values(self) -> dict:
+        """Of the parameters, as the model takes them."""
+        return self.result.values()
+
+    @cached_property
+    def fitted(self) -> prediction.Fitted:
+        """The material, with tables for all directions of all pictures."""
+        return prediction.Fitted.tabled(self.model, self.values)
+
+    @cached_property
+    def likely(self) -> prediction.Fitted | None:
+        """The same of draws of the posterior, if they are good enough for intervals."""
+        return None if self.trusted is None else prediction.draws_of(self.result, self.trusted)
+
+    @property
+    def dims(self) -> Dims:
+        """Of the file, or MERL's where there is none."""
+        return DIMS if self.measurement is None else self.measurement.dims
+
+    @property
+    def grid(self) -> MerlGrid:
+        """Of the file, or MERL's where there is none."""
+        return merl_grid(self.dims)
+
+    @cached_property
+    def predicted(self) -> np.ndarray:
+        """The fit as the apparatus would have measured it, on folded bins, (C, H, D, P/2)."""
+        return prediction.all_bins(self.fitted, self.dims)
+
+    @cached_property
+    def parts(self) -> dict[str, np.ndarray]:
+        """What each lobe and the body add to the material, without the apparatus, on folded bins (C, H, D, P/2)."""
+        return prediction.parts_of_all_bins(self.fitted, self.dims)
+
+    @property
+    def theta_max(self) -> float:
+        """Up to which angle (rad) the file was fitted."""
+        return self.result.theta_max or THETA_MAX
+
+    @property
+    def heading(self) -> str:
+        """Material, model and what the data are, for over a picture."""
+        words = f" fit of {self.result.model.material.words}" if self.result.model else ""
+        return plain(wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}"))
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of the channels, to be written into pictures."""
+        return [plain(name) for name in self.model.channels]
+
+
+def wrapped(*said: str) -> str:
+    """Lines that are no wider than a column."""
+    return "\n".join(line for text in said for line in textwrap.wrap(text, COLUMN_LETTERS))
+
+
+def subject_of(result: Result, path: Path, file: Path | Input) -> Subject:
+    """A fit to picture with all that can be read of it.
+
+    Args:
+        path: of the result. file: that was fitted, or what was read of it.
+    """
+    measurement, scattered, chain, lacks = None, None, None, {}
+    try:
+        found = result.source.read(file) if isinstance(file, Path) else file
+        if isinstance(found, Measurement):
+            measurement = found
+        else:
+            scattered, lacks["measurement"] = found, "it holds scattered directions"
+    except MerlError as error:
+        lacks["measurement"] = str(error)
+    try:
+        chain = chain_file(result, path)
+    except NoPicture as error:
+        lacks["chain"] = str(error)
+    return Subject(result, measurement, chain, None if chain is None else states(result, path), lacks, scattered)

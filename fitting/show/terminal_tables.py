@@ -1,0 +1,195 @@
+"""Results as tables for a terminal; rich draws them, plain text when the output is not one."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from ..fit.identifiability import in_words
+from ..fit.outcome import explains
+from ..results.schema import Accuracy, Model, ParameterResult, Quantiles, Result
+from ..support.numbers import counted, distance, number
+
+LAPLACE = "by the Laplace approximation"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One file of a batch: its result, or the one line that says why there is none."""
+
+    path: Path
+    result: Result | None
+    error: str | None = None
+    bad_input: bool = False
+
+
+def summary_table(outcomes: Sequence[Outcome]) -> Table:
+    """One row a file of a batch."""
+    table = Table(
+        title="Fits (RMSE in 1/sr; lamp, env: CIELAB distance of spheres there; peak: fitted over measured)",
+
+    )  # fmt: skip
+    numbers = ("RMSE", "sMAPE", "lamp", "env", "peak", "s")
+    for head in ("material", "model", "status", *numbers[:-1], "chain", "s"):
+        table.add_column(head, justify="right" if head in numbers else "left")
+    for o in outcomes:
+        if o.result is None:
+            table.add_row(o.path.stem, "-", "bad input" if o.bad_input else "failed", *"-------")  # why: on stderr
+            continue
+        r = o.result
+        chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
+        table.add_row(
+            r.source.material, r.model.material.variant if r.model else "-", r.fit.status,
+            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), distance(r.metrics.lamp),
+            distance(r.metrics.environment), number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
+        )  # fmt: skip
+    return table
+
+
+def _not_the_lowest(result: Result) -> str:
+    """Why a kind was taken whose score is not the lowest, if that is so."""
+    taken = None if result.model is None else result.model.material.variant
+    compared = {c.variant: c for c in result.fit.candidates if c.score is not None}
+    scores = {variant: c.score or 0.0 for variant, c in compared.items()}
+    if taken not in scores or scores[taken] == min(scores.values()):
+        return ""
+    lowest = compared[min(scores, key=lambda variant: scores[variant])]
+    if not explains(lowest):
+        return f"; taken: {taken}, as {lowest.variant} leaves too much of the file unexplained"
+    if not lowest.of_matter:
+        return f"; taken: {taken}, as no matter has the constants of {lowest.variant}"
+    return f"; taken: {taken}, the simplest of those that describe the file about as well as the lowest"
+
+
+def interval(found: Quantiles | None) -> str:
+    """A 90 % interval; a dash where there is none."""
+    return "-" if found is None else f"{number(found.q05)} .. {number(found.q95)}"
+
+
+def median(q: ParameterResult) -> str:
+    """Of the posterior; a dash without one."""
+    return number(q.quantiles.q50) if q.quantiles else "-"
+
+
+def parameter_table(result: Result) -> Table:
+    """Parameters with one kind of interval, their bounds, and what they mean.
+
+    Of the posterior where there is one, by the Laplace approximation where there is none: side by side the narrower
+    one would be believed.
+    """
+    sampled = any(q.quantiles for q in result.parameters)
+    said = f"fitted parameters; 90 % intervals {'of the posterior' if sampled else LAPLACE}"
+    table = Table(title=f"{result.source.material}: {said}")
+    middle = ["median"] if sampled else []
+    for head in ("parameter", "value", *middle, "5 .. 95 %", "unit", "bounds", "meaning"):
+        table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
+    for q in result.parameters:
+        at = "" if q.at_bound == "no" else f"{q.at_bound} {number(q.lower if q.at_bound == 'lower' else q.upper)}"
+        bounds = f"[{number(q.lower)}, {number(q.upper)}]{f' at {at}' if at else ''}"
+        unit = "-" if q.unit == "1" else q.unit
+        found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
+        table.add_row(q.name, number(q.value), *found, unit, bounds, q.meaning)
+    return table
+
+
+def fitted_line(m: Model) -> str:
+    """What was fitted: model, what of its settings matters, and the loss of the apparatus."""
+    a, said = m.acquisition, [m.material.words, *m.material.details]
+    if m.measured.loses:
+        exponents = [f"{number(k, 3)} of {lobe} light" for lobe, k in a.exponents.items()]
+        said.append(f"grazing exponent {' and '.join(exponents)} ({a.grazing_loss})")
+    return ", ".join(said)
+
+
+VALID_OF = {
+    "MERL": "bins", "table": "values of a table of scattered directions", "RGL": "the values of an RGL file",
+}  # fmt: skip
+
+
+def print_result(console: Console, result: Result) -> None:
+    """Everything a person asks first of one result."""
+    s, f = result.source, result.fit
+    grid = s.format == "MERL"
+    what = VALID_OF[s.format]
+    console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of {what} valid")
+    console.print(f"data: {result.data_words}")
+    if result.model is None:
+        console.print(f"{f.status}: {f.message}")
+        return
+    console.print(fitted_line(result.model))
+    console.print(parameter_table(result))
+    console.print(f"{f.status}: {f.message}")
+    console.print(
+        f"cost {number(f.cost)} (share of the weighted energy), RMSE {number(result.metrics.rmse)} 1/sr, "
+        f"sMAPE {number(result.metrics.smape, 3)}, {counted(f.bins, 'bin' if grid else 'sample')}, "
+        f"{counted(f.steps, 'step')} on the last grid"
+    )
+    e = result.metrics
+    lit = f"CIELAB distance of lit pixels {distance(e.lamp)} under a lamp, {distance(e.environment)} in a room"
+    picture = f"{lit}; of all pixels {distance(e.picture)}" if grid else "none of scattered directions"
+    console.print(
+        f"picture: {picture}; highlight {number(e.highlight, 3)} times the file's; "
+        f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
+    )
+    for caution in f.cautions:
+        console.print(f"caution: {caution}")
+    if len(f.candidates) > 1:
+        console.print(
+            "models compared on the coarse grid, with their scores (lower is better): "
+            + ", ".join(f"{c.variant} {number(c.score, 3)}" for c in f.candidates)
+            + _not_the_lowest(result)
+        )
+    if result.identifiability is not None:
+        for line in in_words(result.identifiability):
+            console.print(line)
+    if result.accuracy is not None:
+        console.print(accuracy_line(result.accuracy))
+    if result.posterior is None:
+        console.print("posterior: not sampled" + ("" if grid else ": none of scattered directions is"))
+        return
+    if result.derived:
+        console.print(derived_table(result))
+    p = result.posterior
+    least = min((x or 0.0 for x in p.effective_size), default=0.0)
+    console.print(
+        f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}. {p.draws} draws are weighted by "
+        f"the likelihood of all bins; the smallest effective sample size is {number(least, 3)}. The residuals are "
+        f"correlated: they count as {number(p.effective_bins, 3)} independent ones"
+    )
+
+
+def pictures_table(written: Mapping[Path, str]) -> Table:
+    """Files of pictures in a folder, and what each shows."""
+    folder = next(iter(written)).parent
+    table = Table(title=f"pictures in {folder}, as wide as a column of a paper (8.5 cm)")
+    table.add_column("wrote")
+    table.add_column("what it shows", max_width=48)
+    for path, words in written.items():
+        table.add_row(path.name, words)
+    return table
+
+
+def derived_table(result: Result) -> Table:
+    """Derived quantities with intervals."""
+    table = Table(title="derived quantities of the material (without the loss of the apparatus)")
+    for head in ("quantity", "value", "5 .. 95 %", "unit", "meaning"):
+        table.add_column(head, justify="right" if head in ("value", "5 .. 95 %") else "left")
+    for q in result.derived:
+        table.add_row(q.name, number(q.value), interval(q.quantiles), "-" if q.unit == "1" else q.unit, q.meaning)
+    return table
+
+
+def accuracy_line(found: Accuracy) -> str:
+    """What a fit that was asked for an accuracy or a time came to."""
+    if found.estimated is None and found.asked is None:
+        return "accuracy: not estimated, which would have taken longer than the time that was asked for"
+    said = f"accuracy: within {number(found.estimated, 2)} of the reference fit, "
+    said += "a floor: what 95 % of the calibration's fits keep to" if found.floor else "as estimated"
+    if found.settings != found.tried[0].settings:
+        said += f"; carried on with {found.settings}, because {found.tried[0].settings} only came "
+        said += f"within {number(found.tried[0].estimated, 2)}"
+    if found.met is not None:
+        said += f"; {number(found.asked)} was asked for, " + ("which is met" if found.met else "which is NOT met")
+    return said

@@ -1,1 +1,0 @@
-"""Minimising it: starting points and Levenberg-Marquardt."""
