@@ -3,6 +3,7 @@
 :class:`merlfit.model.two_scale.TwoScale` is the model with its effects.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -12,7 +13,8 @@ BODIES = ("none", "lambert", "plastic", "subsurface")
 ANY = "any"  # of `TwoScale.general` alone, of no material
 Fresnel = Literal["exact", "schlick"]
 Masking = Literal["smith", "height_correlated", "none"]
-Diffraction = Literal["off", "lobe", "scaled", "zonal", "quadrature", "exact"]
+Diffraction = Literal["off", "lobe", "quadrature", "exact"]
+GONE = ("scaled", "zonal")  # tiers that merlfit had: docs/physics.md says why they are no more
 Split = Literal["printed", "conserving"]
 Colour = Literal["rayleigh_rice", "fresnel"]
 Index = Literal["usual", "complex", "real"]
@@ -35,13 +37,9 @@ class Effects:
     Attributes:
         body: what lies under the interface, with an albedo per channel, or ``none``.
         diffraction: how the facets' diffraction lobe is blurred by the distribution of their normals, cheapest first:
-            ``off``; ``lobe`` (normals taken as all alike); ``scaled`` (a lobe of another width and height, HP17
-            Eq. 39-41: good for most lobes while 2 b beta/lambda < 0.1, rough beyond); ``zonal`` (zonal harmonics,
-            Appendix A: good for zonal_order >= 24 b/lambda, wrong for sharper lobes); ``quadrature`` (Eq. 33);
-            ``exact`` (Eq. 27, the reference: milliseconds a direction).
-        order: radial nodes of ``quadrature``, and of ``scaled`` outside its table; accuracy in
-            :func:`merlfit.model.convolution.convolve`.
-        zonal_order: highest degree of ``zonal``.
+            ``off``; ``lobe`` (normals taken as all alike); ``quadrature`` (Eq. 33); ``exact`` (Eq. 27, the reference:
+            milliseconds a direction).
+        order: radial nodes of ``quadrature``; accuracy in :func:`merlfit.model.convolution.convolve`.
         fresnel: of the specular term: ``exact`` (HP17 Eq. 3-4), or Schlick's polynomial.
         masking: ``smith`` (masking and shadowing independent, HP15 Eq. 6), ``height_correlated`` (Smith's joint form,
             Heitz 2014), ``none`` (1).
@@ -59,7 +57,6 @@ class Effects:
     body: Body = "none"
     diffraction: Diffraction = "quadrature"
     order: int = 32
-    zonal_order: int = 100
     fresnel: Fresnel = "exact"
     masking: Masking = "smith"
     renormalised: bool = True
@@ -77,8 +74,6 @@ class Effects:
                 raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
         if not LEAST_ORDER <= self.order <= 256:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
-        if not 1 <= self.zonal_order <= 1000:
-            raise ValueError(f"zonal_order {self.zonal_order} is outside 1..1000")
         for name, where in idle(self.diffraction).items():
             if getattr(self, name) != getattr(type(self), name):
                 raise ValueError(f"{name} has an effect only where {where}: leave it out")
@@ -100,12 +95,23 @@ class Effects:
 def idle(diffraction: Diffraction) -> dict[str, str]:
     """Options that a tier of diffraction does not use, and where they have an effect, in words."""
     used = {
-        "order": (diffraction in ("quadrature", "scaled"), "diffraction is quadrature or scaled"),
-        "zonal_order": (diffraction == "zonal", "diffraction is zonal"),
+        "order": (diffraction == "quadrature", "diffraction is quadrature"),
         "renormalised": (diffraction != "off", "diffraction is not off"),
         "colour": (diffraction != "off", "diffraction is not off"),
     }
     return {name: where for name, (heeded, where) in used.items() if not heeded}
+
+
+def refuse_gone(settings: Mapping[str, Any]) -> None:
+    """Tell who names a tier that was removed what to take instead.
+
+    Raises:
+        ValueError: they name one, or its setting; the message is one line.
+    """
+    if (tier := settings.get("diffraction")) in GONE:
+        raise ValueError(f"diffraction {tier!r} is no more: fit with quadrature, or with lobe where time counts")
+    if "zonal_order" in settings:
+        raise ValueError("zonal_order was a setting of diffraction 'zonal', which is no more: leave it out")
 
 
 PRESETS: dict[str, Effects] = {
@@ -113,8 +119,8 @@ PRESETS: dict[str, Effects] = {
     "conserving": Effects(split="conserving"),
     "microfacet": Effects(diffraction="off"),
     "preview": Effects(diffraction="lobe", fresnel="schlick", colour="fresnel", renormalised=False),
-    "fast": Effects(diffraction="scaled"),
+    "fast": Effects(diffraction="lobe"),
     "reference": Effects(diffraction="exact"),
 }
 """Effects by name: HP17's model; the same conserving energy; Cook-Torrance alone; the cheapest with diffraction, for
-looks; the table instead of the quadrature; Eq. 27 itself."""
+looks; the lobe without blur, and all else as in HP17; Eq. 27 itself."""

@@ -162,19 +162,18 @@ def _position(theta: Real, beta: Scalar) -> Real:
     return (1 - jnp.sqrt(jnp.cos(theta)) + root / (1 + root)) * INCIDENCES / 2 - 0.02
 
 
-def slopes(beta: Scalar, p: Scalar, largest_B: Scalar, degree: int = 0) -> tuple[Array, Array]:
+def slopes(beta: Scalar, p: Scalar, largest_B: Scalar) -> tuple[Array, Array]:
     """Nodes in log tan(theta_h) for the lobes of one surface, around the edge of D, and their weights.
 
     Args:
         beta, p: the EPD. largest_B: 2 b/lambda of the narrowest lobe.
-        degree: of zonal harmonics, whose ringing two nodes a degree in either outer panel resolve; 0 for lobes without.
     """
     log_beta = jnp.log(beta)
     high = float(np.log(np.tan(STEEPEST)))
     low = jnp.minimum(log_beta, -jnp.log1p(largest_B)) - 5.0
     edge = log_beta + jnp.minimum(jnp.log(34 + 3 / p) / (2 * p), 2.0)
     edges = [low, log_beta - 1.0, jnp.minimum(edge, high), jnp.clip(edge, 0.0, high), high]
-    return panels(edges, (*RADII[:2], *(max(n, 2 * degree) for n in RADII[2:])))
+    return panels(edges, RADII)
 
 
 def panels(edges: Sequence[Array | float], counts: Sequence[int]) -> tuple[Array, Array]:

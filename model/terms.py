@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from . import body, convolution, diffraction, energy, exact, scaled, zonal
+from . import body, convolution, diffraction, energy, exact
 from .acquisition import RINGS_RAD
 from .effects import ANY
 from .fresnel import diffraction_colour, fresnel, schlick
@@ -175,10 +175,9 @@ def surface_albedo(v: Values, s: Setting) -> Array:
     own = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in given.items()}
     effects, wavelengths_um = _effects(s), s.wavelength_um.reshape(-1)
     largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
-    degree = effects.zonal_order if effects.diffraction == "zonal" else 0
     incidences = energy.incidences(v["beta"])
     placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
-    geometry, measure = energy.half_vectors(incidences, *energy.slopes(*placed, degree))
+    geometry, measure = energy.half_vectors(incidences, *energy.slopes(*placed))
     inner = effects.coarse(energy.ORDER)
     s = setting(geometry, inner, wavelengths_um)
     if inner.renormalised and inner.diffraction != "off":
@@ -217,16 +216,7 @@ def blurred_lobe(v: Values, s: Setting) -> Array:
     B = 2 * v["b"] * cos_over_lambda
     if e.diffraction == "lobe":
         return convolution.lobe(theta_h, B, v["c"])
-    c, beta, p = v["c"], v["beta"], v["p"]
-    match e.diffraction:
-        case "scaled":
-            return scaled.convolve(theta_h, B, c, beta, p, e.order)
-        case "zonal":
-            truncated = zonal.convolve(theta_h, B, c, beta, p, e.zonal_order)
-            # no bound on the albedo holds for a lobe that is negative somewhere
-            return jnp.maximum(truncated, 0.0) if e.split == "conserving" else truncated
-        case _ if "lobe_surface" in v:
-            sharpest = 2 * v["b"] / jnp.min(s.wavelength_um)
-            return convolution.from_surface(v["lobe_surface"], theta_h, B, sharpest)
-        case _:
-            return convolution.convolve_many(theta_h, cos_over_lambda, v["b"], c, beta, p, e.order)
+    if "lobe_surface" in v:
+        sharpest = 2 * v["b"] / jnp.min(s.wavelength_um)
+        return convolution.from_surface(v["lobe_surface"], theta_h, B, sharpest)
+    return convolution.convolve_many(theta_h, cos_over_lambda, v["b"], v["c"], v["beta"], v["p"], e.order)

@@ -91,19 +91,3 @@ def cases():
         said = f"the cases are absent: {Path('..', 'shared', 'cases')} beside the project holds them"
         (pytest.fail if os.environ.get("CI") else pytest.skip)(said)
     return folder
-
-
-@pytest.fixture(scope="module")
-def table(compilation_cache):
-    """The real table, kept with the compiled programs; its name changes with the code that makes it."""
-    from merlfit.fitting.support import tables  # not before the import hook
-    from merlfit.model import scaled
-
-    before = scaled._keep
-    tables.keep_in(Path(os.environ["MERLFIT_CACHE_DIR"]))
-    hasty = jax.config.read(HASTY)
-    jax.config.update(HASTY, False)  # half a minute of computing
-    found = scaled.table()
-    jax.config.update(HASTY, hasty)
-    yield found
-    scaled.keep_by(before)

@@ -43,7 +43,6 @@ EFFECT_SETS = [
     *(replace(FULL, index=index, body=body) for index, body in KINDS),
     *(replace(FULL, index=index, body=body, diffraction="lobe") for index, body in KINDS),
     *(under(body, diffraction="off") for body in ("lambert", "plastic")),
-    *(under(body, diffraction=tier) for body in ("none", "plastic") for tier in ("scaled", "zonal")),
     *(replace(FULL, index=index, body=body, masking="none") for index, body in KINDS),
     under("lambert", masking="height_correlated"),
     *(under(body, fresnel="schlick", colour="fresnel") for body in ("none", "subsurface")),
@@ -52,27 +51,13 @@ EFFECT_SETS = [
 ]
 
 
-def half_vectors(theta_i, beta, p, largest_B, radii=RADII, azimuths=AZIMUTHS, ringing=False):
-    """Geometry and measure cos_o domega_o, (A, R, P), for light at the angles theta_i (A,).
-
-    Args:
-        ringing: more panels where zonal harmonics oscillate, far from the normal.
-    """
+def half_vectors(theta_i, beta, p, largest_B, radii=RADII, azimuths=AZIMUTHS):
+    """Geometry and measure cos_o domega_o, (A, R, P), for light at the angles theta_i (A,)."""
     theta_i = np.asarray(theta_i)[:, None]
     edge = np.log(beta) + min(np.log(34 + 3 / p) / (2 * p), 3.0)
     low, high = min(np.log(beta), -np.log1p(largest_B)) - 6, np.log(np.tan(np.radians(89.99)))
-    far = [-1.5, 0.0, 1.5] if ringing else []
-    marks = [
-        *far,
-        low,
-        (low + np.log(beta) - 1) / 2,
-        np.log(beta) - 1,
-        np.log(beta),
-        edge,
-        edge + 1.5,
-        high - 2.5,
-        high,
-    ]
+    inner = np.log(beta) - 1
+    marks = [low, (low + inner) / 2, inner, np.log(beta), edge, edge + 1.5, high - 2.5, high]
     cut = np.log(np.tan((np.pi / 2 - theta_i) / 2))  # where rings begin to cross the viewer's horizon
     marks = np.broadcast_to(np.clip(marks, low, high), (len(theta_i), len(marks)))
     gone = np.log(np.tan((np.pi / 2 + theta_i) / 2))  # where they are below it with all their viewers
@@ -104,11 +89,8 @@ def _albedo(effects, values, geometry, measure):
 
 def albedo(effects, values, incidences_deg=INCIDENCES_DEG, radii=RADII, azimuths=AZIMUTHS):
     """Directional albedo at some incidences, (A,); to 1e-4."""
-    ringing = effects.diffraction == "zonal"
     B = 2 * values.get("b", 1.0) / WAVELENGTH_UM
-    rule = half_vectors(
-        np.radians(incidences_deg), values["beta"], values["p"], B, radii * (3 if ringing else 1), azimuths, ringing
-    )
+    rule = half_vectors(np.radians(incidences_deg), values["beta"], values["p"], B, radii, azimuths)
     return np.asarray(_albedo(effects, values, *rule))
 
 

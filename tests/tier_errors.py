@@ -7,6 +7,8 @@ Q/2 on the facet and once with F in its place on both sides, which takes the fra
 compilation, median of five, in the same run; `exact` is timed on a list of directions and scaled. All bins of all sets
 would take `exact` half a year on two cores: the random bins are an unbiased sample of them. With ``--times`` only the
 times are taken anew.
+
+`scaled` and `zonal` are no tiers any more (docs/physics.md): their rows stay as they were measured last.
 """
 
 import json
@@ -96,7 +98,8 @@ def grid_seconds(effects):
 def measure():
     """Errors of every tier against every reference, with the quantiles that the plot shows."""
     values, wavelength, geometry = draws()
-    rows = {}
+    kept = json.loads(STORE.read_text())
+    rows = kept["errors"]
     for reference, tier in REFERENCES.items():
         colour = "fresnel" if "F for" in reference else "rayleigh_rice"
         target = TwoScale().changed(diffraction=tier, colour=colour, order=96)
@@ -115,7 +118,7 @@ def measure():
                 "lobe_quantiles": [float(f"{x:.3g}") for x in np.quantile(in_lobe, SHARES)],
             }
             print(reference, name, {part: rows[name][reference][part] for part in PARTS}, flush=True)
-        STORE.write_text(json.dumps({"what": WHAT, "errors": rows, "grid_seconds": {}}, indent=1) + "\n")
+        STORE.write_text(json.dumps({**kept, "what": WHAT}, indent=1) + "\n")
     return rows
 
 
@@ -123,7 +126,8 @@ def main(arguments):
     use_persistent_cache()
     rows = json.loads(STORE.read_text())["errors"] if "--times" in arguments else measure()
     timed = {**TIERS, "exact": TwoScale(diffraction="exact"), "conserving": TwoScale(split="conserving")}
-    write(rows, {name: grid_seconds(effects) for name, effects in timed.items()})
+    before = json.loads(STORE.read_text())["grid_seconds"]
+    write(rows, {**before, **{name: grid_seconds(effects) for name, effects in timed.items()}})
 
 
 def write(rows, seconds):
@@ -131,7 +135,8 @@ def write(rows, seconds):
     lines = [
         f"Relative errors of the tiers of the diffraction lobe. Data: {WHAT} (Eq. 27 in all of them would take half a "
         f"year), without those where the lobe is below {NOTHING:g}; it is bright above {BRIGHT:g} of its highest value "
-        "among them. Made by `python -m tests.tier_errors`.", "",
+        "among them. Made by `python -m tests.tier_errors`. `scaled` and `zonal` are no tiers any more "
+        "([why](../docs/physics.md#the-convolution)): their rows are as they were measured last.", "",
     ]  # fmt: skip
     for reference in REFERENCES:
         lines += [
@@ -140,7 +145,7 @@ def write(rows, seconds):
             "| whole BRDF: median | 95 % | worst | time on MERL's grid |",
             "|---|" + "---|" * 10,
         ]  # fmt: skip
-        for name in TIERS:
+        for name in rows:
             cells = [rows[name][reference][part][k] for part in PARTS for k in ("median", "p95", "worst")]
             lines.append(f"| {name} | " + " | ".join(f"{x:.2g}" for x in cells) + f" | {seconds[name]:.3g} s |")
         lines.append("")
@@ -154,7 +159,7 @@ def write(rows, seconds):
 
     figure, axes = plt.subplots(1, 3, figsize=(15, 4.8), sharey=True, layout="constrained")
     for axis, reference in zip(axes, REFERENCES, strict=True):
-        for name in TIERS:
+        for name in rows:
             error = np.maximum(rows[name][reference]["lobe_quantiles"], 1e-9)
             axis.plot(error, SHARES, label=f"{name} ({seconds[name]:.2g} s)")
         axis.set(xscale="log", xlim=(1e-7, 1e2), title=f"against {reference}", xlabel="relative error of the lobe")

@@ -19,7 +19,6 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from ...merl_io.binary import read
 from ...merl_io.grid import merl_grid
-from ...model import scaled
 from ...model.geometry import Geometry
 from ...model.measured import Measured
 from ...model.parameters import WAVELENGTHS_UM
@@ -35,9 +34,6 @@ WHAT = f"synthetic: {SETS} conductors drawn between the bounds of the fit, {DIRE
 TIERS = {
     "off": TwoScale(diffraction="off"),
     "lobe": TwoScale(diffraction="lobe"),
-    "scaled": TwoScale(diffraction="scaled"),
-    "zonal 25": TwoScale(diffraction="zonal", zonal_order=25),
-    "zonal 100": TwoScale(diffraction="zonal"),
     "quadrature 8": TwoScale(order=8),
     "quadrature 16": TwoScale(order=16),
     "quadrature 32": TwoScale(),
@@ -87,8 +83,6 @@ def _evaluate(effects: TwoScale, values: dict[str, Array], wavelength: np.ndarra
 def times(name: str, file: Path) -> dict[str, Any]:
     """Nanoseconds a direction of a list and a bin of a file, seconds of compilation (`frontier.Tier`)."""
     effects = TIERS[name]
-    if effects.diffraction == "scaled":
-        scaled.table()  # made once a machine
     fits = {} if name == "exact" else _fit_times(effects, file)
     jax.config.update("jax_enable_compilation_cache", False)
     compilation_cache.reset_cache()  # which may have been asked already
@@ -115,7 +109,7 @@ def _with_derivatives(evaluate: Callable[[dict[str, Array]], Array], values: dic
 def _fit_times(effects: TwoScale, file: Path) -> dict[str, float]:
     """Cost and normal equations of all bins as a fit evaluates them."""
     problem, bins = make_problem(weighted_samples(read(file))), merl_grid().above.size
-    fitted = Measured(TwoScale(effects.body, effects.diffraction, effects.order, effects.zonal_order))
+    fitted = Measured(TwoScale(effects.body, effects.diffraction, effects.order))
     layout = layout_of(fitted)
     objective = Objective(layout, problem)
     z = jnp.asarray(layout.free({**TYPICAL, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3}))

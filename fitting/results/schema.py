@@ -14,14 +14,15 @@ from .schema_parameters import ROUNDING, DerivedResult, Direction, Identifiabili
 from .schema_posterior import PosteriorResult
 from .schema_run import Run, this_run
 from .strict import Many, Strict
+from .upgrade import before_2_4
 
 __all__ = [
     "EDITED", "OLDER", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
     "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result",
     "Run", "Source", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
-SCHEMA_VERSION = "2.3"
-OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1", "2.2")  # are read, too: `upgraded` makes them this one
+SCHEMA_VERSION = "2.4"
+OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1", "2.2", "2.3")  # are read, too: `upgraded` makes them this one
 EDITED = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
 UNSAID_SCATTERED = "a file of scattered directions, whose origin is not stated"
@@ -30,12 +31,12 @@ UNSAID_SCATTERED = "a file of scattered directions, whose origin is not stated"
 class Result(Strict):
     """What merlfit found out about one material."""
 
-    schema_version: Literal["2.3"] = SCHEMA_VERSION
+    schema_version: Literal["2.4"] = SCHEMA_VERSION
     """Version of this format. Older ones are read as this one: 1.0 had no `accuracy`; 1.1 no `identifiability` and no
     `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
     and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`;
     2.1 no `source.dims` and `source.format`; 2.2 no `posterior.draws_sha1` and `numbers_sha1`, and standard errors for
-    `laplace`."""
+    `laplace`; 2.3 one setting more of the two-scale model."""
     run: Run | None = Field(default_factory=this_run)
     """When and how it was computed; null before version 1.4."""
     source: Source
@@ -109,10 +110,12 @@ class Result(Strict):
     @property
     def digest(self) -> str:
         """What `numbers_sha1` is of a result that nobody has changed."""
-        of = self.model and self.model.model_dump(
-            mode="json", include={"name", "settings", "acquisition", "wavelengths_um"}
-        )
-        return self._digest(of)
+        return self._digest(self._fitted)
+
+    @property
+    def _fitted(self) -> dict[str, Any] | None:
+        include = {"name", "settings", "acquisition", "wavelengths_um"}
+        return self.model and self.model.model_dump(mode="json", include=include)
 
     def _digest(self, *of: object) -> str:
         numbers = [[q.name, q.value] for q in self.parameters]
@@ -121,7 +124,8 @@ class Result(Strict):
     @property
     def edited(self) -> bool:
         """Whether numbers were changed since the fit, as far as that is known: then its errors are not theirs."""
-        return self.numbers_sha1 not in (None, self.digest, self._digest())  # the last of the numbers alone, at first
+        older = self._digest(), self._digest(before_2_4(self._fitted))  # the first of the numbers alone
+        return self.numbers_sha1 not in (None, self.digest, *older)
 
     @property
     def data_words(self) -> str:

@@ -11,6 +11,7 @@ from ...merl_io import inputs
 from ...merl_io.bands import Bands, ColourSpace
 from ...merl_io.columns import PLAUSIBLE_UM
 from ...model.apparatus import APPARATUS, Apparatus, GrazingLoss
+from ...model.effects import TWO_SCALE, refuse_gone
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance, Values
 from ...model.registry import made
@@ -81,6 +82,8 @@ class Model(Strict):
     @model_validator(mode="after")
     def _of_a_fit(self) -> Self:
         low, high = PLAUSIBLE_UM
+        if self.name == TWO_SCALE:
+            refuse_gone(self.settings)
         if self.material.objection is not None:
             raise ValueError(self.material.objection)
         if self.acquisition.exponents.keys() != {*self.material.lobes}:

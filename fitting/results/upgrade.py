@@ -3,20 +3,46 @@
 from typing import Any
 
 from ...merl_io.binary import DIMS
+from ...model.effects import TWO_SCALE
 
+DROPPED = "zonal_order"  # of a tier that is no more; in all results, whatever their tier
 NINETY = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
 
 
 def upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
-    """An older version as 2.3; what is missing or wrong is left for the reader of that to complain about.
+    """An older version as 2.4; what is missing or wrong is left for the reader of that to complain about.
 
     1.x knew the two-scale model alone, and had the acquisition among its effects; 2.0 lacked a field that may be null;
     before 2.2 every file was MERL's, before 2.3 parameters had standard errors, of
-    which symmetric intervals are made.
+    which symmetric intervals are made; before 2.4 the two-scale model had a setting more.
     """
+    found = _upgraded(data)
+    if isinstance(found, dict):
+        for part, name in (("model", "settings"), ("config", "effects")):
+            if isinstance(whole := found.get(part), dict) and isinstance(settings := whole.get(name), dict):
+                kept = {key: value for key, value in settings.items() if key != DROPPED}
+                found[part] = {**whole, name: kept}
+    return found
+
+
+def before_2_4(model: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What was fitted with the setting that the two-scale model had until then, at its place."""
+    if model is None or model["name"] != TWO_SCALE:
+        return model
+    settings = {}
+    for key, value in model["settings"].items():
+        settings[key] = value
+        if key == "order":
+            settings[DROPPED] = 100
+    return {**model, "settings": settings}
+
+
+def _upgraded(data: Any) -> Any:  # noqa: ANN401 - plain data of JSON
     if not isinstance(data, dict):
         return data
-    found = {**data, "schema_version": "2.3"}
+    found = {**data, "schema_version": "2.4"}
+    if data.get("schema_version") == "2.3":
+        return found
     if isinstance(parameters := data.get("parameters"), list):
         found["parameters"] = [_parameter(each) for each in parameters]
     if isinstance(source := data.get("source"), dict):
@@ -44,7 +70,7 @@ def _model(model: dict[str, Any]) -> dict[str, Any]:
     acquisition = {
         "grazing_loss": loss, "apparatus": apparatus if loss == "derived" else None, "exponents": exponents,
     }  # fmt: skip
-    return {"name": "two-scale", **kept, "settings": effects, "acquisition": acquisition}
+    return {"name": TWO_SCALE, **kept, "settings": effects, "acquisition": acquisition}
 
 
 def _parameter(parameter: Any) -> Any:  # noqa: ANN401 - plain data of JSON
@@ -67,4 +93,4 @@ def _candidate(candidate: Any) -> Any:  # noqa: ANN401 - plain data of JSON
     index, body = candidate.get("index", "usual"), candidate.get("body")
     if index == "usual":  # before version 1.3
         index = "complex" if body == "none" else "real"
-    return {"model": "two-scale", "variant": f"{index} {body}", **kept}
+    return {"model": TWO_SCALE, "variant": f"{index} {body}", **kept}

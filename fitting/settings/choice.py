@@ -94,9 +94,7 @@ POINTS = (
 )
 """Worth having, coarsest last steps first.
 
-Not among them: `scaled`, whose bins cost what those of `lobe` cost and err alike, and `zonal`, which is the dearest
-and the least accurate (``docs/cost.md`` has both, evaluated). What a fit's coarse stage takes, starts apart, is no
-choice (``run.COARSE``)."""
+What a fit's coarse stage takes, starts apart, is no choice (``run.COARSE``)."""
 REFERENCE = POINTS[-1]
 """The finest; the reference of a calibration is where it comes to if its last steps are taken once more
 (`accuracy.resume_fit`)."""

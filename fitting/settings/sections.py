@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from ...merl_io.azimuth import AZIMUTHS
 from ...merl_io.binary import Dims, dims_of
 from ...model.apparatus import Apparatus, GrazingLoss
-from ...model.effects import PRESETS, TWO_SCALE, Colour, Diffraction, Effects, Fresnel, Masking, Split
+from ...model.effects import PRESETS, TWO_SCALE, Colour, Diffraction, Effects, Fresnel, Masking, Split, refuse_gone
 from ...model.priors import PRIORS
 from ..support.choices import THETA_MAX, Backend, Precision, Weights
 
@@ -113,7 +113,6 @@ class EffectsSection(Section):
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"
     diffraction: Diffraction = Effects.diffraction
     order: Annotated[int, Field(ge=6, le=256)] = Effects.order
-    zonal_order: Annotated[int, Field(ge=1, le=1000)] = Effects.zonal_order
     fresnel: Fresnel = Effects.fresnel
     masking: Masking = Effects.masking
     renormalised: bool = Effects.renormalised
@@ -123,6 +122,8 @@ class EffectsSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, data: object) -> object:
+        if isinstance(data, dict):
+            refuse_gone(data)
         name = data.get("preset", "hp17") if isinstance(data, dict) else None
         if not isinstance(data, dict) or not isinstance(name, str) or name not in PRESETS:
             return data  # which the fields will complain about

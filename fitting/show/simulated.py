@@ -8,10 +8,10 @@ from ..results.schema import Result
 from .terminal_tables import number
 
 DIFFRACTION = {
-    "lobe": "with the normals of facets taken as all alike", "scaled": "blurred by a lobe of another width and height",
-    "zonal": "blurred by zonal harmonics", "quadrature": "blurred by the distribution of normals, by quadrature",
+    "lobe": "with the normals of facets taken as all alike",
+    "quadrature": "blurred by the distribution of normals, by quadrature",
     "exact": "blurred by the distribution of normals, exactly",
-}  # fmt: skip
+}
 BODIES = {
     "lambert": "a Lambert body under the interface",
     "plastic": "a diffuse body whose light crosses the interface twice",

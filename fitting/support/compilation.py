@@ -1,4 +1,4 @@
-"""Where compiled programs and tables are kept between runs."""
+"""Where compiled programs are kept between runs."""
 
 import glob
 import os
@@ -14,7 +14,6 @@ from typing import TextIO
 import jax
 import platformdirs
 
-from . import tables
 from .clock import Report, Stage
 from .terminal import note
 
@@ -34,17 +33,14 @@ def cache_folder() -> Path:
 def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
     """Keep compiled programs in the cache folder: only the first run waits, and is told so by ``say``.
 
-    So with the table of ``diffraction = "scaled"``, which is computed when it is first asked for. Damaged entries are
-    deleted, that they may be compiled anew.
+    Damaged entries are deleted, that they may be compiled anew.
     """
-    cache = cache_folder()
-    folder = cache / "xla"
+    folder = cache_folder() / "xla"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:  # no home, or one that cannot be written
         _tell_unkept(folder, say)
         return folder
-    tables.keep_in(cache)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small ones take 15 s together
     _tell_of_compilation(folder, say)

@@ -236,8 +236,9 @@ def test_the_reference_is_refused_in_fits():
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"effects": {"order": 48, "diffraction": "lobe"}}, "order has an effect only where .* quadrature or scaled"),
-        ({"effects": {"zonal_order": 50}}, "diffraction is zonal"),
+        ({"effects": {"order": 48, "diffraction": "lobe"}}, "order has an effect only where .* is quadrature"),
+        ({"effects": {"zonal_order": 50}}, "zonal_order was a setting of .*: leave it out"),
+        ({"effects": {"diffraction": "zonal"}}, "effects: diffraction 'zonal' is no more: fit with quadrature"),
         ({"effects": {"preset": "microfacet", "colour": "fresnel"}}, "colour has an effect only where"),
         ({"effects": {"diffraction": "off", "renormalised": False}}, "renormalised has an effect only where"),
         ({"apparatus": {"lamp_sigma_rad": 0.01}}, "grazing_loss is derived"),

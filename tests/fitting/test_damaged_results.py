@@ -58,6 +58,10 @@ EDITS = {
     "no such body": (lambda d: d["model"]["settings"].update(body="wood"), "body 'wood' is none of none, lambert"),
     "no such model": (lambda d: d["model"].update(name="gx"), "there is no 'gx'; the nearest is 'ggx'"),
     "no such setting": (lambda d: d["model"]["settings"].update(bodies="none"), "two-scale has no setting 'bodies'"),
+    "a tier that was": (
+        lambda d: d["model"]["settings"].update(diffraction="scaled"),
+        "diffraction 'scaled' is no more: fit with quadrature",
+    ),
     "an order that is text": (lambda d: d["model"]["settings"].update(order="32"), "order '32' should be of type int"),
     "a lobe that is none": (
         lambda d: d["model"]["acquisition"]["exponents"].update(body=0.1),
@@ -234,6 +238,22 @@ def test_numbers_that_were_changed_by_hand_are_told(tmp_path):
     assert shown.exit_code == 0
     assert json.loads((tmp_path / "nickel.material.json").read_text())["rmse_per_sr"] is None
     assert valid_result(tmp_path / "nickel.json", "0" * 40, Config()) is None
+
+
+def test_results_before_2_4_lose_a_setting_and_are_not_taken_for_edited(tmp_path):
+    """That of a tier that is no more; the digest is what version 2.3 wrote of this result."""
+
+    def older(data):
+        settings = list(data["model"]["settings"].items())
+        data["model"]["settings"] = dict([*settings[:3], ("zonal_order", 100), *settings[3:]])
+        data["config"]["effects"] = {"zonal_order": 100}
+        data |= {"schema_version": "2.3", "numbers_sha1": "4b13871ef19e93ac2a4e4596a82dd10677af657e"}
+
+    result = read_result(edited(tmp_path, older))
+    assert not result.edited
+    assert "zonal_order" not in result.model.settings
+    assert result.config["effects"] == {}
+    assert read_result(edited(tmp_path, lambda d: older(d) or set_value("beta", 0.2)(d))).edited
 
 
 @pytest.mark.parametrize(("old", "new"), [('"masking": "smith"', '"masking": "none"'), ("0.645", "0.65")])

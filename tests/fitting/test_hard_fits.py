@@ -62,8 +62,6 @@ def small(coarse):
 
 OTHERS = {
     "conserving": layout_of(TwoScale("plastic", "lobe", split="conserving")),
-    "zonal": layout_of(TwoScale(diffraction="zonal", zonal_order=25)),
-    "scaled": layout_of(TwoScale(diffraction="scaled", order=8)),
     "subsurface, derived": layout_of(Measured(TwoScale("subsurface", "lobe"), "derived")),
 }
 MARKS = {**dict.fromkeys(OTHERS, ()), "conserving": pytest.mark.slow}  # seconds a step
@@ -85,7 +83,7 @@ def edges():
 
 
 @pytest.mark.parametrize(("layout", "start"), edges())
-def test_a_start_at_the_edge_of_every_range_stays_finite(layout, start, small, table):
+def test_a_start_at_the_edge_of_every_range_stays_finite(layout, start, small):
     objective = Objective(layout, small)
     first, found = solve(objective, start, 1), solve(objective, start, 12 if layout == WHOLE else 5)
     assert np.all(np.isfinite(found.z))

@@ -44,7 +44,7 @@ def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     """Rows of three azimuths and as many nodes: nothing is gathered but the bins themselves."""
     samples = thin(coarse[0], (run.COARSE[0], 5, 30))
     problem = make_problem(samples)
-    others = [Measured(TwoScale("plastic"), "derived"), Measured(TwoScale("lambert", "zonal"), 0.3)]
+    others = [Measured(TwoScale("plastic"), "derived"), Measured(TwoScale("lambert", order=8), 0.3)]
     for layout in (FREE, *map(layout_of, [*others, TwoScale("lambert", "off", split="conserving")])):
         z = jnp.asarray(np.random.default_rng(1).normal(size=layout.size))
         expected, found = plain(layout, z, samples), np.asarray(Objective(layout, problem).normal_equations(z))

@@ -3,9 +3,6 @@
 ``python -m tests.hard_cases`` prints it, with the degenerate files of fits.py as a second one, and writes both to
 results/hard_cases.md; with ``--references`` it first computes the references of the dear cases (two-dimensional
 integrals) into references.json: those that are missing, and all where an oracle's source has changed.
-
-The error of ``diffraction = "scaled"`` and ``"zonal"`` against HP17 Eq. 33 is no matter of this table but of
-results/tiers.md: here they are held to what they say they are, a table's polynomial and a truncated sum.
 """
 
 import sys

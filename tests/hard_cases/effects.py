@@ -1,10 +1,9 @@
 """What the hard cases are about: the model's functions and their oracles of 30 digits, by the name of the effect."""
 
 from dataclasses import fields
-from functools import cache
 
 import jax.numpy as jnp
-from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel, scaled, zonal
+from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking import smith
 from merlfit.model.measured import Measured
@@ -15,9 +14,8 @@ from ..oracles import precise
 
 FIELDS = tuple(x.name for x in fields(TwoScale))
 CHOICES = (*FIELDS[: FIELDS.index("index")], "acquisition", *FIELDS[FIELDS.index("index") :])  # marks of cases go by it
-TIERS = ("quadrature", "zonal", "scaled", "exact", "conserving")  # with accuracies of their own
-DEAR = ("convolve", "convolve_256", "zonal", "scaled_outside", "lobe_albedo", "two_scale", "two_scale_quadrature",
-        "two_scale_zonal", "two_scale_exact", "two_scale_conserving")  # fmt: skip
+TIERS = ("quadrature", "exact", "conserving")  # with accuracies of their own
+DEAR = ("convolve", "convolve_256", "lobe_albedo", "two_scale", *(f"two_scale_{tier}" for tier in TIERS))
 
 
 def specular_share(theta_d, wavelength_um, b, c, sigma_s):
@@ -60,19 +58,6 @@ def convolved(order, **at):
     return precise.convolve(**at)
 
 
-@cache
-def scaled_oracle():
-    """The oracle of ``scaled`` by the table there is."""
-    return precise.scaled(scaled.table())
-
-
-def scaled_lobe(theta_h, B, c, beta, p, order=None):
-    """What `precise` lacks, for it knows no table."""
-    return scaled_oracle()(theta_h, B, c, beta, p)
-
-
-precise.BLURS["scaled"] = scaled_lobe
-
 # Stored references are marked by the oracle's name: renaming one makes them out of date.
 PAIRS = {
     "fresnel": (fresnel.fresnel, precise.fresnel),
@@ -87,9 +72,6 @@ PAIRS = {
     "specular_share": (specular_share, precise.specular_share),
     "convolve": (convolve, convolved),
     "convolve_256": (convolve, convolved),
-    "zonal": (zonal.convolve, precise.zonal),
-    "scaled": (scaled.convolve, scaled_lobe),
-    "scaled_outside": (scaled.convolve, precise.convolve),
     "lobe_albedo": (facet_albedo, precise.lobe_albedo),
     "lambert": (body.lambert, precise.lambert),
     "plastic": (body.plastic, precise.plastic),

@@ -29,7 +29,6 @@ EDGES_OF_BODIES = {**EDGES, "n": (1, None)}  # the real index of an interface
 STATIC = (*CHOICES, "exact")
 ALWAYS = (
     "theta_h = 0, p = 5 and B beta = 2",
-    "zonal of enough degrees",
     "plastic of albedo 1, retro-reflection",
     "conserving without masking: both at 89 degrees",
 )  # dear ones that tests compute anew

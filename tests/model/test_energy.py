@@ -10,7 +10,7 @@ from merlfit.model import energy
 from merlfit.model.geometry import Geometry
 from merlfit.model.reflectance import setting, shaped
 from merlfit.model.terms import surface_albedo
-from merlfit.model.two_scale import TwoScale, two_scale
+from merlfit.model.two_scale import TwoScale
 
 from tests.energy import BRIGHTEST, FULL, albedo, draw, half_vectors, under
 from tests.oracles import energy as o_energy
@@ -75,22 +75,6 @@ def test_a_surface_without_masking_gives_back_no_more_at_the_horizon(eta):
     values = {"beta": 1.0, "p": 0.4, "b": 3.0, "c": 1.8, "sigma_s": 0.04, "eta": np.array([eta]), "albedo": np.ones(1)}
     found = albedo(under("lambert", masking="none"), values, (89.0, 89.95, 89.98, 89.985), radii=48)
     assert found.max() <= 1 + 1e-3
-
-
-@pytest.mark.slow
-def test_a_ringing_lobe_gives_back_no_more_than_it_receives():
-    """Order 100 where 2000 would be needed, before a mirror: the printed split has the negative values of the sum."""
-    effects = TwoScale(diffraction="zonal", split="conserving")
-    values = {"beta": 0.0112, "p": 0.7226, "b": 45.2, "c": 1.4061, "sigma_s": 0.0312} | BRIGHTEST
-    values.pop("albedo")
-    assert albedo(effects, values, (60.0, 83.0, 89.0)).max() <= 1 + 1e-3
-    at = Geometry.from_half_difference(jnp.linspace(0.0, 1.2, 200), jnp.full(200, 0.2), jnp.full(200, 1.5))
-    printed, conserving = (
-        np.asarray(two_scale(values, at, replace(effects, split=split), (WAVELENGTH_UM,)))
-        for split in ("printed", "conserving")
-    )
-    assert printed.min() < 0
-    assert conserving.min() >= 0
 
 
 WIDE = {"beta": 0.0083, "p": 0.4, "b": 0.29, "c": 1.34, "sigma_s": 0.3, "eta": np.array([3.4])}

@@ -42,8 +42,7 @@ ASSEMBLED = [  # every body, tier, switch and loss, mixed; each alone is compare
     TwoScale("lambert", "off", masking="none", split="conserving"),
     TwoScale("subsurface", "lobe", split="conserving"),
     TwoScale("subsurface", "quadrature", masking="height_correlated", renormalised=False),
-    TwoScale("lambert", "scaled", renormalised=False),
-    TwoScale("none", "zonal", masking="height_correlated"),
+    TwoScale("lambert", "lobe", renormalised=False),
     TwoScale("none", "exact"),
     TwoScale("none", "lobe", **SWITCHED[-1]),
     Measured(TwoScale("plastic", "lobe"), "free"),
@@ -126,8 +125,6 @@ def work(effects):
 LOBE = TwoScale(diffraction="lobe")  # seconds less to compile than the quadrature
 LADDERS = {  # programs that do ever more: each step adds operations, and transcendental functions
     "tiers": [TwoScale(diffraction="off"), LOBE, TwoScale(order=8), TwoScale(), TwoScale(diffraction="exact")],
-    "zonal": [LOBE, TwoScale(diffraction="zonal", zonal_order=25), TwoScale(diffraction="zonal")],
-    "scaled": [LOBE, TwoScale(diffraction="scaled")],
     "masking": [replace(LOBE, masking="none"), LOBE],
     "renormalised": [replace(LOBE, renormalised=False), LOBE],
     "fresnel": [replace(LOBE, fresnel="schlick"), LOBE],
@@ -145,7 +142,7 @@ RATIONAL = {  # steps that add operations, but no transcendental function
 
 
 @pytest.mark.parametrize("name", LADDERS | RATIONAL)
-def test_what_is_not_chosen_is_absent_from_the_compiled_program(name, table):
+def test_what_is_not_chosen_is_absent_from_the_compiled_program(name):
     flops, transcendentals = np.array([work(effects) for effects in (LADDERS | RATIONAL)[name]]).T
     assert np.all(np.diff(flops) > 0)
     assert name in RATIONAL or np.all(np.diff(transcendentals) > 0)
@@ -235,7 +232,7 @@ def test_derived_exponents_are_those_of_the_widths_of_both_lobes():
 
 
 @pytest.mark.parametrize("effects", ASSEMBLED, ids=repr)
-def test_lists_and_grids_are_the_same_function(effects, table):
+def test_lists_and_grids_are_the_same_function(effects):
     exact = material_of(effects).diffraction == "exact"  # an integral by itself for each direction: fewer of them
     kept = tuple(slice(None, None, 2 if exact else 1) for _ in AXES)
     grid = Geometry.from_half_difference(*(axis[kept] for axis in AXES))
@@ -248,9 +245,8 @@ def test_lists_and_grids_are_the_same_function(effects, table):
     assert np.all(on_list[:, below] == 0)
 
 
-@pytest.mark.parametrize("tier", ["quadrature", "zonal", "scaled"])
-def test_single_precision_on_a_grid_to_the_horizon(tier, table):
-    effects = TwoScale(diffraction=tier, **({} if tier == "zonal" else {"order": 16}))
+def test_single_precision_on_a_grid_to_the_horizon():
+    effects = TwoScale(order=16)
     half, double = (
         Geometry.from_half_difference(*(jnp.asarray(x, kind) for x in AXES)) for kind in (jnp.float32, jnp.float64)
     )
@@ -265,13 +261,13 @@ def test_single_precision_on_a_grid_to_the_horizon(tier, table):
 
 
 @pytest.mark.parametrize("effects", ASSEMBLED, ids=repr)
-def test_reciprocity(effects, table):
+def test_reciprocity(effects):
     _, there, back, _ = evaluated(effects)
     np.testing.assert_allclose(there, back, rtol=1e-9)
 
 
 @pytest.mark.parametrize("effects", ASSEMBLED, ids=repr)
-def test_extreme_geometry_gives_finite_values(effects, table):
+def test_extreme_geometry_gives_finite_values(effects):
     assert np.all(np.isfinite(evaluated(effects)[3]))
 
 
@@ -400,7 +396,7 @@ def test_effects_refuse_unknown_names():
 
 
 IDLE = [
-    ("lobe", {"order": 16}), ("quadrature", {"zonal_order": 7}), ("off", {"colour": "fresnel"}),
+    ("lobe", {"order": 16}), ("off", {"colour": "fresnel"}),
     ("off", {"renormalised": False}),
 ]  # fmt: skip
 
@@ -418,7 +414,6 @@ def test_a_change_leaves_no_option_that_nothing_uses():
     assert fine.changed(diffraction="off", colour="fresnel") == TwoScale("lambert", "off")
     assert fine.changed(order=16) == replace(fine, order=16)
     assert fine.changed() == fine
-    assert TwoScale(diffraction="scaled", order=16) != TwoScale(diffraction="scaled")
 
 
 @given(

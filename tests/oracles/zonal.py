@@ -56,10 +56,10 @@ def lobe(B, c):
     return value
 
 
-def truncated(theta_h, B, c, beta, p, order):
+def truncated(theta_h, B, c, beta, p, order, factor=lambda degree: math.sqrt(4 * math.pi / (2 * degree + 1))):
     """Eq. 64 summed to degree `order` at one half angle or an array of them."""
     cos_h, total = np.cos(theta_h), 0.0
     for degree in range(order + 1):
         S, D = coefficient(lobe(B, c), degree), coefficient(normals(beta, p), degree)
-        total = total + S * D * math.sqrt(4 * math.pi / (2 * degree + 1)) * harmonic(degree, cos_h)
+        total = total + S * D * factor(degree) * harmonic(degree, cos_h)
     return total

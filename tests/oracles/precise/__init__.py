@@ -6,8 +6,6 @@ differences of their values are derivatives as good as the values: 1e-20 for one
 convolution. The routes are other ones than the fast code's: complex arithmetic for the colours, periodic and doubly
 exponential trapezoid rules for Lambda, the boundary of the disc for the renormalisation, the closed form for diffuse
 Fresnel reflectances, plain panels of the spherical integral for the convolution.
-
-``BLURS`` lacks ``scaled``: who has its table adds ``scaled(table)``.
 """
 
 from .acquisition import grazing
@@ -18,14 +16,11 @@ from .convolution import convolve
 from .diffraction import lobe, renormalisation, specular_share
 from .exact import exact_lobe
 from .facets import lobe_albedo
-from .harmonics import zonal
-from .lobes import BLURS
-from .scaled_lobe import scaled
 from .surface import epd, masking, smith_lambda
 from .two_scale import two_scale
 
 __all__ = [
-    "BLURS", "convolve", "diffraction_colour", "epd", "exact_lobe", "fresnel", "grazing", "lambert", "lobe",
-    "lobe_albedo", "masking", "plastic", "renormalisation", "scaled", "schlick", "slope", "smith_lambda",
-    "specular_share", "subsurface", "two_scale", "zonal",
+    "convolve", "diffraction_colour", "epd", "exact_lobe", "fresnel", "grazing", "lambert", "lobe",
+    "lobe_albedo", "masking", "plastic", "renormalisation", "schlick", "slope", "smith_lambda", "specular_share",
+    "subsurface", "two_scale",
 ]  # fmt: skip

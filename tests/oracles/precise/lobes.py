@@ -9,14 +9,7 @@ from .convolution import convolve
 from .diffraction import lobe, lobe_amplitude, phase_variance, renormalisation
 from .exact import exact_lobe
 from .facets import lobe_albedo, lobe_albedo_of, renormalisation_of
-from .harmonics import zonal
 from .surface import epd, shadowing
-
-BLURS = {
-    "lobe": lambda theta_h, B, c, beta, p, order: lobe(theta_h, B, c),
-    "zonal": zonal,
-    "quadrature": lambda theta_h, B, c, beta, p, order: convolve(theta_h, B, c, beta, p),
-}  # and ``scaled``, by who has its table
 
 
 class Geometry(NamedTuple):
@@ -77,7 +70,9 @@ def _blurred(at, B, phase, v, e):
         blurred = exact_lobe(at.theta_h, at.theta_d, at.phi_d, B, phase, n, k, v.c, v.beta, v.p, coloured)
         blurred /= at.cos_i * at.cos_o
     else:
-        blurred = -mp.expm1(-phase) * BLURS[e.diffraction](at.theta_h, B, v.c, v.beta, v.p, e.zonal_order)
+        plain = e.diffraction == "lobe"
+        blurred = lobe(at.theta_h, B, v.c) if plain else convolve(at.theta_h, B, v.c, v.beta, v.p)
+        blurred *= -mp.expm1(-phase)
         if coloured:
             dot = mp.cos(2 * at.theta_d) - at.cos_i * at.cos_o
             blurred *= diffraction_colour(at.cos_i, at.cos_o, dot, *v.index)

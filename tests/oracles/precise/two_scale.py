@@ -11,7 +11,7 @@ from .energy import conserved
 from .lobes import Geometry, lobes
 
 CHOICES = {
-    "body": "none", "diffraction": "quadrature", "zonal_order": 100, "fresnel": "exact", "masking": "smith",
+    "body": "none", "diffraction": "quadrature", "fresnel": "exact", "masking": "smith",
     "renormalised": True, "split": "printed", "colour": "rayleigh_rice", "acquisition": "off",
     "index": "usual",
 }  # fmt: skip
