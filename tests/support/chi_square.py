@@ -12,7 +12,7 @@ LEAST = 8.0  # expected in a bin that counts for itself
 
 def given_at(degrees, azimuth=0.7):
     theta = np.radians(degrees)
-    return jnp.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
+    return np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
 
 
 @eqx.filter_jit
@@ -26,12 +26,12 @@ def densities(sampler, given, drawn):
 
 
 def numbers(sampler, count=DRAWN, seed=1):
-    return jnp.asarray(np.random.default_rng(seed).random((count, sampler.dimensions)))
+    return np.random.default_rng(seed).random((count, sampler.dimensions))
 
 
 def half_vectors(given, drawn):
     """log tan(theta_h) and phi_h."""
-    half = np.asarray(given) + np.asarray(drawn)
+    half = given + drawn
     return np.log(np.maximum(np.hypot(half[:, 0], half[:, 1]), 1e-30) / half[:, 2]), np.arctan2(half[:, 1], half[:, 0])
 
 
@@ -43,11 +43,10 @@ def expected(sampler, given, edges):
     tan = np.exp(y)
     cos = 1 / np.sqrt(1 + tan**2)
     half = np.stack([tan * cos * np.cos(phi), tan * cos * np.sin(phi), cos + 0 * phi], -1)
-    given = np.asarray(given)
     cos_d = half @ given
     drawn = 2 * cos_d[..., None] * half - given
     seen = (cos_d > 0) & (drawn[..., 2] > 0)
-    density = np.asarray(densities(sampler, jnp.asarray(given), jnp.asarray(np.where(seen[..., None], drawn, given))))
+    density = np.asarray(densities(sampler, given, np.where(seen[..., None], drawn, given)))
     each = np.where(seen, density * 4 * cos_d * tan**2 * cos**3, 0.0)
     area = np.diff(edges[0])[:, None] * np.diff(edges[1]) / WITHIN**2
     return each.reshape(len(edges[0]) - 1, WITHIN, len(edges[1]) - 1, WITHIN).sum((1, 3)) * area
