@@ -1,6 +1,7 @@
 """Lights: lamps far away, and an environment all around, in world coordinates with y up."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -15,6 +16,7 @@ ROWS, COLUMNS = 128, 256  # of the map that directions are drawn from
 FEWEST = 1e-3  # of the mean: a cell that is darker is drawn as if it were as bright
 
 
+@jax.jit
 def studio(direction: ArrayLike) -> Array:
     """Radiance of a studio from unit directions (..., 3): sky, ground and three windows; white light."""
     direction = jnp.asarray(direction)
