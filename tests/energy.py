@@ -20,6 +20,8 @@ from merlfit.model.effects import KINDS
 from merlfit.model.geometry import Geometry
 from merlfit.model.two_scale import TwoScale, two_scale
 
+from tests.support.compiled import drawn
+
 SEED = 20261121
 WAVELENGTH_UM = 0.526
 INCIDENCES_DEG = (0.5, 20.0, 40.0, 60.0, 75.0, 83.0, 87.0, 89.0)
@@ -96,10 +98,7 @@ def albedo(effects, values, incidences_deg=INCIDENCES_DEG, radii=RADII, azimuths
 
 def draw(rng, effects):
     """One parameter set between the bounds (uniform in each parameter's own scale), for one wavelength."""
-    values = {}
-    for q in effects.parameters:
-        values[q.name] = q.between(jnp.asarray(rng.uniform(size=1 if q.per_channel else None)))
-    return values
+    return drawn(rng, effects, channels=1)
 
 
 def sets_of(effects, count, rng):

@@ -1,18 +1,18 @@
 """What an apparatus makes of any material: its sharp lobes lose light, its body none."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 from merlfit.model.acquisition import RINGS_RAD, exponent_of_lobe
 from merlfit.model.apparatus import Apparatus
-from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured, material_of, with_material
 from merlfit.model.ndf.ggx import D
-from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
 from merlfit.model.two_scale import TwoScale
+
+from tests.support.compiled import evaluate, from_half_difference
 
 VALUES = {"alpha": 0.02, "F0": np.array([0.9, 0.6, 0.3]), "albedo": np.array([0.02, 0.1, 0.3])}
 ANGLES = np.array([[0.01, 0.2, 0.3], [0.02, 1.2, 1.0], [0.1, 0.9, 3.0]]).T
@@ -20,7 +20,7 @@ ANGLES = np.array([[0.01, 0.2, 0.3], [0.02, 1.2, 1.0], [0.1, 0.9, 3.0]]).T
 
 @pytest.fixture(scope="module")
 def geometry():
-    return Geometry.from_half_difference(*ANGLES)
+    return from_half_difference(*ANGLES)
 
 
 def loss(geometry, exponent):
@@ -40,14 +40,14 @@ def test_the_sharp_lobe_of_a_rival_is_dimmed_and_its_body_is_not(how, geometry):
 
 def test_the_derived_exponent_of_a_rival_is_that_of_its_distribution(geometry):
     """Its lobe at theta_d = 0 is D, up to a factor that matters for no width."""
-    arrays = {name: jnp.asarray(x) for name, x in VALUES.items()}
-    lobe = GGX().profile("specular", arrays)
-    alone = D(jnp.asarray(RINGS_RAD), jnp.asarray(0.02))
+    lobe = np.asarray(jax.jit(lambda v: GGX().profile("specular", v))(VALUES))
+    alone = np.asarray(jax.jit(D)(np.asarray(RINGS_RAD), 0.02))
     np.testing.assert_allclose(lobe / lobe[0], alone / alone[0], rtol=1e-12)
     for apparatus in (Apparatus(), Apparatus(lamp_sigma_rad=0.02)):
         measured = Measured(GGX(), "derived", apparatus)
-        k = float(measured.exponent("specular", arrays))
-        assert k == pytest.approx(float(exponent_of_lobe(alone, apparatus)), rel=1e-9)
+        k = float(jax.jit(measured.exponent, static_argnums=0)("specular", VALUES))
+        expected = float(jax.jit(exponent_of_lobe, static_argnums=1)(alone, apparatus))
+        assert k == pytest.approx(expected, rel=1e-9)
         assert 0.05 < k < 0.9
         given = evaluate(Measured(GGX(), k), VALUES, geometry)
         np.testing.assert_allclose(evaluate(measured, VALUES, geometry), given, rtol=1e-12)

@@ -1,16 +1,13 @@
 """What scattered directions share: tables give what each direction would compute for itself."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.part import Part
-from merlfit.model.reflectance import prepared
 from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
 
-from tests.support.compiled import evaluate
+from tests.support.compiled import evaluate, from_vectors, prepared
 
 ALL = {
     "beta": 0.1, "p": 0.6, "b": 3.0, "c": 2.0, "sigma_s": 0.03, "n": np.array([1.9, 1.7, 1.6]),
@@ -25,7 +22,7 @@ MODELS = (
 def directions(count=400, seed=0):
     x = np.random.default_rng(seed).normal(size=(2, count, 3))
     x[..., 2] = np.abs(x[..., 2])
-    return jnp.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True))
+    return x / np.linalg.norm(x, axis=-1, keepdims=True)
 
 
 def values_of(model):
@@ -39,7 +36,7 @@ def values_of(model):
     ids=repr,
 )
 def test_tables_give_what_each_direction_computes(model):
-    g, values = Geometry.from_vectors(*directions()), values_of(model)
+    g, values = from_vectors(*directions()), values_of(model)
     own = np.asarray(evaluate(model, values, g))
     looked_up = np.asarray(evaluate(model, prepared(model, values), g))
     np.testing.assert_allclose(looked_up, own, rtol=1e-3, atol=1e-9 * own.max())
@@ -47,15 +44,15 @@ def test_tables_give_what_each_direction_computes(model):
 
 
 def test_tables_in_single_precision():
-    model, g = TwoScale("plastic"), Geometry.from_vectors(*directions())
-    single = {name: jnp.asarray(x, jnp.float32) for name, x in prepared(model, values_of(model)).items()}
-    narrow = Geometry.from_vectors(*directions().astype(jnp.float32))
+    model, g = TwoScale("plastic"), from_vectors(*directions())
+    single = {name: np.asarray(x, np.float32) for name, x in prepared(model, values_of(model)).items()}
+    narrow = from_vectors(*directions().astype(np.float32))
     own = np.asarray(evaluate(model, values_of(model), g))
     np.testing.assert_allclose(np.asarray(evaluate(model, single, narrow)), own, rtol=2e-3)
 
 
 def test_parts_add_up():
-    g, model = Geometry.from_vectors(*directions(50)), TwoScale("plastic", order=8)
+    g, model = from_vectors(*directions(50)), TwoScale("plastic", order=8)
     values = values_of(model)
     parts = [Part(model, ("specular",), False), Part(model, ("diffracted",), False), Part(model, (), True)]
     found = sum(np.asarray(evaluate(part, values, g)) for part in parts)
