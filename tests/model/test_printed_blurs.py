@@ -2,15 +2,16 @@
 
 import math
 
+import jax
 import numpy as np
 import pytest
 from merlfit.model import convolution
 
 from tests.oracles import scaled as o_scaled
 from tests.oracles import zonal as o_zonal
-from tests.support.arrays import j
 from tests.support.lobes import ANGLES, draw, truth
 
+convolve = jax.jit(convolution.convolve, static_argnums=5)
 SMOOTH = [(1.0, 2.0, 0.3, 1.0), (4.0, 1.2, 0.1, 2.0), (0.5, 5.0, 1.0, 0.6)]  # B, c, beta, p
 
 
@@ -29,7 +30,7 @@ def test_the_oracle_knows_moments_in_closed_form():
 def test_zonal_harmonics_of_smooth_lobes_tend_to_the_quadrature(lobe):
     """HP17 Appendix A, Eq. 61-64: an integral of another kind than ours."""
     theta_h = np.linspace(0, 1.3, 6)
-    found = np.asarray(convolution.convolve(*j(theta_h, *lobe), 64))
+    found = np.asarray(convolve(theta_h, *lobe, 64))
     expected = o_zonal.truncated(theta_h, *lobe, 60)
     np.testing.assert_allclose(expected, found, rtol=2e-4)  # the horizon of S leaves terms like l^-5 or so
     # orthonormal coefficients multiplied as if they were Fourier's
@@ -40,7 +41,7 @@ def test_zonal_harmonics_of_smooth_lobes_tend_to_the_quadrature(lobe):
 def test_zonal_harmonics_of_a_sharp_lobe_ring():
     """Why they are no tier (docs/physics.md): half of the peak is missing, and there is light where there is none."""
     lobe, theta_h = (300.0, 3.0, 0.003, 1.0), np.linspace(0, 0.3, 40)
-    found, expected = o_zonal.truncated(theta_h, *lobe, 50), np.asarray(convolution.convolve(*j(theta_h, *lobe), 64))
+    found, expected = o_zonal.truncated(theta_h, *lobe, 50), np.asarray(convolve(theta_h, *lobe, 64))
     assert found.min() < -1e-3 * expected[0]
     assert found[0] < 0.5 * expected[0]
 
