@@ -24,7 +24,7 @@ def tables(material: Material) -> dict[str, np.ndarray]:
     that (1 or 0): a sum over nodes divided by that of the last number leaves out what is not there. ``share`` and
     ``below``: those of :class:`merlfit.model.sampling.visible.Visible`.
     """
-    found = visible(material.brdf)
+    found = eqx.filter_jit(visible)(material.brdf)
     return {
         "brdf": np.asarray(_brdf(material), np.float32),
         "share": np.asarray(found.share, np.float32),

@@ -88,8 +88,7 @@ def test_no_name_steers_the_terminal_and_what_cannot_be_written_is_named(words, 
 
 
 def test_values_are_those_of_the_model(variant, file):
-    from merlfit.model.geometry import Geometry
-    from merlfit.model.reflectance import evaluate
+    from tests.support.compiled import evaluate, from_vectors
 
     bsdf = mi.load_dict({"type": "merlfit", "filename": str(file)})
     rng = np.random.default_rng(0)
@@ -101,7 +100,7 @@ def test_values_are_those_of_the_model(variant, file):
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi = mi.Vector3f([float(x) for x in i])
         found = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f([float(x) for x in o]))).ravel() / o[2]
-        expected = np.asarray(evaluate(models()["ggx"](), GGX, Geometry.from_vectors(i, o)))
+        expected = np.asarray(evaluate(models()["ggx"](), GGX, from_vectors(i, o)))
         worst.append(np.max(np.abs(found - expected) / expected))
     assert np.median(worst) < 2e-3
     assert max(worst) < 3e-2
