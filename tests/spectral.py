@@ -13,17 +13,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import typer
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.support.compilation import use_persistent_cache
-from merlfit.model.geometry import Geometry
 from merlfit.model.reflectance import evaluate
 from merlfit.model.two_scale import TwoScale
 
 from .support import rgl_files
+from .support.compiled import from_vectors
 
 ROOT = Path(__file__).parents[1]
 WAVELENGTHS_UM = np.round(np.arange(0.40, 0.7001, 0.01), 3)
@@ -81,13 +80,13 @@ def geometry(angles):
     theta_i, theta_o, phi = np.radians(angles)
     i = np.stack([np.sin(theta_i), 0 * theta_i, np.cos(theta_i)], -1)
     o = np.stack([np.sin(theta_o) * np.cos(phi), np.sin(theta_o) * np.sin(phi), np.cos(theta_o)], -1)
-    return Geometry.from_vectors(jnp.asarray(i), jnp.asarray(o))
+    return from_vectors(i, o)
 
 
 def values_of(model, truth, angles, wavelengths_um=WAVELENGTHS_UM):
     """BRDF, (C, N)."""
     fine = model if model.diffraction == "off" else type(model)(**{**model.__dict__, "order": ORDER})
-    where = geometry(angles)
+    where = jax.tree.map(np.asarray, geometry(angles))
     compiled = jax.jit(lambda g: evaluate(fine, truth, g, wavelengths_um))
     parts = np.array_split(np.arange(angles.shape[1]), -(-angles.shape[1] // 250))
     return np.concatenate(

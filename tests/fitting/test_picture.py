@@ -14,9 +14,10 @@ from merlfit.fitting.fit.picture_distance import (
     view,
 )
 from merlfit.merl_io.grid import merl_grid
-from merlfit.model.geometry import Geometry
 from merlfit.scene.colour import cielab
 from merlfit.scene.lights import studio
+
+from tests.support.compiled import from_vectors
 
 WHITE = np.full((3, 90, 90, 90), 1 / np.pi)
 EVERYWHERE = np.ones((90, 90, 90), bool)
@@ -69,7 +70,7 @@ def test_the_angles_of_pairs_are_those_of_the_model():
     i, o, _ = random_pairs(200)
     up = np.broadcast_to([0.0, 0.0, 1.0], i.shape)
     i, o = (np.concatenate([x[:, :2], np.abs(x[:, 2:])], -1) for x in (i, o))
-    g = Geometry.from_vectors(i, o)
+    g = from_vectors(i, o)
     theta_h, theta_d, phi_d = angles(i, o, up)
     np.testing.assert_allclose(theta_h, g.theta_h, atol=1e-9)
     np.testing.assert_allclose(theta_d, g.theta_d, atol=1e-9)

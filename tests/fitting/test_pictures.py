@@ -18,13 +18,11 @@ from merlfit.fitting.show.spheres import of_file_and_fit, of_parts
 from merlfit.fitting.show.subject import Subject
 from merlfit.merl_io.binary import DIMS, Measurement
 from merlfit.merl_io.grid import merl_grid
-from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
-from merlfit.model.reflectance import evaluate
 from merlfit.model.two_scale import TwoScale
 from merlfit.scene.colour import cielab
 
-from tests.support.compiled import evaluate as evaluated
+from tests.support.compiled import evaluate, from_half_difference, from_vectors
 from tests.support.made_results import made
 
 LOBES = PICTURES["lobes"].draw
@@ -169,8 +167,8 @@ def test_bands_are_quantiles_of_what_the_draws_predict():
     """Each direction of each draw computed for itself, where bands look up in a table a draw."""
     result = made(posterior=True, model=Measured(TwoScale("none")))
     drawn, model = chain(result, count=10), result.model
-    where = Geometry.from_vectors(*prediction.plane_of_incidence(0.5, np.array([-0.9, 0.1, 0.5, 1.2])))
-    each = [evaluated(model.measured, result.values(x), where, tuple(model.wavelengths_um)) for x in drawn["values"]]
+    where = from_vectors(*prediction.plane_of_incidence(0.5, np.array([-0.9, 0.1, 0.5, 1.2])))
+    each = [evaluate(model.measured, result.values(x), where, tuple(model.wavelengths_um)) for x in drawn["values"]]
     found = prediction.band(prediction.draws_of(result, drawn), where)
     np.testing.assert_allclose(found, np.quantile(each, [0.05, 0.95], axis=0), rtol=1e-3)
     assert np.all(found[0] < 0.95 * found[1])
@@ -318,10 +316,10 @@ def test_pictures_show_what_the_model_says_at_every_bin(subject):
     rng = np.random.default_rng(3)
     seen = np.argwhere(grid.above[..., :90] & (np.minimum(grid.cos_i, grid.cos_o)[..., :90] > np.cos(1.4)))
     h, d, p = rng.choice(seen, 300).T
-    where = Geometry.from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
-    exact = np.asarray(evaluate(model.measured, subject.values, where, model.wavelengths_um))
+    where = from_half_difference(grid.theta_h[h], grid.theta_d[d], grid.phi_d[p])
+    exact = np.asarray(evaluate(model.measured, subject.values, where, tuple(model.wavelengths_um)))
     np.testing.assert_allclose(subject.predicted[:, h, d, p], exact, rtol=2e-3)
-    alone = np.asarray(evaluate(model.material, subject.values, where, model.wavelengths_um))
+    alone = np.asarray(evaluate(model.material, subject.values, where, tuple(model.wavelengths_um)))
     np.testing.assert_allclose(sum(x[:, h, d, p] for x in subject.parts.values()), alone, rtol=2e-3)
     assert [*subject.parts] == ["specular", "diffracted", "body"]
     assert not subject.predicted[:, ~grid.above[..., :90]].any()

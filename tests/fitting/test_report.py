@@ -24,7 +24,6 @@ from merlfit.fitting.show.peak import half_width
 from merlfit.fitting.show.site import _units
 from merlfit.fitting.show.subject import Subject
 from merlfit.merl_io.binary import read, write
-from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import contributions
 from merlfit.model.rivals.ggx import GGX
@@ -33,7 +32,7 @@ from playwright.sync_api import expect, sync_playwright
 from typer.testing import CliRunner
 
 from tests.support import chromium
-from tests.support.compiled import evaluate
+from tests.support.compiled import evaluate, from_half_difference
 from tests.support.made_results import made
 
 ROOT = Path(__file__).parents[2]
@@ -169,9 +168,7 @@ def test_the_lobes_of_a_fit_that_is_the_file(run):
 
 @pytest.mark.parametrize("model", [TwoScale("none"), TwoScale("plastic", index="real"), Measured(TwoScale("lambert"))])
 def test_contributions_add_up(model, compiled_quickly):
-    geometry = Geometry.from_half_difference(
-        np.array([0.02, 0.4, 1.5]), np.array([0.3, 0.6, 0.5]), np.array([1.0, 2, 0])
-    )
+    geometry = from_half_difference(np.array([0.02, 0.4, 1.5]), np.array([0.3, 0.6, 0.5]), np.array([1.0, 2, 0]))
     values = {q.name: np.full(3, q.default) if q.per_channel else q.default for q in model.parameters}
     found = jax.jit(contributions, static_argnums=0)(model, values, geometry)
     assert set(found) >= {"specular", "diffracted"}

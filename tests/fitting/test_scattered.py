@@ -23,13 +23,13 @@ from merlfit.merl_io.binary import MerlError, read
 from merlfit.merl_io.scattered import ScatteredSamples
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
-from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
 
 from tests import spectral
 from tests.support import rgl_files
 from tests.support.command import call
+from tests.support.compiled import evaluate
 
 FOUR = Bands(("420nm", "500nm", "600nm", "680nm"), (0.42, 0.5, 0.6, 0.68))
 GLOSSY = {
@@ -131,7 +131,7 @@ def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
     um = np.array(FOUR.wavelengths_um)
 
     def brdf(*angles):
-        return np.asarray(evaluate(GGX(), GLOSSY, spectral.geometry(np.degrees(np.stack(angles))), um))
+        return np.asarray(evaluate(GGX(), GLOSSY, spectral.geometry(np.degrees(np.stack(angles))), FOUR.wavelengths_um))
 
     file = rgl_files.write(tmp_path / "glossy_spec.bsdf", rgl_files.made(where, brdf, 1e3 * um))
     words = ("fit", file, "-o", tmp_path, "--model", "ggx")

@@ -1,5 +1,7 @@
 """The photographed sphere: loss of the mirror peak and the grazing exponent against a simulation pixel by pixel."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,6 @@ from merlfit.model.acquisition import (
     loss_of_lobe,
 )
 from merlfit.model.apparatus import APPARATUS, Apparatus
-from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import DIFFRACTION, SURFACE
 from merlfit.model.two_scale import TwoScale
@@ -20,18 +21,24 @@ from scipy.interpolate import CubicSpline
 
 from tests.oracles import acquisition as oracle
 from tests.oracles import convolution as o_convolution
+from tests.support.compiled import from_half_difference
 
 STEEP_RAD = tuple(np.radians([20.0, 45.0, 65.0, 80.0]).tolist())
 FOOTPRINT_RAD = APPARATUS.footprint_rad
 NEAR = Apparatus(camera_nearness=1 / 20, lamp_nearness=1 / 15)
 
 
+compiled_exponent = jax.jit(derived_exponent, static_argnums=2)
+compiled_loss = jax.jit(lambda angles, beta, p, apparatus: loss_of_lobe(angles, epd_of_rings(beta, p), apparatus),
+                        static_argnums=(0, 3))  # fmt: skip
+
+
 def exponent(beta, p, apparatus=APPARATUS):
-    return float(derived_exponent(jnp.asarray(float(beta)), jnp.asarray(float(p)), apparatus))
+    return float(compiled_exponent(beta, p, apparatus))
 
 
 def losses(beta, p, apparatus, angles=STEEP_RAD):
-    return np.asarray(loss_of_lobe(angles, epd_of_rings(jnp.asarray(beta), jnp.asarray(p)), apparatus))
+    return np.asarray(compiled_loss(tuple(angles), beta, p, apparatus))
 
 
 def gaussian_loss(theta, beta, along, across):
@@ -113,9 +120,13 @@ DIFFRACTED = [  # beta, p, b (um), c: of D narrow and S wide, both narrow, both 
 MIDDLE_UM = 0.526
 
 
+@partial(jax.jit, static_argnums=0)
+def compiled_diffracted(apparatus, values):
+    return Measured(TwoScale(), "derived", apparatus).exponent("diffracted", values)
+
+
 def derived_diffracted(beta, p, b, c, apparatus=APPARATUS):
-    values = {name: jnp.asarray(x) for name, x in zip(("beta", "p", "b", "c"), (beta, p, b, c), strict=True)}
-    return float(Measured(TwoScale(), "derived", apparatus).exponent("diffracted", values))
+    return float(compiled_diffracted(apparatus, {"beta": beta, "p": p, "b": b, "c": c}))
 
 
 @pytest.mark.parametrize("lobe", DIFFRACTED, ids=str)
@@ -146,9 +157,10 @@ def test_a_wider_lobe_loses_no_more():
     most of 300 such draws, near exponents of 0.01.
     """
     rng = np.random.default_rng(7)
-    gaps = []
+    gaps, declared = [], (*SURFACE, *DIFFRACTION[:2])
+    between = jax.jit(lambda u: [q.between(x) for q, x in zip(declared, u, strict=True)])
     for u in rng.uniform(size=(60, 4)):
-        beta, p, b, c = (float(q.between(jnp.asarray(x))) for q, x in zip((*SURFACE, *DIFFRACTION[:2]), u, strict=True))
+        beta, p, b, c = map(float, between(u))
         specular, diffracted = exponent(beta, p), derived_diffracted(beta, p, b, c)
         gaps.append(specular - diffracted)
         assert 0 <= diffracted <= specular + (2e-4 if p <= 1 else 0.015), (beta, p, b, c)
@@ -193,10 +205,9 @@ def test_limits_and_monotony():
 @pytest.mark.parametrize(("beta", "p"), [(1e-3, 1.0), (0.01, 0.5), (0.03, 1.0), (0.03, 5.0)])
 def test_power_law_follows_the_loss(beta, p):
     """Eq. 60 is an approximation; its error in the mirror direction reaches 0.13 of the height at normal incidence."""
-    theta = jnp.asarray(FIT_ANGLES_RAD)
-    mirror = Geometry.from_half_difference(jnp.zeros(()), theta, jnp.zeros(()))
+    mirror = from_half_difference(0.0, FIT_ANGLES_RAD, 0.0)
     found = losses(beta, p, Apparatus(), tuple(FIT_ANGLES_RAD.tolist()))
-    law = np.asarray(jnp.exp(exponent(beta, p) * grazing_log_base(mirror)))
+    law = np.exp(exponent(beta, p) * np.asarray(jax.jit(grazing_log_base)(mirror)))
     np.testing.assert_allclose(law, found, atol=0.13)
     assert np.max(np.abs(1 - found)) > 0.3
 
@@ -205,26 +216,26 @@ def test_gradients_against_differences_and_finite_at_the_edges():
     def k(log):
         return derived_exponent(jnp.exp(log[0]), jnp.exp(log[1]))
 
-    slope = jax.jit(jax.jacfwd(k))
+    @jax.jit
+    def found(log):
+        """Value, and slopes in both modes."""
+        return k(log), jax.jacfwd(k)(log), jax.grad(k)(log)
+
     for beta, p in ((1e-3, 0.2), (0.01, 1.0), (0.03, 0.5), (0.02, 4.0), (0.2, 0.3)):
-        at = jnp.log(jnp.array([beta, p]))
-        step = 1e-5 * jnp.eye(2)
-        differences = [(k(at + s) - k(at - s)) / 2e-5 for s in step]
-        np.testing.assert_allclose(slope(at), differences, rtol=1e-5, atol=1e-9)
-        assert float(jnp.max(jnp.abs(slope(at)))) > 1e-3
+        at, slope = np.log([beta, p]), np.asarray(found(np.log([beta, p]))[1])
+        differences = [(float(found(at + s)[0]) - float(found(at - s)[0])) / 2e-5 for s in 1e-5 * np.eye(2)]
+        np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-9)
+        assert np.max(np.abs(slope)) > 1e-3
     for beta in (1e-6, 1e-3, 1.0, 1e3):
         for p in (0.05, 0.2, 5.0, 50.0):
-            at = jnp.log(jnp.array([beta, p]))
-            assert bool(jnp.all(jnp.isfinite(jax.grad(k)(at)))), (beta, p)
-            assert bool(jnp.isfinite(k(at)))
+            assert all(np.all(np.isfinite(x)) for x in found(np.log([beta, p]))), (beta, p)
 
 
 def test_an_apparatus_is_static():
-    compiled = jax.jit(derived_exponent, static_argnums=2)
-    lobe = jnp.asarray(0.01), jnp.asarray(1.0)
-    assert float(compiled(*lobe, Apparatus(300.0, 1.5))) == pytest.approx(exponent(0.01, 1.0), abs=1e-12)
-    assert float(compiled(*lobe, Apparatus(300.0, 3.0))) > float(compiled(*lobe, Apparatus(300.0, 1.5))) + 0.05
-    single = derived_exponent(jnp.float32(0.01), jnp.float32(1.0))
+    same, wider = Apparatus(300.0, 1.5), Apparatus(300.0, 3.0)
+    assert exponent(0.01, 1.0, same) == pytest.approx(exponent(0.01, 1.0), abs=1e-12)
+    assert exponent(0.01, 1.0, wider) > exponent(0.01, 1.0, same) + 0.05
+    single = compiled_exponent(jnp.float32(0.01), jnp.float32(1.0), APPARATUS)
     assert single.dtype == jnp.float32
     assert float(single) == pytest.approx(exponent(0.01, 1.0), abs=1e-6)
 

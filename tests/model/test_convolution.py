@@ -8,9 +8,12 @@ from merlfit.model import convolution
 from merlfit.model.two_scale import TwoScale
 
 from tests.oracles import convolution as o_convolution
-from tests.support.arrays import j
 
 SEED = 20261121
+convolve = jax.jit(convolution.convolve, static_argnums=5)
+lobe = jax.jit(jax.vmap(convolution.lobe))  # theta_h, B and c each
+surface = jax.jit(convolution.surface, static_argnums=4)
+from_surface = jax.jit(convolution.from_surface)
 
 
 def convolution_cases(count, seed=SEED):
@@ -52,21 +55,21 @@ def test_convolution_in_all_bounds(order, median, largest, convolutions):
 ])  # fmt: skip
 def test_convolution_where_it_is_worst(order, case, least, most):
     """What a search found at the bounds of the fit; the last is a value of 1e-19 (`convolution.convolve`)."""
-    error = abs(float(convolution.convolve(*j(*case), order)) / o_convolution.convolve(*case) - 1)
+    error = abs(float(convolve(*case, order)) / o_convolution.convolve(*case) - 1)
     assert least < error < most
 
 
 def test_convolution_check_rejects_the_dirac_limit(convolutions):
     cases, expected = convolutions
-    lobe = np.asarray(jax.vmap(convolution.lobe)(*j(cases[:, 0], cases[:, 1], cases[:, 2])))
-    assert np.median(np.abs(lobe / expected - 1)) > 1e-2
+    unblurred = np.asarray(lobe(*cases[:, :3].T))
+    assert np.median(np.abs(unblurred / expected - 1)) > 1e-2
 
 
 def test_convolution_tends_to_the_lobe_for_narrow_normals():
-    theta_h = jnp.linspace(0.0, 1.4, 15)
-    wide = convolution.convolve(theta_h, *j(3.0, 2.0, 1e-4, 1.0), 48)
+    theta_h = np.linspace(0.0, 1.4, 15)
+    wide = convolve(theta_h, 3.0, 2.0, 1e-4, 1.0, 48)
     # D integrates to one with the cosine, and cos = 1 on a narrow lobe
-    np.testing.assert_allclose(wide, convolution.lobe(theta_h, *j(3.0, 2.0)), rtol=1e-3)
+    np.testing.assert_allclose(wide, lobe(theta_h, np.full(15, 3.0), np.full(15, 2.0)), rtol=1e-3)
 
 
 def test_convolution_gradients_against_differences():
@@ -94,7 +97,7 @@ def test_default_order_to_3e_3_on_thousands_of_sets():
 
     def at(order):
         value = jax.jit(lambda x: jax.lax.map(lambda y: convolution.convolve(*y, order), x, batch_size=500))
-        return np.asarray(value(tuple(jnp.asarray(cases.T))))
+        return np.asarray(value(tuple(cases.T)))
 
     reference = at(96)
     error = np.abs(at(TwoScale().order) / reference - 1)
@@ -102,20 +105,26 @@ def test_default_order_to_3e_3_on_thousands_of_sets():
     assert np.abs(at(16) / reference - 1).max() > 2e-2  # the comparison sees a quadrature that is too coarse
 
 
-@pytest.mark.parametrize(("order", "median", "largest"), [(16, 3e-4, 4e-2), (24, 5e-5, 6e-3), (32, 1.5e-5, 3e-3)])
-def test_grid_table_is_as_good_as_its_quadrature(order, median, largest):
-    """What fits use: table and quadrature together, over all bounds, against order 96 point by point."""
-    theta_h = jnp.asarray(((np.arange(4, 90, 15) + 0.5) / 90) ** 2 * np.pi / 2)
+@pytest.fixture(scope="module")
+def grid():
+    """Rows of MERL's grid, parameters over all bounds with hard ones, and what order 96 says point by point."""
+    theta_h = ((np.arange(4, 90, 15) + 0.5) / 90) ** 2 * np.pi / 2
     cos_d = np.cos((np.arange(0, 90, 3) + 0.5) / 90 * np.pi / 2)
-    u = jnp.asarray((cos_d[:, None] / np.array([0.645, 0.526, 0.444])).ravel())[None]
+    u = (cos_d[:, None] / np.array([0.645, 0.526, 0.444])).ravel()[None]
     rng = np.random.default_rng(SEED)
     low, high = np.log([0.05, 0.01, 1e-3, 0.2]), np.log([200, 5, 1, 5])
     b, c, beta, p = np.exp(rng.uniform(low, high, (60, 4))).T
     hard = np.array([[166.9, 1.017, 0.573, 4.77], [49.9, 1.015, 0.344, 4.823], [63.6, 2.315, 0.01, 4.778]])
     sets = np.concatenate([np.stack([b, 1 + c, beta, p], 1), hard])
-    points = jax.jit(lambda x: convolution.convolve(theta_h[:, None], 2 * x[0] * u, *x[1:], 96))
-    table = jax.jit(lambda x: convolution.convolve_many(theta_h[:, None], u, *x, order))
-    error = np.array([np.abs(np.asarray(table(jnp.asarray(x)) / points(jnp.asarray(x))) - 1) for x in sets])
+    return theta_h[:, None], u, sets, [np.asarray(convolve(theta_h[:, None], 2 * x[0] * u, *x[1:], 96)) for x in sets]
+
+
+@pytest.mark.parametrize(("order", "median", "largest"), [(16, 3e-4, 4e-2), (24, 5e-5, 6e-3), (32, 1.5e-5, 3e-3)])
+def test_grid_table_is_as_good_as_its_quadrature(order, median, largest, grid):
+    """What fits use: table and quadrature together, over all bounds, against order 96 point by point."""
+    theta_h, u, sets, points = grid
+    table = jax.jit(lambda x: convolution.convolve_many(jnp.asarray(theta_h), jnp.asarray(u), *x, order))
+    error = np.array([np.abs(np.asarray(table(x)) / at - 1) for x, at in zip(sets, points, strict=True)])
     assert np.median(error) < median
     assert error.max() < largest, sets[error.max((1, 2)).argmax()]
 
@@ -125,15 +134,14 @@ def looked_up(request):
     """A random lobe from its table at all theta_h, at 80 to 89.5 degrees and beyond: found, expected, peak of each."""
     rng = np.random.default_rng(request.param)
     low, high = np.log([3e-3, 0.25, 0.05, 0.1]), np.log([0.6, 4.0, 4.0, 30.0])
-    beta, p, c, b = (jnp.asarray(x) for x in np.exp(rng.uniform(low, high)))
+    beta, p, c, b = np.exp(rng.uniform(low, high))
     c, sharpest = 1 + c, 2 * b / 0.444
     everywhere = np.minimum(1.57, np.exp(rng.uniform(np.log(1e-4), np.log(1.57), 500)))
     steep, last = (np.radians(rng.uniform(*ends, 250)) for ends in ((80, 89.5), (89.5, 90)))
-    theta = jnp.asarray(np.stack([everywhere, *(np.resize(x, 500) for x in (steep, last))]))
-    B = sharpest * jnp.asarray(rng.random(theta.shape))
-    table = jax.jit(convolution.surface, static_argnums=4)(sharpest, c, beta, p, 24)
-    found = np.asarray(convolution.from_surface(table, theta, B, sharpest))
-    expected, peak = (np.asarray(convolution.convolve(x, B, c, beta, p, 24)) for x in (theta, 0 * theta))
+    theta = np.stack([everywhere, *(np.resize(x, 500) for x in (steep, last))])
+    B = sharpest * rng.random(theta.shape)
+    found = np.asarray(from_surface(surface(sharpest, c, beta, p, 24), theta, B, sharpest))
+    expected, peak = (np.asarray(convolve(x, B, c, beta, p, 24)) for x in (theta, 0 * theta))
     return found, expected, peak
 
 
@@ -150,17 +158,18 @@ def test_the_surface_is_the_convolution(looked_up):
 
 def test_the_surface_has_slopes_up_to_the_horizon():
     """Where tan(theta_h) is 1e16, and past it by rounding."""
-    sharpest, c, beta, p = j(20.0, 2.0, 0.3, 0.4)
-    table = convolution.surface(sharpest, c, beta, p, 12)
-    for precision in (jnp.float64, jnp.float32):
-        theta = jnp.asarray([0.0, 1.5, np.radians(89.9999), np.pi / 2, 1.5708], precision)
-        B = jnp.full_like(theta, 3.0)
+    table = np.asarray(surface(20.0, 2.0, 0.3, 0.4, 12))
 
-        def value(theta, B=B, precision=precision):
-            return convolution.from_surface(table.astype(precision), theta, B, sharpest.astype(precision))
+    @jax.jit
+    def with_slopes(table, theta, B, sharpest):
+        along = (jnp.ones_like(theta),)
+        return jax.jvp(lambda theta: convolution.from_surface(table, theta, B, sharpest), (theta,), along)
 
-        found, slope = jax.jvp(value, (theta,), (jnp.ones_like(theta),))
+    for precision in (np.float64, np.float32):
+        theta = np.asarray([0.0, 1.5, np.radians(89.9999), np.pi / 2, 1.5708], precision)
+        B, sharpest = np.full_like(theta, 3.0), np.asarray(20.0, precision)
+        found, slope = with_slopes(table.astype(precision), theta, B, sharpest)
         assert found.dtype == precision
         assert np.all(np.isfinite(slope))
         assert np.all(np.asarray(slope)[2:] == 0)
-        np.testing.assert_allclose(found[2:], found[3], rtol=1e-3)
+        np.testing.assert_allclose(np.asarray(found)[2:], np.asarray(found)[3], rtol=1e-3)

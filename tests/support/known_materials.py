@@ -3,9 +3,10 @@
 import jax
 import numpy as np
 from merlfit.merl_io.grid import merl_grid
-from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import two_scale
+
+from tests.support.compiled import from_half_difference
 
 CONDUCTOR = {
     "beta": 0.12, "p": 0.6, "b": 4.8, "c": 2.2, "sigma_s": 0.027, "n": np.array([1.9, 1.7, 1.6]),
@@ -24,8 +25,6 @@ def tabulate(values, effects, exponents=EXPONENTS):
     parts = []
     compiled = jax.jit(lambda g: two_scale({**values, **exponents}, g, Measured(effects)))
     for rows in np.split(np.arange(90), 9):
-        g = Geometry.from_half_difference(
-            grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]
-        )
+        g = from_half_difference(grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])
         parts.append(np.asarray(compiled(g)))
     return np.where(grid.above, np.concatenate(parts, 1), np.nan)
