@@ -5,7 +5,7 @@ import shutil
 import tempfile
 import warnings
 import weakref
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from .pipeline.place import claimed, place_of
 from .pipeline.run import fit_file, settled
 from .results.storage import read_result
 from .settings.config import load as settings_of
+from .settings.config import parameters_of
 from .support.clock import Report, silent
 from .support.compilation import use_cache
 
@@ -36,6 +37,10 @@ def fit(
     weights: str | None = None,
     posterior: bool | None = None,
     seed: int | None = None,
+    fix: Mapping[str, ArrayLike] | None = None,
+    bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
+    start: Mapping[str, float] | None = None,
+    tie: Iterable[str] = (),
     dims: str | None = None,
     origin: str | None = None,
     name: str = "table",
@@ -54,6 +59,10 @@ def fit(
             lambert, plastic or subsurface. preset: of effects, such as default or conserving (docs/effects.md).
         weights: compressive, log, none or adaptive (docs/fitting.md).
         posterior: whether to sample it; :meth:`Fit.sample` does so later. seed: of the sampler.
+        fix: parameters by name that are not fitted, with their value, or one for each channel; models without them are
+            left out, so that a fixed ``eta`` leaves dielectrics. bounds: lower and upper ones within the model's, None
+            for its own. start: values where the first fit starts. tie: parameters with one value for all channels.
+            ``settings`` know priors of single parameters as well (docs/fitting.md).
         dims: allow other sizes of a MERL file's grid. origin: what data these are, in words that outputs repeat.
             All of these replace what ``settings`` say, and are the options of `merlfit fit`.
         name: of the material, of arrays; a file's is that of the file.
@@ -67,7 +76,7 @@ def fit(
     """
     config = settings_of(
         settings, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
-        posterior=posterior, seed=seed,
+        posterior=posterior, seed=seed, parameters=parameters_of(fix, bounds, start, tie),
     )  # fmt: skip
     if "enabled" not in config.posterior.model_fields_set:
         config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})

@@ -6,7 +6,7 @@ dims what is sharp, each lobe as its width has it, and leaves the body as it is 
     rho_measured = common sum over lobes p_l(i, o) sharp_l + body,    p_l = (p_1(theta_i) p_1(theta_o))^(k_l).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import ClassVar, get_args
@@ -134,9 +134,6 @@ class Measured(Reflectance):
     def stand_in(self, order: int) -> "Measured":  # noqa: D102
         return replace(self, material=self.material.stand_in(order))
 
-    def shifts(self, middle_um: float) -> Mapping[str, Callable[[Values], Array]]:  # noqa: D102
-        return self.material.shifts(middle_um)
-
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:  # noqa: D102
         return self.material.starts(clues, middle_um)
 
@@ -152,11 +149,6 @@ class Measured(Reflectance):
     @property
     def sought(self) -> "Measured":  # noqa: D102
         return replace(self, material=self.material.sought)
-
-    @property
-    def chart(self) -> Reflectance:  # noqa: D102
-        chart = self.material.chart
-        return Measured(chart) if self.grazing_loss == "free" else chart
 
     @property
     def general(self) -> "Measured":  # noqa: D102

@@ -5,16 +5,22 @@ light. Priors are weak: log-normal ones, cut at the bounds, say of what order a 
 the square of their factor either way.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 
+from .diffraction import renormalisation
+from .ndf.epd import HALF
 from .numerics import Real
 from .priors import LogNormal
 
 WAVELENGTHS_UM = (0.645, 0.526, 0.444)  # HP17 Section 5: one wavelength stands for each MERL channel
+Shift = Callable[[Mapping[str, Array], float], Array]
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,8 @@ class Parameter:
         prior: log-normal one of the parameter itself, if it has none in :class:`merlfit.model.priors.Priors`.
         alike: whether it is nearly the same in all channels: then the prior in the middle one is its own, that in the
             others of the ratio to the middle one (``Priors.dispersion``).
+        shift: by how much the logarithm of the prior's median moves with the values of other parameters, none of which
+            moves itself; also given the wavelength (um) of the middle channel.
     """
 
     name: str
@@ -48,6 +56,7 @@ class Parameter:
     quantity: str | None = None
     prior: LogNormal | None = None
     alike: bool = False
+    shift: Shift | None = None
 
     def between(self, u: Real) -> Real:
         """Value at the position u in [0, 1] between the bounds, in the parameter's own scale."""
@@ -69,9 +78,19 @@ class Parameter:
         return np.asarray(1 / (upper - lower) if self.scale == "linear" else 1 / (value * np.log(upper / lower)))
 
 
+def half_width_shift(v: Mapping[str, Array], middle_um: float) -> Array:
+    """From the half width, beta (ln 2)^(1/(2 p)), to beta."""
+    return -HALF / v["p"]
+
+
+def sigma_rel_shift(v: Mapping[str, Array], middle_um: float) -> Array:
+    """From the height that diffracts into directions that exist (HP17 Eq. 17), at normal incidence, to sigma_s."""
+    return -jnp.log(renormalisation(jnp.zeros(()), v["b"] / middle_um, v["c"])) / 2
+
+
 SURFACE = (
     Parameter("beta", r"\beta", "width of the distribution of microfacet normals", "1", 0.1, 1e-3, 1.0,
-              source="HP17 Eq. 35", quantity="half_width"),
+              source="HP17 Eq. 35", quantity="half_width", shift=half_width_shift),
     Parameter("p", "p", "kurtosis exponent of the distribution of microfacet normals", "1", 0.8, 0.2, 5.0,
               source="HP17 Eq. 35"),
 )  # fmt: skip
@@ -80,7 +99,7 @@ DIFFRACTION = (
     Parameter("c", "c", "falloff exponent of the nano-geometry's spectrum", "1", 2.0, 1.01, 6.0, offset=1.0,
               source="HP17 Eq. 14"),
     Parameter("sigma_s", r"\sigma_s", "standard deviation of the nano-geometry's height", "um", 0.03, 1e-4, 0.5,
-              source="HP17 Eq. 18", quantity="sigma_rel"),
+              source="HP17 Eq. 18", quantity="sigma_rel", shift=sigma_rel_shift),
 )  # fmt: skip
 CONDUCTOR = (
     Parameter("n", "n", "real part of the index of refraction", "1", 1.0, 0.02, 10.0, per_channel=True,

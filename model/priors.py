@@ -43,3 +43,21 @@ class Priors:
 
 
 PRIORS = Priors()
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """What a user says of one parameter; None is as the model declares it.
+
+    Attributes:
+        fixed: its value, or one for each channel: it is not fitted. start: where the first fit starts.
+        lower, upper: bounds, within those of the model. tied: one value for all channels.
+        prior: log-normal one of the parameter itself (less its offset), cut at the bounds.
+    """
+
+    fixed: tuple[float, ...] | None = None
+    lower: float | None = None
+    upper: float | None = None
+    start: float | None = None
+    prior: LogNormal | None = None
+    tied: bool = False

@@ -221,13 +221,6 @@ class Reflectance(ABC):
         """A variant nearly equal to this one and quick at few scattered directions, for the posterior's chain."""
         return self.coarse(order)
 
-    def shifts(self, middle_um: float) -> Mapping[str, Callable[[Values], Array]]:
-        """Of parameters whose priors move with others: by how much the logarithm of the median moves, given the others.
-
-        The others are none of these parameters. ``middle_um``: wavelength of the middle channel.
-        """
-        return {}
-
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """Parameters from which a fit may start, by name, channels alike; what is left out has its default.
 
@@ -248,11 +241,6 @@ class Reflectance(ABC):
     @property
     def sought(self) -> "Reflectance":
         """A variant with the same parameters, in which the lowest minimum is looked for."""
-        return self
-
-    @property
-    def chart(self) -> "Reflectance":
-        """The variant that stands for all with the same parameters and priors."""
         return self
 
     @property

@@ -14,7 +14,7 @@ specular being A_spec F D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). On a
 multiplies lobes and body once more.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import ClassVar
@@ -29,7 +29,6 @@ from . import derived as derivation
 from . import parameters as declared
 from . import plausible, terms
 from .acquisition import epd_of_rings
-from .diffraction import renormalisation
 from .effects import ANY, BODIES, KINDS, TWO_SCALE, Effects, Kind
 from .fresnel import fresnel, schlick
 from .geometry import Geometry
@@ -182,7 +181,7 @@ class TwoScale(Effects, Reflectance):
         return self.changed(order=min(order, self.order))
 
     def stand_in(self, order: int) -> "TwoScale":  # noqa: D102
-        if self.diffraction in ("scaled", "zonal", "exact"):
+        if self.diffraction == "exact":
             return self.changed(diffraction="quadrature", order=order)
         return self.coarse(order)
 
@@ -190,14 +189,6 @@ class TwoScale(Effects, Reflectance):
     def kind(self) -> Kind:
         """Interface and body."""
         return self.index, self.body
-
-    def shifts(self, middle_um: float) -> dict[str, Callable[[Values], Array]]:
-        """Of beta, whose prior is that of the half width, and of sigma_s, whose prior is that of sigma_rel."""
-        found: dict[str, Callable[[Values], Array]] = {"beta": lambda v: -HALF / v["p"]}
-        if self.diffraction != "off" and self.renormalised:
-            normal = jnp.zeros(())
-            found["sigma_s"] = lambda v: -jnp.log(renormalisation(normal, v["b"] / middle_um, v["c"])) / 2
-        return found
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """The measured highlight may be the facets' lobe, or diffracted light.
@@ -228,12 +219,6 @@ class TwoScale(Effects, Reflectance):
     def sought(self) -> "TwoScale":
         """With the printed split of energy: the conserving one costs a hundred times as much."""
         return replace(self, split="printed")
-
-    @property
-    def chart(self) -> "TwoScale":  # noqa: D102
-        body = "none" if self.body == "none" else "lambert"
-        diffraction = "off" if self.diffraction == "off" else "quadrature"
-        return TwoScale(body, diffraction, renormalised=self.renormalised, index=self.index)
 
     @property
     def general(self) -> "TwoScale":
@@ -274,6 +259,8 @@ def _general(model: TwoScale) -> TwoScale:
 @cache
 def _parameters(model: TwoScale) -> tuple[Parameter, ...]:
     shared = declared.SURFACE + (() if model.diffraction == "off" else declared.DIFFRACTION)
+    if not model.renormalised:  # all height diffracts into directions that exist
+        shared = tuple(replace(q, shift=None) if q.name == "sigma_s" else q for q in shared)
     interface = declared.CONDUCTOR if model.index == "complex" else declared.INTERFACE
     return shared + interface + (() if model.body == "none" else (declared.ALBEDO,))
 

@@ -22,6 +22,7 @@ MORE = {
     "tests/fitting/test_batch.py": 110,
     "tests/fitting/test_cases.py": 300,
     "tests/fitting/test_cluster_fits.py": 300,
+    "tests/fitting/test_constraints.py": 80,
     "tests/fitting/test_dims.py": 200,
     "tests/fitting/test_emulator.py": 290,
     "tests/fitting/test_files.py": 60,

@@ -66,7 +66,9 @@ def test_the_settings_that_shorten_a_fit_are_no_reason_to_refuse_it(command):
     known = typer.main.get_command(cli.app).commands["fit"]
     _, _, *words = shlex.split(shown_commands.shortened(command))
     given = known.make_context("fit", words).params
-    found = load(tomllib.loads(shown_commands.SHORT), **{name: given[name] for name in Replaced.__annotations__})
+    found = load(
+        tomllib.loads(shown_commands.SHORT), **{name: given[name] for name in Replaced.__annotations__ if name in given}
+    )
     assert found.posterior.max_steps == 20
 
 

@@ -14,7 +14,7 @@ from ..pipeline.run import Finish, fit_file
 from ..results.manifest import Ending
 from ..results.schema import Result
 from ..results.storage import ResultError, read_result
-from ..settings.config import Config
+from ..settings.config import Config, ConfigError
 from ..support.clock import Report, silent
 from ..support.compilation import FIRST_FIT, FIRST_RIVAL, make_room, programs_told
 from ..support.outputs import log, log_of
@@ -81,7 +81,7 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
                 result = fit_file(unit.path, place.folder, unit.settings, told, unit.finish)
         log(unit.log, f"{result.fit.status}, {result.seconds['total']:.1f} s")
         return Ended(Ending.FITTED, result, said=place.said)
-    except MerlError as error:
+    except (MerlError, ConfigError) as error:
         return Ended(Ending.BAD_INPUT, error=str(error), said=place.said if place else "")
     except WriteError as error:  # names the output, the input is not to blame
         return Ended(Ending.FAILED, error=str(error), said=place.said if place else "")

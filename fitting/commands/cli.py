@@ -169,6 +169,23 @@ def fit(
         typer.Option(help="Two-scale model: what lies under the surface, auto, none, lambert, plastic or subsurface."),
     ] = None,
     weights: Weights = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Parameter that is not fitted, with its value or one for each channel: eta=1.5, n=0.2,0.9,1.1.",
+            show_default=False,
+        ),
+    ] = None,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(help="Bounds of a parameter, within the model's: p=0.5:2, b=1: .", show_default=False),
+    ] = None,
+    start: Annotated[
+        list[str] | None, typer.Option(help="Where the first fit starts: beta=0.1.", show_default=False)
+    ] = None,
+    tie: Annotated[
+        list[str] | None, typer.Option(help="Parameter with one value for all channels: eta.", show_default=False)
+    ] = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
     origin: Annotated[
@@ -198,11 +215,11 @@ def fit(
 
     Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
     """
-    from .settings import settings_of
+    from .settings import parameters_given, settings_of
 
     settings = settings_of(
         config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
-        posterior=posterior, seed=seed,
+        posterior=posterior, seed=seed, parameters=parameters_given(fix, bounds, start, tie),
     )  # fmt: skip
     from .fit import aim_of, fit_files, refuse_unoffered, summarise
 

@@ -21,12 +21,13 @@ from ..batch.pool import Pool
 from ..batch.unit import Ended, Unit
 from ..cost.accuracy import Aim, aim
 from ..cost.request import request
+from ..pipeline.models import candidates
 from ..pipeline.place import Complete, claimed, completeness, results_beside
 from ..pipeline.run import settled
 from ..results.manifest import Ending, Journal
 from ..results.schema import Result
 from ..results.storage import valid_result
-from ..settings.config import Config
+from ..settings.config import Config, ConfigError
 from ..show.terminal_tables import Outcome, accuracy_line, summary_table
 from ..support.numbers import counted
 from ..support.processes import jobs_for
@@ -130,6 +131,10 @@ def fit_files(
     writable_folder(out)
     refuse_same_names(files)
     chosen, finish = (aim.settings, aim.finish) if aim else (settings, None)
+    try:
+        candidates(chosen)
+    except ConfigError as error:
+        raise fail(str(error)) from None
     units = [Unit(path, out, chosen, finish) for path in files]
     found: dict[int, Outcome] = {}
     start = time.perf_counter()

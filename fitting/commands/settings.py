@@ -1,10 +1,13 @@
 """Settings as commands are given them; an error of theirs ends a command before it waits for jax."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
-from ..settings.config import Config, ConfigError, Replaced, load
+from ..settings.config import Config, ConfigError, Replaced, load, parameters_of
 from ..support.terminal import fail
+
+Options = Sequence[str] | None
 
 
 def settings_of(config: Path | None = None, **replaced: Unpack[Replaced]) -> Config:
@@ -13,3 +16,33 @@ def settings_of(config: Path | None = None, **replaced: Unpack[Replaced]) -> Con
         return load(config, **replaced)
     except ConfigError as error:
         raise fail(str(error)) from None
+
+
+def parameters_given(fix: Options, bounds: Options, start: Options, tie: Options) -> dict[str, dict[str, Any]]:
+    """What --fix, --bounds, --start and --tie say of parameters."""
+    fixed = {name: _numbers("--fix", said, said.split(",")) for name, said in _named("--fix", fix)}
+    bounded, started = {}, {}
+    for name, said in _named("--bounds", bounds):
+        if said.count(":") != 1:
+            raise fail(f"--bounds {name}={said}: should be {name}=LOWER:UPPER, either of which may be left out")
+        bounded[name] = tuple(_numbers("--bounds", said, [end])[0] if end else None for end in said.split(":"))
+    for name, said in _named("--start", start):
+        started[name] = _numbers("--start", said, [said])[0]
+    single = {name: values[0] if len(values) == 1 else values for name, values in fixed.items()}
+    return parameters_of(single, bounded, started, tie or ())
+
+
+def _named(option: str, given: Options) -> list[tuple[str, str]]:
+    """Name and what follows the equals sign, of every time that the option is given."""
+    found = [said.partition("=") for said in given or ()]
+    for name, equals, value in found:
+        if not (name and equals and value):
+            raise fail(f"{option} {name}{equals}{value}: should be a parameter's name, = and what is said of it")
+    return [(name.strip(), value.strip()) for name, _, value in found]
+
+
+def _numbers(option: str, said: str, words: Sequence[str]) -> list[float]:
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise fail(f"{option} {said}: {', '.join(words)} should be numbers") from None

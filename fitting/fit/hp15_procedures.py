@@ -57,7 +57,7 @@ def solve_some(objective: Objective, z: np.ndarray, names: Sequence[str], max_st
     Returns:
         the solution with all free coordinates; its normal equations are those of the moved ones.
     """
-    slices = objective.layout.slices
+    slices = objective.layout.slices  # of values, which are the coordinates: nothing is fixed or tied
     moved = np.concatenate([np.arange(slices[name].start, slices[name].stop) for name in names])
     kept = np.append(moved, objective.layout.size)
 

@@ -48,14 +48,13 @@ def identifiability(
 def priors(layout: Layout) -> list[schema.Prior]:
     """The prior of every coordinate, as `transforms` has it."""
     found, middle = [], layout.channels[layout.bands.middle]
-    shifts = layout.model.shifts(layout.bands.middle_um)
-    for name, q in zip(layout.names, layout.entries, strict=True):
+    for name, q in ((layout.names[k], layout.entries[k]) for k in layout.leads):
         quantity, offset = q.quantity or q.name, q.offset
         if q.alike and not name.endswith(f"_{middle}"):
             quantity, offset = "dispersion", 0.0
         uniform = q.scale == "linear" and q.quantity is None
         given = None if uniform else layout.priors.dispersion if quantity == "dispersion" else layout.log_normal(q)
-        if q.quantity == "sigma_rel" and q.name not in shifts:
+        if q.quantity == "sigma_rel" and q.shift is None:
             quantity = q.name
         found.append(schema.Prior(
             parameter=name, quantity=quantity, distribution="log-normal" if given else "uniform", offset=offset,
@@ -66,8 +65,8 @@ def priors(layout: Layout) -> list[schema.Prior]:
 
 def in_words(found: schema.Identifiability) -> list[str]:
     """Sentences of it."""
-    size = len(found.names)
-    said = [f"the data determine {found.determined} of {size} independent combinations of the parameters"]
+    size, free = len(found.names), len(found.coordinates)
+    said = [f"the data determine {found.determined} of {free} independent combinations of the parameters"]
     for direction in found.undetermined:
         together = ", ".join(f"{name} {value:+.1f}" for name, value in direction.components.items())
         how_much = f"the data constrain it {direction.curvature:.2g} times as much as the prior does"

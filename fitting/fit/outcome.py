@@ -9,6 +9,7 @@ import numpy as np
 
 from ...merl_io.binary import OUTLIER
 from ...merl_io.inputs import Input
+from ...model.parameters import Parameter
 from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
 from ..results import schema
@@ -81,13 +82,14 @@ class Fitted:
         Each value is normal in its own free coordinate, which has the others at the fit: with J the slopes and C the
         covariance there, of the standard deviation sqrt((J C J^T)_ii) / J_ii. So an interval holds the value, keeps
         within the bounds and is as skew as the coordinate. The data decide where this is below `DECIDED` of what
-        the prior alone, C = 1, leaves.
+        the prior alone, C = 1, leaves. What is fixed has none.
         """
         z, slopes = np.asarray(self.solution.z), np.asarray(self.layout.slopes(jnp.asarray(self.solution.z)))
-        own, prior = np.abs(np.diag(slopes)), np.linalg.norm(slopes, axis=1)
+        source = self.layout.table.source
+        own, prior = np.abs(slopes[np.arange(len(slopes)), source]), np.linalg.norm(slopes, axis=1)
 
         def end(k: int, steps: float) -> float:
-            return float(self.layout.flat(jnp.asarray(z).at[k].add(steps / own[k]))[k])
+            return float(self.layout.flat(jnp.asarray(z).at[source[k]].add(steps / own[k]))[k])
 
         return [
             (end(k, -NINETY * error), end(k, NINETY * error)) if error < DECIDED * prior[k] and own[k] > 0 else None
@@ -98,14 +100,14 @@ class Fitted:
     def at_bound(self) -> list[Bound]:
         """At which bound each entry is: within 1 % of it, and no two standard errors away.
 
-        An albedo is at none, which its odds never reach: where 0 or 1 is as good, its standard error says so.
+        An albedo is at neither 0 nor 1, which its odds never reach: where they are as good, its standard error says so.
         """
         entries = self.layout.entries
         place = [float(q.position(x)) for q, x in zip(entries, self.values, strict=True)]
         error = [q.slope(x) * e for q, x, e in zip(entries, self.values, self.standard_errors, strict=True)]
         near = [
-            q.quantity != ODDS and min(x, 1 - x) < EDGE and min(x, 1 - x) <= RESOLVED * e
-            for q, x, e in zip(entries, place, error, strict=True)
+            kind != "fixed" and not _endless(q) and min(x, 1 - x) < EDGE and min(x, 1 - x) <= RESOLVED * e
+            for kind, q, x, e in zip(self.layout.kinds, entries, place, error, strict=True)
         ]
         return ["no" if not at else "lower" if x < EDGE else "upper" for x, at in zip(place, near, strict=True)]
 
@@ -119,6 +121,11 @@ class Fitted:
         if not self.solution.converged:
             return Status.STEP_LIMIT
         return Status.CONVERGED if set(self.at_bound) == {"no"} else Status.AT_BOUND
+
+
+def _endless(q: Parameter) -> bool:
+    """Whether its odds may be of any size, so that it comes to no bound."""
+    return q.quantity == ODDS and (q.lower, q.upper) == (0.0, 1.0)
 
 
 def said(status: Status, measurement: Input) -> str:

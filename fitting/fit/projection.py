@@ -64,7 +64,7 @@ def project(
     Returns:
         for every layout costs (N,), and values by name, (N,) and (N, C).
     """
-    parted = [_separated(layout.model) for layout in layouts]
+    parted = [_separated(layout) for layout in layouts]
     lobes, fixed = parted[0].lobes, parted[0].fixed
     count = len(next(iter(shared.values())))
     padded = {name: np.pad(x, (0, -count % BATCH), "edge") for name, x in shared.items()}
@@ -91,11 +91,17 @@ def project(
     return [(costs, {**shared, **found}) for costs, found in joined]
 
 
-def _separated(model: Reflectance) -> Separated:
-    found = model.separated
+def _separated(layout: Layout) -> Separated:
+    """What separates the channels; constants that are fixed for all of them are the only ones that are tried."""
+    found = layout.model.separated
     if found is None:
-        raise ValueError(f"the channels of {model} are not separated")
-    return found
+        raise ValueError(f"the channels of {layout.model} are not separated")
+    fixed = {name: np.array(each.fixed) for name, each in layout.constraints if each.fixed and len(each.fixed) == 1}
+    return (
+        found._replace(constants={name: fixed[name] for name in found.constants})
+        if (found.constants.keys() <= fixed.keys())
+        else found
+    )
 
 
 def _body_of(parted: Separated) -> BodyTried | None:

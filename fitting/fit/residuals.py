@@ -23,9 +23,7 @@ from ...model.materialised import materialised, true_of
 from ...model.reflectance import Factor, Reflectance, Setting, reads
 from ..support.threads import side_by_side
 from .problem import LEAST_SHARE, Directions, Part, Problem, directions_of, shares
-from .transforms import Layout
-
-Numbers = np.ndarray | Array
+from .transforms import Layout, Numbers, Structure
 
 
 def predict(model: Reflectance, values: Mapping[str, Array], where: Directions) -> np.ndarray:
@@ -77,7 +75,7 @@ class Objective:
         return reduce(add, side_by_side(of_part, self.problem.parts), self.problem.rest)
 
     def normal_equations(self, z: ArrayLike) -> np.ndarray:
-        """(J|r)^T W (J|r) per channel, shape (C, P+1, P+1): J = d predicted/dz, r = measured - predicted.
+        """(J|r)^T W (J|r) per channel, shape (C, F+1, F+1): J = d predicted/dz, r = measured - predicted.
 
         Its last diagonal entry is :meth:`costs`. Sums are taken of derivatives by physical values. A channel's rows and
         columns of other channels' parameters are zero, which is why one tangent a parameter, applied to all channels at
@@ -87,7 +85,7 @@ class Objective:
         return self._spread_out(compact_normal_equations, values, slopes)
 
     def normal_equations_of_many(self, points: ArrayLike) -> np.ndarray:
-        """The same at many points (M, P) in one call, shape (M, C, P+1, P+1): for few bins, where calls cost most."""
+        """The same at many points (M, F) in one call, shape (M, C, F+1, F+1): for few bins, where calls cost most."""
         values, slopes = self.layout.values_and_slopes_of_many(points)
         return self._spread_out(compact_normal_equations_of_many, values, slopes)
 
@@ -167,21 +165,22 @@ def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers)
     """Normal equations by free coordinates, from those with a row a parameter: arrays of NumPy or JAX.
 
     Args:
-        slopes: of physical values by free coordinates, (..., P, P). compact: a row and column a parameter,
+        slopes: of physical values by free coordinates, (..., P, F). compact: a row and column a parameter,
             (..., C, G+1, G+1). rest: what is added to each channel's cost, (C,).
     """
-    place, last = _places(layout.chart)
-    chain = place[..., :-1] @ (slopes @ np.eye(layout.size, layout.size + 1))[..., None, :, :] + place * last
+    place, last = _places(layout.structure), np.eye(layout.size + 1)[-1]
+    widened = slopes @ np.eye(layout.size, layout.size + 1)
+    chain = place[..., :-1] @ widened[..., None, :, :] + place[..., -1:] * last
     return chain.swapaxes(-1, -2) @ compact @ chain + rest[:, None, None] * (last[:, None] * last)
 
 
 @cache
-def _places(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Which entry each channel's parameters and residual are, (C, G+1, P+1) of 0 and 1; the residual's, (P+1,)."""
-    channels = len(layout.channels)
-    where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in layout.slices.values()]
-    last = np.eye(layout.size + 1)[-1]
-    return np.eye(layout.size + 1)[np.array([*where, [layout.size] * channels]).T], last
+def _places(structure: Structure) -> np.ndarray:
+    """Which physical value each channel's parameters are, and the residual after them, (C, G+1, P+1) of 0 and 1."""
+    channels, slices = structure.channels, structure.slices.values()
+    where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in slices]
+    size = max(s.stop for s in slices)
+    return np.eye(size + 1)[np.array([*where, [size] * channels]).T]
 
 
 def evaluate_block(model: Reflectance, values: Mapping[str, Array], b: Directions) -> Array:

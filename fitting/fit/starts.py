@@ -116,7 +116,7 @@ def _of_alike(
     whose turn is not the first reading's lies near its reading. Of every kind the best is taken, then the second best,
     and so on.
     """
-    lead = layouts[0]
+    lead = layouts[0].unfixed
     shared = [q.name for q in lead.parameters if not q.per_channel]  # they come first
     size, basins = len(shared), lead.model.basins
     readings = lead.model.starts(clues, lead.bands.middle_um) or [{}]
@@ -125,6 +125,7 @@ def _of_alike(
     moved = [[name for name, x in each.items() if x != readings[0].get(name)] for each in readings]
     if first is not None:
         readings[0] = {**first}
+    readings[0] |= {name: each.start for name, each in lead.constraints if each.start is not None}
     typical = {q.name: q.default for q in lead.parameters}
     begun = [lead.free({**typical, **reading}) for reading in readings]
     most = 1 << (CANDIDATES_EACH * count - 1).bit_length()
@@ -138,10 +139,15 @@ def _of_alike(
     kinds = np.column_stack([(places * [basins.get(name, 1) for name in shared]).astype(int), turn])
     if lead.model.separated is None:
         own = _classes(lead, size, most)
-        kinds, found = np.column_stack([kinds, own]), [_by_channel(lead, points, size, readings[0], own, problem)]
+        kinds = np.column_stack([kinds, own])
+        found = [_by_channel(layouts[0], points, size, readings[0], own, problem)]
     else:
-        named = lead.values_of_many(points)
+        named = layouts[0].held(lead.values_of_many(points))
         found = project(layouts, {name: named[name] for name in shared}, problem, over)
+        for layout, (_, values) in zip(layouts, found, strict=True):
+            for name, each in layout.constraints:
+                if each.start is not None and name not in shared:
+                    values[name][0] = each.start
     rows_of_kinds = [tuple(each) for each in kinds.tolist()]
     return [
         np.array(
@@ -180,13 +186,15 @@ def _by_channel(
     every = np.concatenate(
         [np.repeat(points[:, :size], each, 0), np.repeat(around.reshape(-1, len(own)), channels, 1)], 1
     )
-    values = layout.values_of_many(every)
+    values = layout.unfixed.values_of_many(every)
     for q in own:  # alike in all channels, whatever the prior of their differences
         values[q.name] = np.repeat(values[q.name][:, layout.bands.middle, None], channels, 1)
+    values = layout.held(values)
     found = Objective(layout, problem).costs_of_many({name: jnp.asarray(x) for name, x in values.items()})
     costs = np.nan_to_num(np.asarray(found), nan=np.inf).reshape(len(points), each, channels)
     chosen = costs.argmin(1) + each * np.arange(len(points))[:, None]  # (N, C), of all rows
-    best = {name: x[chosen, np.arange(channels)] if x.ndim == 2 else x[chosen[:, 0]] for name, x in values.items()}
+    given = {name: np.asarray(x) for name, x in values.items()}
+    best = {name: x[chosen, np.arange(channels)] if x.ndim == 2 else x[chosen[:, 0]] for name, x in given.items()}
     return costs.min(1).sum(1), best
 
 

@@ -9,54 +9,138 @@ a uniform one lower + Phi(z) (upper - lower); an albedo's odds, albedo / (1 - al
 coordinates of what the data show: the half width of the lobe instead of beta, given p; the height that diffracts into
 directions that exist instead of sigma_s, given b and c; and the ratio of what channels have alike (eta - 1) to that of
 the middle channel in the others.
+
+What a user fixes has no coordinate, and what is tied has that of the middle channel. All numbers are data of the
+compiled programs (:class:`Table`): other bounds, priors and fixed values are not compiled anew.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.scipy.special import expit, ndtr, ndtri
+from jax.scipy.special import ndtr, ndtri
 from jax.typing import ArrayLike
 
 from ...merl_io.bands import MERL, Bands
 from ...model.measured import material_of, with_material
-from ...model.parameters import Parameter
-from ...model.priors import PRIORS, LogNormal, Priors
+from ...model.parameters import Parameter, Shift
+from ...model.priors import PRIORS, Constraint, LogNormal, Priors
 from ...model.reflectance import Reflectance
 
 INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved
 LEAST = 1e-300
 ODDS = "odds"  # quantity of what lies between 0 and 1 and may be a few thousandths
 TINY_ODDS = 1e-6  # least albedo that a start may have
+Kind = Literal["free", "fixed", "tied"]
+Numbers = np.ndarray | Array
+ENDLESS = 1e4  # stands for the logarithm of odds at a bound of 0 or 1
+
+
+class Table(NamedTuple):
+    """The parameters of a fit as arrays, an entry for each number that the model has, (P,) each.
+
+    Attributes:
+        median, deviation: logarithms of the prior's median and factor. low, high: bounds of the logarithm.
+        lower, upper, offset: of the value. odds, logarithmic: which have a log-normal prior, of their odds or
+            themselves; others are uniform. source: which free coordinate the entry has. leader: the entry whose value
+            it takes, itself if it is not tied. fixed: whether it has ``value`` instead.
+    """
+
+    median: Numbers
+    deviation: Numbers
+    low: Numbers
+    high: Numbers
+    lower: Numbers
+    upper: Numbers
+    offset: Numbers
+    odds: Numbers
+    logarithmic: Numbers
+    source: Numbers
+    leader: Numbers
+    fixed: Numbers
+    value: Numbers
+
+    def of(self, rows: np.ndarray) -> "Table":
+        """Some of its entries."""
+        return Table(*(x[rows] for x in self))
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What programs that are compiled for a layout depend on, beside the length of its arrays.
+
+    Attributes:
+        declared: name, whether per channel, whether alike in all channels, and shift of every parameter.
+        channels: their number. middle: that in the middle, and its wavelength (um).
+    """
+
+    declared: tuple[tuple[str, bool, bool, Shift | None], ...]
+    channels: int
+    middle: int
+    middle_um: float
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Slice of the physical values by parameter name."""
+        widths = [self.channels if per_channel else 1 for _, per_channel, _, _ in self.declared]
+        ends = np.cumsum(widths).tolist()
+        return {each[0]: slice(end - n, end) for each, n, end in zip(self.declared, widths, ends, strict=True)}
+
+    @cached_property
+    def moved(self) -> np.ndarray:
+        """Entries whose priors move with others: those with a shift, and what is alike, but in the middle channel."""
+        places = [self.slices[name].start for name, _, _, shift in self.declared if shift]
+        outer = np.delete(np.arange(self.channels), self.middle)
+        alike = [self.slices[name].start + k for name, _, alike, _ in self.declared if alike for k in outer]
+        return np.array([*places, *alike], int)
+
+    def named(self, flat: Array) -> dict[str, Array]:
+        """Values by name: scalars, and (C,) for parameters per channel."""
+        return {
+            name: flat[self.slices[name]] if per_channel else flat[self.slices[name]][0]
+            for name, per_channel, _, _ in self.declared
+        }
+
+    def shifts(self, flat: Array, offset: ArrayLike) -> Array:
+        """By how much the medians of :attr:`moved` are moved, given the values of the others."""
+        values, offset = self.named(flat), jnp.asarray(offset)
+        found = [shift(values, self.middle_um)[None] for _, _, _, shift in self.declared if shift]
+        for name in (name for name, _, alike, _ in self.declared if alike):
+            middle = jnp.log(values[name][self.middle] - offset[self.slices[name].start])
+            found.append(jnp.repeat(middle, self.channels - 1))
+        return jnp.concatenate(found)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each parameter sits in the flat vector: shared ones first, then per-channel ones, channel by channel.
+    """Parameters of a model in the flat vector: shared ones first, then per-channel ones, channel by channel.
 
     Attributes:
         model: what is fitted. priors: of its parameters. bands: of the measurement.
+        constraints: by parameter name, what a user says of them.
     """
 
     model: Reflectance
     priors: Priors = PRIORS
     bands: Bands = MERL
+    constraints: tuple[tuple[str, Constraint], ...] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the bands."""
         return self.bands.names
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The declarations, shared before per-channel."""
-        return self.model.parameters
+        """The declarations, shared before per-channel, with the bounds and priors that the user sets."""
+        given = dict(self.constraints)
+        return tuple(_constrained(q, given[q.name]) if q.name in given else q for q in self.model.parameters)
 
     def _width(self, parameter: Parameter) -> int:
         return len(self.bands) if parameter.per_channel else 1
@@ -70,18 +154,34 @@ class Layout:
         """The same of another material, seen by the same apparatus."""
         return replace(self, model=with_material(self.model, material))
 
+    @cached_property
+    def unfixed(self) -> "Layout":
+        """The same with every number free, within its bounds."""
+        freed = ((name, replace(each, fixed=None, tied=False)) for name, each in self.constraints)
+        return replace(self, constraints=tuple(freed))
+
+    @cached_property
+    def structure(self) -> Structure:
+        """What programs are compiled for."""
+        declared = tuple((q.name, q.per_channel, q.alike, q.shift) for q in self.parameters)
+        return Structure(declared, len(self.bands), self.bands.middle, self.bands.middle_um)
+
     @property
     def slices(self) -> dict[str, slice]:
-        """Slice of the flat vector by parameter name."""
-        ends = np.cumsum([self._width(q) for q in self.parameters])
-        return {q.name: slice(int(e) - self._width(q), int(e)) for q, e in zip(self.parameters, ends, strict=True)}
+        """Slice of the physical values by parameter name."""
+        return self.structure.slices
 
     @property
     def size(self) -> int:
-        """Length of the flat vector."""
-        return sum(self._width(q) for q in self.parameters)
+        """Number F of free coordinates."""
+        return len(self.leads)
 
-    @property
+    @cached_property
+    def entries(self) -> tuple[Parameter, ...]:
+        """Declaration of every one of the P physical values."""
+        return tuple(q for q in self.parameters for _ in range(self._width(q)))
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of every entry, ``beta`` or ``n_R``."""
         return tuple(
@@ -90,140 +190,93 @@ class Layout:
             for name in ([f"{q.name}_{ch}" for ch in self.channels] if q.per_channel else [q.name])
         )
 
+    @cached_property
+    def kinds(self) -> tuple[Kind, ...]:
+        """Of every entry: whether it is free, fixed, or tied to the one in the middle channel."""
+        given, found = dict(self.constraints), []
+        for q in self.parameters:
+            own = given.get(q.name, Constraint())
+            if own.fixed is not None:
+                found += ["fixed"] * self._width(q)
+            else:
+                tied = own.tied and q.per_channel
+                found += ["tied" if tied and k != self.bands.middle else "free" for k in range(self._width(q))]
+        return tuple(found)
+
+    @cached_property
+    def leads(self) -> np.ndarray:
+        """Entry of every free coordinate, (F,)."""
+        return np.flatnonzero(np.array(self.kinds) == "free")
+
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Name of every free coordinate: the quantity that its prior is of, if it is that of no other parameter."""
         used = Counter(q.quantity or q.name for q in self.parameters)
-        return tuple(
-            n.replace(q.name, q.quantity, 1) if q.quantity and used[q.quantity] == 1 else n
-            for n, q in zip(self.names, self.entries, strict=True)
-        )
-
-    @property
-    def entries(self) -> tuple[Parameter, ...]:
-        """Declaration of every entry."""
-        return tuple(q for q in self.parameters for _ in range(self._width(q)))
+        named = [(self.names[k], self.entries[k]) for k in self.leads]
+        return tuple(n.replace(q.name, q.quantity, 1) if q.quantity and used[q.quantity] == 1 else n for n, q in named)
 
     @cached_property
-    def chart(self) -> "Layout":
-        """The same for all models with the same parameters: programs are compiled for this."""
-        return replace(self, model=self.model.chart)
+    def table(self) -> Table:
+        """All of it as arrays."""
+        rows, moved, given = [], self.structure.moved, dict(self.constraints)
+        for k, q in enumerate(self.entries):
+            prior = LogNormal(1.0, np.e)  # of no use to a uniform one
+            if q.quantity == ODDS:
+                prior, low, high = self.priors.odds, _log_odds(q.lower), _log_odds(q.upper)
+            elif q.scale == "log":
+                prior = self.priors.dispersion if q.alike and k in moved else self.log_normal(q)
+                low, high = np.log(q.lower - q.offset), np.log(q.upper - q.offset)
+            else:
+                low, high = -1.0, 1.0
+            rows.append((np.log(prior.median), np.log(prior.factor), low, high, q.lower, q.upper, q.offset,
+                         q.quantity == ODDS, q.scale == "log" and q.quantity != ODDS))  # fmt: skip
+        leader, coordinate = np.arange(len(rows)), {int(lead): k for k, lead in enumerate(self.leads)}
+        fixed, value = np.array(self.kinds) == "fixed", np.ones(len(rows))
+        for q in self.parameters:
+            where = self.slices[q.name]
+            if fixed[where.start]:
+                value[where] = given[q.name].fixed
+            elif "tied" in self.kinds[where]:
+                leader[where] = where.start + self.bands.middle
+        source = np.array([coordinate.get(int(k), 0) for k in leader])
+        columns = [np.array(column) for column in zip(*rows, strict=True)]
+        return Table(*columns, source, leader, fixed, value)  # pyright: ignore[reportCallIssue] - nine columns
 
     def values(self, z: Array) -> dict[str, Array]:
         """Physical values by name: scalars, and ``(C,)`` for parameters per channel."""
-        return _values(self.chart, z)
+        return _values(self.structure, self.table, z)
 
     def values_of_many(self, z: np.ndarray) -> dict[str, np.ndarray]:
-        """The same for many points (M, P), with a leading axis M."""
-        return {name: np.asarray(x) for name, x in _values_of_many(self.chart, z).items()}
+        """The same for many points (M, F), with a leading axis M."""
+        return {name: np.asarray(x) for name, x in _values_of_many(self.structure, self.table, z).items()}
 
     def flat(self, z: Array) -> Array:
         """Physical values, shape (P,)."""
-        return _flat(self.chart, z)
+        return _flat_jitted(self.structure, self.table, z)
 
     def slopes(self, z: ArrayLike) -> Array:
-        """d value_i / d z_j, (P, P)."""
+        """d value_i / d z_j, (P, F)."""
         return self.values_and_slopes(z)[1]
 
     def values_and_slopes(self, z: ArrayLike) -> tuple[dict[str, Array], Array]:
         """Both in one call."""
-        return _values_and_slopes(self.chart, jnp.asarray(z))
+        return _values_and_slopes(self.structure, self.table, jnp.asarray(z))
 
     def values_and_slopes_of_many(self, points: ArrayLike) -> tuple[dict[str, Array], Array]:
-        """The same for many points (M, P), with a leading axis M."""
-        return _values_and_slopes_of_many(self.chart, jnp.asarray(points))
+        """The same for many points (M, F), with a leading axis M."""
+        return _values_and_slopes_of_many(self.structure, self.table, jnp.asarray(points))
 
-    def _values(self, z: Array) -> Array:
-        """Physical values, (P,): all given the medians of others first, then those that move with others."""
-        found, moved = self._unmoved(z), self._moved
-        return found.at[moved].set(self._log_normal_moved(z[moved], self._shifts(found))) if len(moved) else found
-
-    def _unmoved(self, z: Array) -> Array:
-        e = self._scales
-        found = jnp.where(e.odds, expit(e.median + e.deviation * z), e.lower + (e.upper - e.lower) * ndtr(z))
-        return jnp.where(e.logarithmic, _log_normal(z, e, e.median), found)
-
-    def _log_normal_moved(self, z: Array, shifts: Array) -> Array:
-        e = Scales(*(x[self._moved] for x in self._scales))
-        return _log_normal(z, e, e.median + shifts)
-
-    def _values_and_slopes(self, z: Array) -> tuple[Array, Array]:
-        """:meth:`_values` and their derivatives (P, P): but for those that move, a value depends on its own z alone.
-
-        Written out like this it compiles in a quarter of the time that ``jacfwd`` takes.
-        """
-        moved = self._moved
-        found, own = jax.jvp(self._unmoved, (z,), (jnp.ones_like(z),))
-        slopes = jnp.diag(own)
-        if not len(moved):
-            return found, slopes
-        shifts, by_values = self._shifts(found), jax.jacfwd(self._shifts)(found)
-        values, slope = jax.linearize(self._log_normal_moved, z[moved], shifts)
-        still, one = jnp.zeros(len(moved)), jnp.ones(len(moved))
-        rows = slope(still, one)[:, None] * by_values * own
-        rows = rows.at[jnp.arange(len(moved)), moved].set(slope(one, still))
-        return found.at[moved].set(values), slopes.at[moved].set(rows)
-
-    def _flat_free(self, values: Array) -> Array:
-        """Free coordinates of physical values, (P,) each; inverse of :meth:`_values`."""
-        e = self._scales
-        kept = jnp.clip(values, TINY_ODDS, 1 - INSIDE)
-        odds = (jnp.log(kept) - jnp.log1p(-kept) - e.median) / e.deviation
-        linear = ndtri(jnp.clip((values - e.lower) / (e.upper - e.lower), INSIDE, 1 - INSIDE))
-        median = jnp.asarray(e.median)
-        if len(self._moved):
-            median = median.at[self._moved].add(self._shifts(values))
-        found = jnp.where(e.odds, odds, linear)
-        return jnp.where(e.logarithmic, _standard_normal(values, e, median), found)
-
-    def _named(self, flat: Array) -> dict[str, Array]:
-        return {q.name: flat[s] if q.per_channel else flat[s][0] for q, s in zip(
-            self.parameters, self.slices.values(), strict=True)}  # fmt: skip
-
-    def _shifts(self, flat: Array) -> Array:
-        """By how much the medians of :attr:`_moved` are moved, given the values of the others."""
-        values, shifts = self._named(flat), self._own_shifts
-        found = [shifts[name](values)[None] for name in self.slices if name in shifts]
-        for q in self._alike:
-            middle = jnp.log(values[q.name][self.bands.middle] - q.offset)
-            found.append(jnp.repeat(middle, len(self.bands) - 1))
-        return jnp.concatenate(found)
-
-    @property
-    def _own_shifts(self) -> Mapping[str, Callable[[Mapping[str, Array]], Array]]:
-        """Those that the model has."""
-        return self.model.shifts(self.bands.middle_um)
-
-    @property
-    def _alike(self) -> list[Parameter]:
-        return [q for q in self.parameters if q.alike]
-
-    @cached_property
-    def _moved(self) -> np.ndarray:
-        """Entries whose priors move with others: `Reflectance.shifts`, and what is alike, but in the middle channel."""
-        places = [self.slices[q.name].start for q in self.parameters if q.name in self._own_shifts]
-        outer = np.delete(np.arange(len(self.bands)), self.bands.middle)
-        return np.array([*places, *(self.slices[q.name].start + k for q in self._alike for k in outer)], int)
-
-    @cached_property
-    def _scales(self) -> "Scales":
-        """Of every entry."""
-        rows = []
-        for k, q in enumerate(self.entries):
-            given = LogNormal(1.0, np.e)  # of no use to a linear one
-            if q.quantity == ODDS:
-                given = self.priors.odds
-            elif q.scale == "log":
-                given = self.priors.dispersion if q.alike and k in self._moved else self.log_normal(q)
-            rows.append((np.log(given.median), np.log(given.factor), q.lower, q.upper, q.offset,
-                         q.quantity == ODDS, q.scale == "log" and q.quantity != ODDS))  # fmt: skip
-        return Scales(*map(np.array, zip(*rows, strict=True)))
+    def held(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Values by name, of one point or many, with those that are fixed as they are fixed."""
+        fixed = {name: np.squeeze(each.fixed) for name, each in self.constraints if each.fixed is not None}
+        return {name: np.broadcast_to(fixed[name], np.shape(x)) if name in fixed else x for name, x in values.items()}
 
     def free(self, values: Mapping[str, ArrayLike]) -> np.ndarray:
-        """Free coordinates of physical values; values on or beyond a bound are moved just inside."""
-        inside = {q.name: np.clip(np.asarray(values[q.name], float), q.lower, q.upper) for q in self.parameters}
-        given = [np.broadcast_to(inside[q.name], self._shape(q)).ravel() for q in self.parameters]
-        return np.asarray(_free(self.chart, np.concatenate(given)))
+        """Free coordinates of physical values, (F,); values on or beyond a bound are moved just inside."""
+        given = self.held({q.name: np.broadcast_to(np.asarray(values[q.name], float), self._shape(q))
+                           for q in self.parameters})  # fmt: skip
+        inside = [np.ravel(np.clip(given[q.name], q.lower, q.upper)) for q in self.parameters]
+        return np.asarray(_free(self.structure, self.table, np.concatenate(inside)))[self.leads]
 
     def _shape(self, parameter: Parameter) -> tuple[int, ...]:
         return (len(self.bands),) if parameter.per_channel else ()
@@ -239,99 +292,155 @@ class Layout:
 
     def prior(self, parameter: Parameter) -> str:
         """The prior in words."""
+        own = dict(self.constraints).get(parameter.name, Constraint())
+        if own.fixed is not None:
+            return "none: fixed"
+        tied = ", one value for all channels" if own.tied and parameter.per_channel else ""
         bounds = f"in [{parameter.lower:g}, {parameter.upper:g}]"
         if parameter.quantity == ODDS:
-            odds = self.priors.odds
-            return f"{parameter.name}/(1 - {parameter.name}) log-normal, {odds.median:g} times or over {odds.factor:g}"
+            odds, cut = self.priors.odds, "" if (parameter.lower, parameter.upper) == (0.0, 1.0) else f"; {bounds}"
+            said = f"{parameter.name}/(1 - {parameter.name}) log-normal, {odds.median:g} times or over {odds.factor:g}"
+            return said + cut + tied
         if parameter.scale == "linear":
-            return f"uniform {bounds}"
+            return f"uniform {bounds}{tied}"
         given = self.log_normal(parameter)
         of = parameter.quantity or parameter.name
         said = f"{of} - {parameter.offset:g}" if parameter.offset else of
         said += f" log-normal, {given.median:g} times or over {given.factor:g}"
-        if parameter.alike:
+        if parameter.alike and not tied:
             said += f", in other channels that of the middle one times or over {self.priors.dispersion.factor:g}"
-        return f"{said}; {parameter.name} {bounds}"
+        return f"{said}; {parameter.name} {bounds}{tied}"
 
 
-class Scales(NamedTuple):
-    """What the transform of every entry is, (P,) each: logarithm of the prior's median and factor, bounds, offset."""
-
-    median: np.ndarray
-    deviation: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    offset: np.ndarray
-    odds: np.ndarray
-    logarithmic: np.ndarray
-
-    def ends(self, median: ArrayLike) -> tuple[Array, Array]:
-        """Bounds in standard deviations from the median."""
-        used = self.logarithmic
-        low, high = (np.log(np.where(used, x - self.offset, 1.0)) for x in (self.lower, self.upper))
-        return jnp.where(used, (low - median) / self.deviation, -1.0), jnp.where(
-            used, (high - median) / self.deviation, 1.0
-        )
+def _constrained(q: Parameter, given: Constraint) -> Parameter:
+    """A declaration with the bounds and the prior that a user sets."""
+    found = replace(
+        q, lower=q.lower if given.lower is None else given.lower, upper=q.upper if given.upper is None else given.upper
+    )
+    return found if given.prior is None else replace(found, prior=given.prior, quantity=None, shift=None)
 
 
-def _log_normal(z: Array, e: Scales, median: ArrayLike) -> Array:
-    """Values at free coordinates z of log-normal priors that are cut at the bounds."""
-    low, high = e.ends(median)
+def _log_odds(share: float) -> float:
+    return ENDLESS * (2 * share - 1) if share in (0.0, 1.0) else float(np.log(share) - np.log1p(-share))
+
+
+def _log_normal(z: Array, t: Table, median: ArrayLike) -> Array:
+    """Logarithms at free coordinates z of log-normal priors that are cut at the bounds."""
+    low, high = (t.low - median) / t.deviation, (t.high - median) / t.deviation
     inside = ndtr(high) - ndtr(low)
     below, above = ndtr(low) + ndtr(z) * inside, ndtr(-high) + ndtr(-z) * inside
     left = below < above  # each from its own end, where it is exact
     normal = jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
-    return jnp.asarray(e.offset) + jnp.exp(median + e.deviation * jnp.clip(normal, low, high))
+    endless = (t.low <= -ENDLESS) & (t.high >= ENDLESS)
+    return jnp.asarray(median) + t.deviation * jnp.where(endless, z, jnp.clip(normal, low, high))
 
 
-def _standard_normal(values: Array, e: Scales, median: Array) -> Array:
+def _standard_normal(logarithm: Array, t: Table, median: Array) -> Array:
     """Inverse of :func:`_log_normal`."""
-    low, high = e.ends(median)
-    logarithm = jnp.log(jnp.maximum(values - e.offset, LEAST))
-    normal = jnp.clip((logarithm - median) / e.deviation, low + INSIDE, high - INSIDE)
+    low, high = (t.low - median) / t.deviation, (t.high - median) / t.deviation
+    plain = (logarithm - median) / t.deviation
+    normal = jnp.clip(plain, low + INSIDE, high - INSIDE)
     inside = ndtr(high) - ndtr(low)
     below, above = (ndtr(normal) - ndtr(low)) / inside, (ndtr(-normal) - ndtr(-high)) / inside
     left = below < above
-    return jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
+    found = jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
+    return jnp.where((t.low <= -ENDLESS) & (t.high >= ENDLESS), plain, found)
+
+
+def _unmoved(z: Array, t: Table) -> Array:
+    """Values whose priors do not move, (P,), from the coordinate of each."""
+    logarithm = _log_normal(z, t, t.median)
+    uniform = t.lower + (t.upper - t.lower) * ndtr(z)
+    found = jnp.where(t.odds, jax.nn.sigmoid(jnp.where(t.odds, logarithm, 0.0)), uniform)
+    return jnp.where(t.logarithmic, jnp.asarray(t.offset) + jnp.exp(jnp.where(t.logarithmic, logarithm, 0.0)), found)
+
+
+def _moved(z: Array, t: Table, shifts: Array) -> Array:
+    return jnp.asarray(t.offset) + jnp.exp(_log_normal(z, t, t.median + shifts))
+
+
+def _flat(s: Structure, t: Table, z: Array) -> Array:
+    """Physical values, (P,): all given the medians of others first, then those that move with others."""
+    own, moved = z[t.source], s.moved
+    found = jnp.where(t.fixed, t.value, _unmoved(own, t))
+    if len(moved):
+        few = t.of(moved)
+        values = _moved(own[moved], few, s.shifts(found, t.offset))
+        found = found.at[moved].set(jnp.where(few.fixed, few.value, values))
+    return found[t.leader]
+
+
+def _flat_and_slopes(s: Structure, t: Table, z: Array) -> tuple[Array, Array]:
+    """:func:`_flat` and its derivatives (P, F): but for those that move, a value depends on its own z alone.
+
+    Written out like this it compiles in a quarter of the time that ``jacfwd`` takes.
+    """
+    own, moved, free = z[t.source], s.moved, ~jnp.asarray(t.fixed)
+    found, slope_of_own = jax.jvp(lambda z: _unmoved(z, t), (own,), (jnp.ones_like(own),))
+    found, slope_of_own = jnp.where(free, found, t.value), jnp.where(free, slope_of_own, 0.0)
+    slopes = jnp.diag(slope_of_own)
+    if len(moved):
+        few = t.of(moved)
+        shifts = s.shifts(found, t.offset)
+        by_values = jax.jacfwd(lambda flat: s.shifts(flat, t.offset))(found)
+        values, slope = jax.linearize(lambda z, shifts: _moved(z, few, shifts), own[moved], shifts)
+        still, one = jnp.zeros(len(moved)), jnp.ones(len(moved))
+        rows = slope(still, one)[:, None] * by_values * slope_of_own
+        rows = rows.at[jnp.arange(len(moved)), moved].set(slope(one, still))
+        found = found.at[moved].set(jnp.where(few.fixed, few.value, values))
+        slopes = slopes.at[moved].set(jnp.where(jnp.asarray(few.fixed)[:, None], 0.0, rows))
+    slopes = jnp.zeros((len(own), len(z))).at[:, t.source].add(jnp.where(free, slopes[t.leader], 0.0))
+    return found[t.leader], slopes
 
 
 @partial(jax.jit, static_argnums=0)
-def _values(chart: Layout, z: Array) -> dict[str, Array]:
-    return chart._named(chart._values(z))
+def _values(s: Structure, t: Table, z: Array) -> dict[str, Array]:
+    return s.named(_flat(s, t, z))
 
 
 @partial(jax.jit, static_argnums=0)
-def _values_of_many(chart: Layout, z: Array) -> dict[str, Array]:
-    return jax.vmap(lambda z: chart._named(chart._values(z)))(z)
+def _values_of_many(s: Structure, t: Table, z: Array) -> dict[str, Array]:
+    return jax.vmap(lambda z: s.named(_flat(s, t, z)))(z)
+
+
+_flat_jitted = jax.jit(_flat, static_argnums=0)
 
 
 @partial(jax.jit, static_argnums=0)
-def _flat(chart: Layout, z: Array) -> Array:
-    return chart._values(z)
+def _values_and_slopes(s: Structure, t: Table, z: Array) -> tuple[dict[str, Array], Array]:
+    found, slopes = _flat_and_slopes(s, t, z)
+    return s.named(found), slopes
 
 
 @partial(jax.jit, static_argnums=0)
-def _values_and_slopes(chart: Layout, z: Array) -> tuple[dict[str, Array], Array]:
-    found, slopes = chart._values_and_slopes(z)
-    return chart._named(found), slopes
+def _values_and_slopes_of_many(s: Structure, t: Table, points: Array) -> tuple[dict[str, Array], Array]:
+    return jax.vmap(lambda z: _values_and_slopes(s, t, z))(points)
 
 
 @partial(jax.jit, static_argnums=0)
-def _values_and_slopes_of_many(chart: Layout, points: Array) -> tuple[dict[str, Array], Array]:
-    return jax.vmap(lambda z: _values_and_slopes(chart, z))(points)
-
-
-@partial(jax.jit, static_argnums=0)
-def _free(chart: Layout, values: Array) -> Array:
-    return chart._flat_free(values)
+def _free(s: Structure, t: Table, values: Array) -> Array:
+    """The coordinate that every entry would have by itself, (P,); inverse of :func:`_flat`."""
+    kept = jnp.clip(values, TINY_ODDS, 1 - INSIDE)
+    logarithm = jnp.where(t.odds, jnp.log(kept) - jnp.log1p(-kept), jnp.log(jnp.maximum(values - t.offset, LEAST)))
+    linear = ndtri(jnp.clip((values - t.lower) / (t.upper - t.lower), INSIDE, 1 - INSIDE))
+    median = jnp.asarray(t.median)
+    if len(s.moved):
+        median = median.at[s.moved].add(s.shifts(values, t.offset))
+    return jnp.where(t.odds | t.logarithmic, _standard_normal(logarithm, t, median), linear)
 
 
 @cache
-def layout_of(model: Reflectance, priors: Priors = PRIORS, bands: Bands = MERL) -> Layout:
+def layout_of(
+    model: Reflectance,
+    priors: Priors = PRIORS,
+    bands: Bands = MERL,
+    constraints: tuple[tuple[str, Constraint], ...] = (),
+) -> Layout:
     """The flat vector of everything that this model leaves to be fitted.
 
     Raises:
-        ValueError: a parameter is declared so that it has no prior, or a prior that its bounds contradict.
+        ValueError: a parameter is declared so that it has no prior, or a prior that its bounds contradict; a constraint
+            that contradicts its declaration, or leaves nothing to fit.
     """
     for q in model.parameters:
         if q.scale == "log" and q.prior is None and not hasattr(priors, q.quantity or q.name):
@@ -340,4 +449,34 @@ def layout_of(model: Reflectance, priors: Priors = PRIORS, bands: Bands = MERL) 
             raise ValueError(f"{model}: {q.name} has odds: its bounds should be 0 and 1")
         if q.alike and not (q.per_channel and q.scale == "log"):
             raise ValueError(f"{model}: {q.name} is alike in all channels: it should be per channel, of a log scale")
-    return Layout(model, priors, bands)
+    declared = {q.name: q for q in model.parameters}
+    for name, given in constraints:
+        if name not in declared:
+            raise ValueError(f"{model} has no parameter {name}: it has {', '.join(declared)}")
+        refuse_contradictions(declared[name], given)
+        wanted = (1, len(bands)) if declared[name].per_channel else (1,)
+        if given.fixed is not None and len(given.fixed) not in wanted:
+            needed = f"one value, or one for each of the {wanted[-1]} channels" if len(wanted) > 1 else "one value"
+            raise ValueError(f"{name} should be fixed at {needed}, not at {len(given.fixed)}")
+    found = Layout(model, priors, bands, constraints)
+    if not found.size:
+        raise ValueError(f"{model}: all of its parameters are fixed, and nothing is left to fit")
+    return found
+
+
+def refuse_contradictions(q: Parameter, given: Constraint) -> None:
+    """Raises ValueError where a constraint cannot be kept, whatever the channels."""
+    lower, upper = (own if asked is None else asked for own, asked in ((q.lower, given.lower), (q.upper, given.upper)))
+    if not q.lower <= lower < upper <= q.upper:
+        raise ValueError(
+            f"{q.name} cannot be bounded by {lower:g} and {upper:g}: the lower bound comes first, and both lie within "
+            f"those of the model, {q.lower:g} and {q.upper:g}"
+        )
+    for what, values in (("fixed", given.fixed or ()), ("started", () if given.start is None else (given.start,))):
+        if outside := [x for x in values if not lower <= x <= upper]:
+            raise ValueError(f"{q.name} cannot be {what} at {outside[0]:g}: its bounds are {lower:g} and {upper:g}")
+    if given.prior is not None and q.scale != "log":
+        instead = "set priors.odds" if q.quantity == ODDS else "set its bounds"
+        raise ValueError(f"{q.name} has no log-normal prior that could be set: {instead}")
+    if given.tied and not q.per_channel:
+        raise ValueError(f"{q.name} is the same in all channels already: leave tied out")

@@ -94,7 +94,8 @@ def states(result: Result, path: Path) -> np.ndarray | None:
             found = arrays(file, "chain_free".__eq__)["chain_free"]
     except (ValueError, KeyError):
         return None
-    whole = found.ndim == 3 and found.shape[2] == len(result.parameters) and np.isfinite(found).all()
+    free = sum(q.fitted == "free" for q in result.parameters)
+    whole = found.ndim == 3 and found.shape[2] == free and np.isfinite(found).all()
     return found if whole else None
 
 

@@ -7,8 +7,8 @@ from ...model.measured import Measured
 from ...model.priors import LogNormal, Priors
 from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
-from ..fit.transforms import Layout, layout_of
-from ..settings.config import Config
+from ..fit.transforms import Layout, layout_of, refuse_contradictions
+from ..settings.config import Config, ConfigError
 
 
 def candidates(config: Config) -> list[Measured]:
@@ -16,8 +16,29 @@ def candidates(config: Config) -> list[Measured]:
     kinds = _kinds(config) if TWO_SCALE in config.model.names else []
     found = {TWO_SCALE: [two_scale(config, kind) for kind in kinds]}
     found |= {material.name: [measured(config, material)] for material in config.model.rivals}
-    named = [model for name in config.model.names for model in found[name]]
+    named = [model for name in config.model.names for model in _constrained(config, name, found[name])]
     return sorted(named, key=lambda model: _numbers(model.material))
+
+
+def _constrained(config: Config, name: str, variants: list[Measured]) -> list[Measured]:
+    """Those variants of a model that have all parameters of which the settings say something.
+
+    Raises:
+        ConfigError: there is none, or what is said cannot be kept.
+    """
+    wanted = config.constraints
+    found = [model for model in variants if wanted.keys() <= {q.name for q in model.parameters}]
+    if not found:
+        known = sorted({q.name for model in variants for q in model.parameters})
+        missing = [each for each in wanted if each not in known]
+        said = f"has no parameter {missing[0]}" if missing else f"has no variant with all of {', '.join(wanted)}"
+        raise ConfigError(f"parameters: {name} {said}; it has {', '.join(known)}")
+    try:
+        for q in (q for model in found for q in model.parameters if q.name in wanted):
+            refuse_contradictions(q, wanted[q.name])
+    except ValueError as error:
+        raise ConfigError(f"parameters: {error}") from None
+    return found
 
 
 def _kinds(config: Config) -> list[Kind]:
@@ -60,6 +81,15 @@ def variant(config: Config, name: str, variant: str) -> Measured:
 
 
 def layout_for(config: Config, model: Reflectance, bands: Bands = MERL) -> Layout:
-    """The parameters of a model to fit, in the coordinates that the priors make."""
+    """The parameters of a model to fit, in the coordinates that the priors make.
+
+    Raises:
+        ConfigError: what the settings say of parameters cannot be kept.
+    """
     priors = Priors(**{name: LogNormal(**given) for name, given in config.priors.model_dump().items()})
-    return layout_of(model, priors, bands)
+    own = {q.name for q in model.parameters}
+    constraints = tuple((name, each) for name, each in config.constraints.items() if name in own)
+    try:
+        return layout_of(model, priors, bands, constraints)
+    except ValueError as error:
+        raise ConfigError(f"parameters: {error}") from None

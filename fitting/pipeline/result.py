@@ -94,7 +94,7 @@ def parameter_results(fitted: Fitted) -> list[schema.ParameterResult]:
             name=name, parameter=q.name, symbol=q.symbol, channel=name.rsplit("_", 1)[-1] if q.per_channel else None,
             meaning=q.meaning, unit=q.unit, value=float(fitted.values[i]),
             laplace=intervals[i], quantiles=None, lower=q.lower, upper=q.upper,
-            at_bound=bounds[i],
+            at_bound=bounds[i], fitted=layout.kinds[i],
             prior=layout.prior(q), source=q.source,
         )
         for i, (name, q) in enumerate(zip(layout.names, layout.entries, strict=True))

@@ -36,7 +36,8 @@ class Result(Strict):
     `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
     and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`;
     2.1 no `source.dims` and `source.format`; 2.2 no `posterior.draws_sha1` and `numbers_sha1`, and standard errors for
-    `laplace`; 2.3 one setting more of the two-scale model."""
+    `laplace`; 2.3 no `parameters.fitted`, and one setting more of the two-scale
+    model."""
     run: Run | None = Field(default_factory=this_run)
     """When and how it was computed; null before version 1.4."""
     source: Source

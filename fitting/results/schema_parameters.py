@@ -48,6 +48,9 @@ class ParameterResult(Strict):
     """Upper bound of the fit."""
     at_bound: Literal["no", "lower", "upper"]
     """At which bound the value is."""
+    fitted: Literal["free", "fixed", "tied"] = "free"
+    """Whether it was fitted by itself, given by the user, or has the value of the middle channel. ``free`` before
+    version 2.4."""
     prior: str
     """Prior in words; `identifiability.priors` has it for programs."""
     source: str

@@ -5,15 +5,18 @@
 
 import difflib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, Unpack
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from ...merl_io.source import toml
 from ...model.effects import PRESETS, TWO_SCALE, idle
+from ...model.priors import Constraint
 from ..support.choices import RUNGS, Bend
 from .sections import (
     AcquisitionSection,
@@ -22,6 +25,7 @@ from .sections import (
     FitSection,
     InputSection,
     ModelSection,
+    ParameterSection,
     PosteriorSection,
     PriorsSection,
     Section,
@@ -31,6 +35,7 @@ UNIONS = {
     "acquisition.grazing_loss": "'auto', 'off', 'free', 'derived' or a number in [0, 1]",
     "model.name": "a model's name, or a list of them",
 }
+
 MOVED = {"effects.acquisition": "acquisition.grazing_loss"}
 
 
@@ -48,6 +53,7 @@ class Config(Section):
     acquisition: AcquisitionSection = AcquisitionSection()
     apparatus: ApparatusSection = ApparatusSection()
     priors: PriorsSection = PriorsSection()
+    parameters: dict[str, ParameterSection] = {}  # noqa: RUF012 - pydantic copies it
     fit: FitSection = FitSection()
     posterior: PosteriorSection = PosteriorSection()
 
@@ -80,6 +86,11 @@ class Config(Section):
         return TWO_SCALE in self.model.names or any(model.lobes for model in self.model.rivals)
 
     @property
+    def constraints(self) -> dict[str, Constraint]:
+        """What is said of parameters, by their names."""
+        return {name: section.constraint for name, section in self.parameters.items()}
+
+    @property
     def rungs(self) -> tuple[Bend, ...]:
         """Weights of the last grid, one after the other."""
         return RUNGS[self.fit.weights]
@@ -110,6 +121,7 @@ class Replaced(TypedDict, total=False):
     weights: str | None
     posterior: bool | None
     seed: int | None
+    parameters: Mapping[str, Mapping[str, Any]] | None
 
 
 def load(
@@ -142,7 +154,32 @@ def load(
             data[section][key] = value
     if (seed := replaced.get("seed")) is not None:
         data["seed"] = seed
+    if (given := replaced.get("parameters")) and isinstance(own := data.setdefault("parameters", {}), dict):
+        data["parameters"] = {**own, **given}
     return parse(data, "command line" if path is None else "settings" if isinstance(path, Mapping) else str(path))
+
+
+def parameters_of(
+    fix: Mapping[str, ArrayLike] | None = None,
+    bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
+    start: Mapping[str, float] | None = None,
+    tie: Iterable[str] = (),
+) -> dict[str, dict[str, Any]]:
+    """The section [parameters] of what a call from Python or the command line says, by parameter name."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, value in (fix or {}).items():
+        found.setdefault(name, {})["fixed"] = np.asarray(value, float).tolist()
+    for name, ends in (bounds or {}).items():
+        if len(ends) != 2:
+            raise ConfigError(f"bounds of {name} should be a lower and an upper one, None for the model's own")
+        found.setdefault(name, {}).update(
+            {key: float(x) for key, x in zip(("lower", "upper"), ends, strict=True) if x is not None}
+        )
+    for name, value in (start or {}).items():
+        found.setdefault(name, {})["start"] = float(value)
+    for name in tie:
+        found.setdefault(name, {})["tied"] = True
+    return found
 
 
 def _copied(data: Mapping[str, Any]) -> dict[str, Any]:

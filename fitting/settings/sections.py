@@ -10,7 +10,7 @@ from ...merl_io.azimuth import AZIMUTHS
 from ...merl_io.binary import Dims, dims_of
 from ...model.apparatus import Apparatus, GrazingLoss
 from ...model.effects import PRESETS, TWO_SCALE, Colour, Diffraction, Effects, Fresnel, Masking, Split, refuse_gone
-from ...model.priors import PRIORS
+from ...model.priors import PRIORS, Constraint, LogNormal
 from ..support.choices import THETA_MAX, Backend, Precision, Weights
 
 if TYPE_CHECKING:
@@ -178,6 +178,39 @@ class PriorsSection(Section):
     eta: LogNormalSection = _prior("eta")
     dispersion: LogNormalSection = _prior("dispersion")
     odds: LogNormalSection = _prior("odds")
+
+
+class ParameterSection(Section):
+    """[parameters.NAME]: what is known, or wanted, of one parameter of the models to fit.
+
+    Models that have no such parameter are not fitted: a fixed ``eta`` leaves dielectrics. `merlfit models` names them.
+
+    Attributes:
+        fixed: its value, or a list with one for each channel; it is not fitted then.
+        lower, upper: bounds, within those of the model. start: where the first fit starts.
+        prior: log-normal one of the parameter itself (of eta and c less 1) instead of that in [priors].
+        tied: one value for all channels.
+    """
+
+    fixed: float | list[float] | None = None
+    lower: float | None = None
+    upper: float | None = None
+    start: float | None = None
+    prior: LogNormalSection | None = None
+    tied: bool = False
+
+    @model_validator(mode="after")
+    def _refuse_idle(self) -> "ParameterSection":
+        if self.fixed is not None and (idle := self.model_fields_set - {"fixed"}):
+            raise ValueError(f"{', '.join(sorted(idle))} would have no effect on what is fixed: leave it out")
+        return self
+
+    @property
+    def constraint(self) -> Constraint:
+        """The same as a layout takes it."""
+        fixed = self.fixed if self.fixed is None or isinstance(self.fixed, list) else [self.fixed]
+        prior = None if self.prior is None else LogNormal(**self.prior.model_dump())
+        return Constraint(None if fixed is None else tuple(fixed), self.lower, self.upper, self.start, prior, self.tied)
 
 
 class FitSection(Section):

@@ -29,16 +29,20 @@ LETTER = 0.58 * SMALL / 72  # inches of a digit
 def corner(subject: Subject) -> Figure:
     """Of what all channels share and of the middle channel: as many parameters as a column has room for."""
     middle = subject.model.channels[len(subject.model.channels) // 2]
-    kept = [k for k, q in enumerate(subject.result.parameters) if q.channel in (None, middle)]
-    return _corner(
-        subject, kept, COLUMN_INCHES, f"; channel {plain(middle)}" if len(kept) < len(subject.result.parameters) else ""
-    )
+    free = _free(subject)
+    kept = [k for k in free if subject.result.parameters[k].channel in (None, middle)]
+    return _corner(subject, kept, COLUMN_INCHES, f"; channel {plain(middle)}" if len(kept) < len(free) else "")
 
 
 @printable
 def corner_all(subject: Subject) -> Figure:
-    """Of all parameters, as wide as a page."""
-    return _corner(subject, range(len(subject.result.parameters)), PAGE_INCHES, "")
+    """Of all parameters that were fitted, as wide as a page."""
+    return _corner(subject, _free(subject), PAGE_INCHES, "")
+
+
+def _free(subject: Subject) -> list[int]:
+    """Parameters that were fitted, each by itself."""
+    return [k for k, q in enumerate(subject.result.parameters) if q.fitted == "free"]
 
 
 def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> Figure:

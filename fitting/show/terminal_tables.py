@@ -88,8 +88,10 @@ def parameter_table(result: Result) -> Table:
     for q in result.parameters:
         at = "" if q.at_bound == "no" else f"{q.at_bound} {number(q.lower if q.at_bound == 'lower' else q.upper)}"
         bounds = f"[{number(q.lower)}, {number(q.upper)}]{f' at {at}' if at else ''}"
+        bounds = {"free": bounds, "fixed": "fixed", "tied": f"{bounds}, tied"}[q.fitted]
         unit = "-" if q.unit == "1" else q.unit
         found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
+        found = ["-"] * len(found) if q.fitted == "fixed" else found
         table.add_row(q.name, number(q.value), *found, unit, bounds, q.meaning)
     return table
 

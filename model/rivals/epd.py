@@ -1,6 +1,5 @@
 """Cook & Torrance's model with the exponential power distribution (HP17 Section 4.3) over a Lambert body."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -40,10 +39,6 @@ class EPD(Microfacets):
 
     def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
         return smith.masking(cos, v["beta"], v["p"], v.get("masking_curve"))
-
-    def shifts(self, middle_um: float) -> dict[str, Callable[[Values], Array]]:
-        """Of beta, whose prior is that of the half width."""
-        return {"beta": lambda v: -HALF / v["p"]}
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """At p = 1."""

@@ -1,6 +1,5 @@
 """Reflection and diffraction side by side: the model of Holzschuch & Pacanowski 2015 (INRIA RR-8807), 15 parameters."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -84,10 +83,6 @@ class HP15(Reflectance):
 
     def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = declared.WAVELENGTHS_UM) -> Array:  # noqa: D102
         return epd_of_rings(v["beta"], v["p"]) if lobe == "specular" else super().profile(lobe, v, wavelengths_um)
-
-    def shifts(self, middle_um: float) -> dict[str, Callable[[Values], Array]]:
-        """Of beta, whose prior is that of the half width."""
-        return {"beta": lambda v: -HALF / v["p"]}
 
     def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
         """The highlight is the facets' lobe, and diffracted light a wide haze; or it is itself diffracted."""
