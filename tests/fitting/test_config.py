@@ -76,7 +76,7 @@ def test_default_toml_is_the_defaults():
     data = tomllib.loads(re.sub(r"^# (?=\w+ = )", "", text, flags=re.M))  # with the keys that presets set
     assert parse(data, "default.toml") == Config()
     sections = ("input", "model", "effects", "acquisition", "apparatus", "priors", "fit", "posterior")
-    assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", *sections} == set(known_keys())
+    assert {f"{s}.{k}" for s in sections for k in data[s]} | {"seed", "parameters", *sections} == set(known_keys())
 
 
 def test_settings_of_effects_are_those_of_the_model():
