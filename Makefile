@@ -81,6 +81,7 @@ report: install
 
 # Half an hour; what it measures is committed and shipped.
 cost: install
+	$(BIN)/python -m tests.bench tiers
 	$(BIN)/merlfit cost -o results/bench/cost
 	mv results/bench/cost/frontier.json fitting/cost/frontier.json
 

@@ -22,13 +22,14 @@ import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
-from merlfit.fitting.cost import tiers
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.geometry import Geometry
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.reflectance import factor_values, setting, shaped
 from merlfit.model.two_scale import TwoScale, two_scale
+
+from tests.bench import tiers
 
 SEED, SETS, DIRECTIONS = 20261121, 500, 128
 BRIGHT = 1e-3  # of the highest value of the lobe among the directions of its set

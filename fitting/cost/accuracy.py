@@ -12,6 +12,7 @@ what nineteen in twenty keep to (`frontier.Point.other_minimum`): then a floor i
 Held to its word on synthetic cases by ``tests/fitting/test_accuracy.py``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,10 +30,10 @@ from ..fit.transforms import Layout
 from ..pipeline.models import layout_for, variant
 from ..pipeline.run import GRIDS, assess, thinned
 from ..results import schema, storage
-from ..settings.choice import FITTED, POINTS, REFERENCE, Choice, default_choice
+from ..settings.choice import FITTED, REFERENCE, Choice, choice_of, default_choice
 from ..settings.config import Config, ConfigError
 from .frontier import Point, load
-from .request import Request, needed, usable
+from .request import Request, needed
 
 Model = tuple[Layout, np.ndarray]  # and its free coordinates
 
@@ -59,8 +60,7 @@ def remaining(model: Model, problem: Problem) -> float:
     normal = Objective(layout, problem).normal_equations(point)
     if not np.all(np.isfinite(normal)):
         return np.inf
-    near = compress(point, normal)
-    return float(jnp.linalg.norm(near.value[:-1]))
+    return float(jnp.linalg.norm(compress(point, normal).value[:-1]))
 
 
 def estimate(model: Model, problem: Problem, config: Config) -> float:
@@ -88,9 +88,9 @@ def reference_problem(samples: Samples) -> Problem:
 
 def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
-    layout = same_variant(settings, model[0])
-    problem = make_problem(thinned(samples, GRIDS[settings.fit.grid]), settings.fit.azimuths, settings.fit.precision)
-    return layout, solve(Objective(layout, problem), model[1], settings.fit.max_steps, backend=settings.fit.backend)
+    layout, fit = same_variant(settings, model[0]), settings.fit
+    problem = make_problem(thinned(samples, GRIDS[fit.grid]), fit.azimuths, fit.precision)
+    return layout, solve(Objective(layout, problem), model[1], fit.max_steps, backend=fit.backend)
 
 
 class _Try(NamedTuple):
@@ -122,78 +122,69 @@ class Aim:
         return self.point.choice.settings(self.config)
 
     @property
+    def longest(self) -> float:
+        """Seconds to expect at the most."""
+        return needed(self.point, self.request.has_time_to_estimate(self.point))
+
+    @property
     def calibrated(self) -> bool:
         """Whether the fits of the calibration were fits of this kind, but for the choice and the body."""
-        free = {
-            "seed": Config().seed,
-            "input": self.config.input.model_copy(update={"origin": ""}),
-            "posterior": Config().posterior,
-        }
-        effects = self.config.effects.model_copy(update={k: getattr(Config().effects, k) for k in ("index", "body")})
-        return self.config.model_copy(update={**free, "effects": effects}) == Config()
+        usual = Config()
+        effects = self.config.effects.model_copy(update={k: getattr(usual.effects, k) for k in ("index", "body")})
+        given = self.config.input.model_copy(update={"origin": ""})
+        free = {"seed": usual.seed, "input": given, "posterior": usual.posterior, "effects": effects}
+        return self.config.model_copy(update=free) == usual
 
     @property
     def summary(self) -> str:
         """What was asked, what is chosen for it, and what to expect."""
-        asked, point = self.request, self.point
-        longest = needed(point, asked.has_time_to_estimate(point))
-        expected = (
-            f"expected within {point.promised.p95:.2g} of the reference fit in {point.seconds.median:.2g} to "
-            f"{longest:.2g} s for each file, without posterior; the first fit with these settings also compiles its "
-            "programs, which takes longer than the fit"
-        )
-        said = expected if self.calibrated else "what to expect of these effects and limits was not calibrated"
-        chosen = point.choice.applied(self.config)
+        point, said = self.point, "what to expect of these effects and limits was not calibrated"
+        if self.calibrated:
+            said = (
+                f"expected within {point.promised.p95:.2g} of the reference fit in {point.seconds.median:.2g} to "
+                f"{self.longest:.2g} s for each file, without posterior; the first fit with these settings also "
+                "compiles its programs, which takes longer than the fit"
+            )
         default = " (the defaults)" if point.choice == default_choice() else ""
-        return f"{asked}: {chosen}{default}; {said} ({self.calibration})"
-
-    @property
-    def finer(self) -> list[Choice]:
-        """Where to go on to, one after the other, with no other start; the last of them, the reference's, twice."""
-        further = [self.point.choice]
-        for choice in POINTS[POINTS.index(self.point.choice) + 1 :]:
-            step = self.point.choice.continued(choice)
-            if step.refines(further[-1]) and step.settings(self.config) != further[-1].settings(self.config):
-                further.append(step)
-        return [*further[1:], self.point.choice.continued(REFERENCE)]
+        return f"{self.request}: {choice_of(self.settings)}{default}; {said} ({self.calibration})"
 
     def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, schema.Accuracy]:
-        """The error that a fit is estimated to have, and the fit carried on until it is what was asked for."""
+        """The error that a fit is estimated to have, and the fit carried on where that is not what was asked for."""
         if not self.request.has_time_to_estimate(self.point):
-            only = _Try(self.point.choice.applied(self.config), fitted.layout, fitted.solution, np.inf)
+            only = _Try(choice_of(self.settings), fitted.layout, fitted.solution, np.inf)
             return fitted, self._summary([only], only)
         problem, wanted = reference_problem(samples), self.request.accuracy
-        best = self._assessed(self.point.choice, (fitted.layout, fitted.solution), problem)
+        best = self._assessed(self.point.choice, fitted.layout, fitted.solution, problem)
         tried = [best]
-        for choice in self.finer:
+        for choice in [self.point.choice.finest()] * 2:
             if wanted is None or best.error <= wanted:
                 break
             found = resume_fit((best.layout, best.solution.z), choice.settings(self.config), samples)
-            tried.append(self._assessed(choice, found, problem))
+            tried.append(self._assessed(choice, *found, problem))
             best = min(tried, key=lambda t: t.error)
         if best.solution is not fitted.solution:
-            fitted = replace(
-                assess(best.layout, best.solution, measurement, samples, self.config.fit.theta_max),
-                candidates=fitted.candidates,
-                bend=fitted.bend,
-            )
+            whole = assess(best.layout, best.solution, measurement, samples, self.config.fit.theta_max)
+            fitted = replace(whole, candidates=fitted.candidates, bend=fitted.bend)
         return fitted, self._summary(tried, best)
 
-    def _assessed(self, choice: Choice, found: tuple[Layout, Solution], problem: Problem) -> _Try:
-        layout, solution = found
+    def _assessed(self, choice: Choice, layout: Layout, solution: Solution, problem: Problem) -> _Try:
         error, floor = estimate((layout, solution.z), problem, self.config), self.point.other_minimum
-        return _Try(choice.applied(self.config), layout, solution, max(error, floor), floor > error)
+        return _Try(choice_of(choice.settings(self.config)), layout, solution, max(error, floor), floor > error)
 
     def _summary(self, tried: list[_Try], best: _Try) -> schema.Accuracy:
-        asked, point = self.request.accuracy, self.point
+        asked, known = self.request, self.calibrated
         return schema.Accuracy(
-            asked=asked, asked_seconds=self.request.seconds, calibration=self.calibration,
-            expected=point.promised.p95 if self.calibrated else None,
-            expected_seconds=needed(point, self.request.has_time_to_estimate(point)) if self.calibrated else None,
+            asked=asked.accuracy, asked_seconds=asked.seconds, calibration=self.calibration,
+            expected=self.point.promised.p95 if known else None, expected_seconds=self.longest if known else None,
             tried=[schema.Tried(settings=t.choice, estimated=storage.finite(t.error), floor=t.floor) for t in tried],
             settings=best.choice, estimated=storage.finite(best.error), floor=best.floor,
-            met=None if asked is None else best.error <= asked,
+            met=None if asked.accuracy is None else best.error <= asked.accuracy,
         )  # fmt: skip
+
+
+def usable(points: Sequence[Point], config: Config) -> list[Point]:
+    """Points that make a difference: those that economise on the tier do not where another one was asked for."""
+    return [q for q in points if config.effects.diffraction == "quadrature" or q.choice.diffraction == "quadrature"]
 
 
 def aim(request: Request, config: Config) -> Aim:
@@ -202,11 +193,11 @@ def aim(request: Request, config: Config) -> Aim:
     Raises:
         request.Unreachable: there is none. config.ConfigError: the configuration sets what is to be chosen.
     """
-    chosen = [f"fit.{key}" for key in sorted(FITTED) if getattr(config.fit, key) != getattr(Config().fit, key)]
-    if config.effects.diffraction == "quadrature" and config.effects.order != Config().effects.order:
-        chosen.append("effects.order")
-    if chosen:
-        raise ConfigError(f"{chosen[0]} is chosen by --accuracy and --time: leave it out")
+    mine, usual = choice_of(config), default_choice()
+    orders = ["order"] if config.effects.diffraction == "quadrature" else []
+    if chosen := [key for key in (*sorted(FITTED), *orders) if getattr(mine, key) != getattr(usual, key)]:
+        section = "fit" if chosen[0] in FITTED else "effects"
+        raise ConfigError(f"{section}.{chosen[0]} is chosen by --accuracy and --time: leave it out")
     if config.model.names != [TwoScale.name]:
         raise ConfigError(
             "--accuracy and --time choose among settings of the two-scale model alone, and what is to be fitted is "

@@ -8,10 +8,8 @@ import resource
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,17 +18,18 @@ import numpy as np
 from ...merl_io.binary import Measurement, write
 from ...merl_io.grid import merl_grid
 from ...merl_io.samples import Samples
-from ...model.effects import KINDS
+from ...model.effects import KINDS, TWO_SCALE
 from ...model.measured import Measured
 from ...model.two_scale import TwoScale
 from ..fit.outcome import Fitted
 from ..fit.problem import Problem, directions
 from ..fit.residuals import predict
-from ..pipeline.models import candidates, layout_for
+from ..pipeline.models import layout_for, variant
 from ..pipeline.run import assess, fit_file
 from ..pipeline.synthesis import from_published
 from ..settings.choice import REFERENCE, Choice
 from ..settings.config import Config, load
+from ..support.compilation import programs_ready
 from .accuracy import distance, estimate, reference_problem, resume_fit
 
 PLAUSIBLE = {
@@ -50,7 +49,6 @@ WHAT = (
     f"{len(DRAWN) + len(PUBLISHED)} synthetic materials ({len(DRAWN)} of random parameters of the model itself with "
     f"{NOISE:.0%} noise, {len(PUBLISHED)} of published parameters of other models)"
 )
-COMPILATION = "/jax/core/compile/backend_compile_duration"
 ATTEMPTS = 3  # fits that may compile something
 
 
@@ -97,88 +95,55 @@ def make(name: str, folder: Path) -> Path:
     return path
 
 
-class _Seen(NamedTuple):
-    """A fit as it ended, with the estimate of its error and its seconds, and where carrying on takes it."""
-
-    fitted: Fitted
-    problem: Problem
-    estimate: float
-    seconds: float
-    further: Fitted | None
-
-
-@dataclass
-class _Probe:
-    """Looks at a fit when it ends, and estimates its error as a user's fit would; carries the reference's on."""
-
-    choice: Choice
-    config: Config
-    seen: _Seen | None = None
-
-    def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, None]:
-        start = time.perf_counter()
-        problem = reference_problem(samples)
-        error = estimate((fitted.layout, fitted.solution.z), problem, self.config)
-        seconds, further = time.perf_counter() - start, None
-        if self.choice == REFERENCE:
-            found = resume_fit((fitted.layout, fitted.solution.z), self.choice.settings(self.config), samples)
-            further = assess(*found, measurement, samples)
-        self.seen = _Seen(fitted, problem, error, seconds, further)
-        return fitted, None
-
-
 def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[str, Any]:
     """One point on one material; the reference fit leaves its outcome in the folder ``references``."""
-    config = load(posterior=False)
-    seconds, seen = _timed(choice, config, path, repeats)
-    fitted, kept = seen.fitted, references / f"{path.stem}.npz"
-    if seen.further is not None:
+    config, kept = load(posterior=False), references / f"{path.stem}.npz"
+    seconds, last = _timed(choice, config, path, repeats)
+    fitted, measurement, samples, problem, estimated, estimate_seconds = last
+    model, reference = (fitted.layout, fitted.solution.z), REFERENCE.settings(config)
+    if choice == REFERENCE:
         references.mkdir(parents=True, exist_ok=True)
-        best, free = seen.further, [bound == "no" for bound in seen.further.at_bound]
+        best = assess(*resume_fit(model, reference, samples), measurement, samples)
         np.savez(
-            kept, z=best.solution.z, values=best.values, errors=best.standard_errors, free=free,
-            variant=best.material.variant,
+            kept, z=best.solution.z, values=best.values, errors=best.standard_errors,
+            free=[bound == "no" for bound in best.at_bound], variant=best.material.variant,
         )  # fmt: skip
-    with np.load(kept, allow_pickle=False) as reference:
-        best = {key: reference[key] for key in reference}
-    reference = REFERENCE.settings(config)
-    (model,) = [each for each in candidates(reference) if each.variant == str(best["variant"])]
-    target, same = (layout_for(reference, model), best["z"]), model.variant == fitted.material.variant
-    away = np.abs(fitted.values - best["values"]) / best["errors"] if same else np.array([])
+    with np.load(kept, allow_pickle=False) as file:
+        best = dict(file)
+    chosen, same = str(best["variant"]), str(best["variant"]) == fitted.material.variant
+    target = layout_for(reference, variant(reference, TWO_SCALE, chosen)), best["z"]
+    away = (np.abs(fitted.values - best["values"]) / best["errors"])[best["free"]] if same else None
     return {
         "body": fitted.material.variant, "status": fitted.status.name, "cost": fitted.solution.cost,
-        "rmse": fitted.errors.rmse, "error": distance((fitted.layout, fitted.solution.z), target, seen.problem),
-        "estimate": seen.estimate, "seconds": seconds, "estimate_seconds": seen.seconds, "other_body": not same,
-        "parameters": float(np.max(away[best["free"]], initial=0.0)) if same else None,
-        "megabytes": _peak_megabytes(),
+        "rmse": fitted.errors.rmse, "error": distance(model, target, problem), "estimate": estimated,
+        "seconds": seconds, "estimate_seconds": estimate_seconds, "other_body": not same,
+        "parameters": None if away is None else float(np.max(away, initial=0.0)), "megabytes": _peak_megabytes(),
     }  # fmt: skip
 
 
-@cache
-def _compilations() -> list[float]:
-    """Seconds of every program that is compiled or loaded from now on."""
-    seconds: list[float] = []
-
-    def listen(event: str, duration_secs: float, **_: str | int) -> None:
-        if event == COMPILATION:
-            seconds.append(duration_secs)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    return seconds
+Seen = tuple[Fitted, Measurement, Samples, Problem, float, float]  # a fit's end, the estimate of its error, its seconds
 
 
-def _timed(choice: Choice, config: Config, path: Path, repeats: int) -> tuple[float, _Seen]:
-    """Median seconds of fits during which nothing was compiled, without what the probe takes; the last fit."""
-    compiled, probe, clean = _compilations(), _Probe(choice, config), []
+def _timed(choice: Choice, config: Config, path: Path, repeats: int) -> tuple[float, Seen]:
+    """Median seconds of fits during which nothing was compiled, without their estimates; the last fit."""
+    seen: list[Seen] = []
+
+    def finish(fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, None]:
+        start, problem = time.perf_counter(), reference_problem(samples)
+        error = estimate((fitted.layout, fitted.solution.z), problem, config)
+        seen[:] = [(fitted, measurement, samples, problem, error, time.perf_counter() - start)]
+        return fitted, None
+
+    clean: list[float] = []
     with tempfile.TemporaryDirectory() as out:
         for _ in range(repeats + ATTEMPTS):
-            compiled.clear()
-            spent = fit_file(path, Path(out), choice.settings(config), finish=probe.finish).seconds
-            if probe.seen is None:
+            before = programs_ready()
+            spent = fit_file(path, Path(out), choice.settings(config), finish=finish).seconds
+            if not seen:
                 raise ValueError(f"{path}: has too little light to be fitted; see `merlfit check`")
-            clean += [] if compiled else [spent["total"] - spent["accuracy"]]
+            clean += [spent["total"] - spent["accuracy"]] if programs_ready() == before else []
             if len(clean) == repeats:
-                return float(np.median(clean)), probe.seen
+                return float(np.median(clean)), seen[0]
     raise RuntimeError(f"{path}: after {ATTEMPTS} fits programs are still being compiled")
 
 

@@ -12,8 +12,7 @@ from ..support.outputs import refuse_others
 from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
 from .frontier import FILE, keep
 from .measure import ROWS, CostError, measure, tidy
-from .plot import frontier_figure
-from .report import gains, tables, write_markdown
+from .report import frontier_figure, gains, table, write_markdown
 
 OUTPUTS = FILE, "cost.md", "cost.png", ROWS
 
@@ -46,8 +45,7 @@ def measure_on(file: Path | None, out: Path, repeats: int, force: bool = False) 
     except CostError as error:
         fail(str(error))
         raise typer.Exit(FAILED_FIT) from None
-    for table in tables(frontier):
-        console.print(table)
+    console.print(table(frontier))
     console.print(gains(frontier))
     used = "" if file else f"; fits will use {kept[1]}"
     console.print(f"wrote {kept[0]}, cost.md, cost.png and rows.json beside it{used}")

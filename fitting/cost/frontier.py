@@ -77,47 +77,27 @@ class Point(_Frozen):
     megabytes: float
 
 
-class Tier(_Frozen):
-    """One tier of the diffraction lobe as it is evaluated; nanoseconds are for three channels.
-
-    Attributes:
-        error: of the BRDF, relative to `exact`; None of `exact` itself. value_ns, gradient_ns: a direction of a list,
-            without and with the derivatives in all parameters. fit_value_ns, fit_gradient_ns: a bin of a file as a fit
-            evaluates them, cost and normal equations; None of `exact`, which no fit takes.
-        compile_seconds: of value, and of value with derivatives, for the list.
-    """
-
-    name: str
-    error: Percentiles | None
-    value_ns: float
-    gradient_ns: float
-    compile_seconds: tuple[float, float]
-    fit_value_ns: float | None = None
-    fit_gradient_ns: float | None = None
-
-
 OBJECTIVE = 2
 """Raised when what a fit minimises, or how it looks for starting points, changes: 2 since directions past theta_max are
 left out and each lobe has its own grazing loss."""
 
 
 class Frontier(_Frozen):
-    """A calibration: all that ``merlfit cost`` measured, and of what.
+    """A calibration: all that ``merlfit cost`` measured, and of what. Version 1.1 had tiers of the lobe, too.
 
     Attributes:
         objective: what the fits minimised, `OBJECTIVE` at the time.
-        data: what the calibration materials are. directions: those of the tiers' errors.
+        data: what the calibration materials are.
     """
 
-    schema_version: Literal["1.1"] = "1.1"
+    model_config = ConfigDict(extra="ignore")
+    schema_version: Literal["1.1", "1.2"] = "1.2"
     objective: int = 1
     data: str
-    directions: str
     materials: list[str]
     machine: str
     taken: str
     versions: dict[str, str]
-    tiers: list[Tier]
     points: list[Point]
 
 

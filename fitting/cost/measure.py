@@ -1,4 +1,4 @@
-"""``merlfit cost``: errors and times of tiers and fits on this machine, section by section.
+"""``merlfit cost``: errors and times of fits on this machine, section by section.
 
 Every section is measured by a process of its own, so that its memory and what it compiles are its own. What is measured
 is written at once (a hidden folder beside the results), and a run that was interrupted goes on from there.
@@ -6,28 +6,27 @@ is written at once (a hidden folder beside the results), and a run that was inte
 
 import json
 import shutil
-import subprocess
-import sys
-import traceback
 from collections.abc import Callable, Iterator
 from datetime import date
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from ...merl_io.atomic import write_atomically
-from ...merl_io.binary import Measurement, read
+from ...merl_io.atomic import write_text
+from ...merl_io.binary import read
 from ...merl_io.source import whole
 from ..fit.levenberg_marquardt import Status
 from ..results.storage import versions
 from ..settings.choice import POINTS, REFERENCE, Choice
 from ..support.compilation import use_persistent_cache
 from ..support.threads import machine
-from . import calibration, tiers
-from .frontier import LARGEST, OBJECTIVE, Frontier, Percentiles, Point, Tier
+from . import calibration
+from .frontier import LARGEST, OBJECTIVE, Frontier, Percentiles, Point
 
 Rows = dict[str, dict[str, Any]]  # by section, then by what was measured
-Report = Callable[[str], None]
-FILES, ERRORS, TIMES = "materials", "errors of tiers", "times of tiers"
+Job = tuple[Path, str, list[str], Path | None, int]  # folder of work, section, names, file, repeats
+FILES = "materials"
 WORK, ROWS, MADE_OF = ".merlfit-cost", "rows.json", "made of"
 
 
@@ -35,7 +34,7 @@ class CostError(RuntimeError):
     """A section that could not be measured; the message says which and why."""
 
 
-def measure(file: Path | None, out: Path, repeats: int, report: Report) -> Frontier:
+def measure(file: Path | None, out: Path, repeats: int, report: Callable[[str], None]) -> Frontier:
     """Everything, on the calibration materials or on one MERL file; what was already measured is kept.
 
     Raises:
@@ -49,35 +48,26 @@ def measure(file: Path | None, out: Path, repeats: int, report: Report) -> Front
     made_of = {"file": known and known.sha1, "repeats": repeats, "machine": machine(), "versions": versions()}
     rows = _kept(work, made_of)
     fits = [str(choice) for choice in (REFERENCE, *POINTS[:-1])]
-    sections = [*([] if file else [FILES]), *fits, ERRORS, TIMES]
+    sections = [*([] if file else [FILES]), *fits]
     for number, section in enumerate(sections, 1):
-        wanted = _wanted(section, materials)
-        missing = [name for name in wanted if name not in rows.setdefault(section, {})]
+        missing = [name for name in materials if name not in rows.setdefault(section, {})]
         if not missing:
             continue
         label = f"[{number}/{len(sections)}] {section}"
         report(label)
-        for done, row in enumerate(_worker(work, section, missing, file, repeats), len(wanted) - len(missing) + 1):
-            rows[section].update(row)
-            _write(work / ROWS, rows)
-            report(f"{label}: {done} of {len(wanted)}")
-    return assemble(rows, materials, _data(known) if known else calibration.WHAT)
+        for name, row in _worker((work, section, missing, file, repeats)):
+            rows[section][name] = row
+            write_text(work / ROWS, json.dumps(rows, indent=1))
+            report(f"{label}: {len(rows[section])} of {len(materials)}")
+    genuine = "a" if known and known.genuine else "not a"
+    data = f"{known.path.name} alone, {genuine} genuine MERL file" if known else calibration.WHAT
+    return assemble(rows, materials, data)
 
 
 def tidy(out: Path) -> None:
     """When all that follows from the rows is written: they are kept, what they were made from is not."""
     (out / WORK / ROWS).replace(out / ROWS)
     shutil.rmtree(out / WORK)
-
-
-def _data(file: Measurement) -> str:
-    """What a file is."""
-    return f"{file.path.name} alone, " + ("a genuine MERL file" if file.genuine else "not a genuine MERL file")
-
-
-def _wanted(section: str, materials: list[str]) -> list[str]:
-    """What a section is measured on."""
-    return {ERRORS: ["all"], TIMES: list(tiers.TIERS)}.get(section, materials)
 
 
 def _kept(work: Path, made_of: dict[str, Any]) -> Rows:
@@ -96,51 +86,54 @@ def _kept(work: Path, made_of: dict[str, Any]) -> Rows:
     return rows
 
 
-def _write(path: Path, rows: Rows) -> None:
-    write_atomically(path, lambda file: file.writelines([json.dumps(rows, indent=1).encode()]))
+def _worker(job: Job) -> Iterator[tuple[str, dict[str, Any]]]:
+    """What a process of its own measures, one name after the other; it ends with this one."""
+    work, section, names, *_ = job
+    spawning = get_context("spawn")
+    ours, theirs = spawning.Pipe(duplex=False)
+    process = spawning.Process(target=_work, args=(theirs, job), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        for name in names:
+            row = ours.recv()
+            if isinstance(row, str):
+                raise CostError(f"{section}: {row}; what was measured is kept in {work}")
+            yield name, row
+    except EOFError:
+        raise CostError(f"{section}: its process was ended; what was measured is kept in {work}") from None
+    finally:
+        process.terminate()
+        process.join()
 
 
-def _worker(work: Path, section: str, names: list[str], file: Path | None, repeats: int) -> Iterator[Rows]:
-    """Rows as a process of its own prints them."""
-    job = {"work": str(work), "section": section, "names": names, "file": file and str(file), "repeats": repeats}
-    command = [sys.executable, "-m", f"{__package__}.measure", json.dumps(job)]
-    with open(work / "errors.txt", "w+") as said:
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True) as process:
-            try:
-                for line in process.stdout or ():
-                    yield json.loads(line)
-            finally:
-                if process.poll() is None:
-                    process.terminate()
-        if process.returncode:
-            said.seek(0)
-            last = (said.read().strip().splitlines() or [f"exit code {process.returncode}"])[-1]
-            raise CostError(f"{section}: {last}; what was measured is kept in {work}")
+def _work(pipe: Connection, job: Job) -> None:
+    """In that process: a row a name, and words where it fails."""
+    try:
+        for _, row in work_on(job):
+            pipe.send(row)
+    except Exception as error:  # the outermost frame of a process, which another one waits for
+        pipe.send(f"{type(error).__name__}: {error}")
 
 
-def work_on(work: Path, section: str, names: list[str], file: Path | None, repeats: int) -> Iterator[Rows]:
-    """The measurements themselves, in the process that makes them."""
-    use_persistent_cache()
+def work_on(job: Job) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The measurements themselves."""
+    work, section, names, file, repeats = job
+    use_persistent_cache(lambda _: None)
     files, references = work / "materials", work / "references"
     for name in names:
         if section == FILES:
-            yield {name: {"file": str(calibration.make(name, files))}}
-        elif section == ERRORS:
-            yield {name: tiers.errors()}
-        elif section == TIMES:
-            yield {name: tiers.times(name, file or calibration.make(calibration.names()[0], files))}
+            yield name, {"file": str(calibration.make(name, files))}
         else:
             choice = next(q for q in POINTS if str(q) == section)
-            yield {name: calibration.measure(choice, file or calibration.make(name, files), references, repeats)}
+            yield name, calibration.measure(choice, file or calibration.make(name, files), references, repeats)
 
 
 def assemble(rows: Rows, materials: list[str], data: str) -> Frontier:
     """The calibration of all rows."""
-    errors = rows[ERRORS]["all"]
     return Frontier(
-        objective=OBJECTIVE, data=data, directions=tiers.WHAT, materials=materials, machine=machine(),
-        taken=date.today().isoformat(), versions=versions(),
-        tiers=[Tier(name=name, error=errors.get(name), **rows[TIMES][name]) for name in tiers.TIERS],
+        objective=OBJECTIVE, data=data, materials=materials, machine=machine(), taken=date.today().isoformat(),
+        versions=versions(),
         points=[_point(choice, [rows[str(choice)][name] for name in materials]) for choice in POINTS],
     )  # fmt: skip
 
@@ -158,22 +151,3 @@ def _point(choice: Choice, rows: list[dict[str, Any]]) -> Point:
         other_body=sum(column["other_body"]) / len(rows), parameters=Percentiles.of(away) if away else None,
         megabytes=max(column["megabytes"]), **percentiles,
     )  # fmt: skip
-
-
-def main(text: str) -> int:
-    """What a worker does; its last line on the standard error says what went wrong."""
-    job = json.loads(text)
-    given = {**job, "work": Path(job["work"]), "file": job["file"] and Path(job["file"])}
-    try:
-        for found in work_on(**given):
-            print(json.dumps(found), flush=True)
-    except Exception as error:  # the worker's outermost frame: JAX ends tracebacks with remarks of its own, and the
-        # process that waits tells the last line; the rest is in errors.txt
-        traceback.print_exc()
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":  # a worker
-    sys.exit(main(sys.argv[1]))

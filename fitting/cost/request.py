@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ..settings.choice import default_choice
-from ..settings.config import Config
 from .frontier import Point
 
 MARGIN = 1.2  # seconds of the same fit differ by so much from run to run
@@ -16,11 +15,6 @@ UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 class Unreachable(ValueError):
     """A request that cannot be met; the message is one line that says what can."""
-
-
-def usable(points: Sequence[Point], config: Config) -> list[Point]:
-    """Points that make a difference: those that economise on the tier do not where another one was asked for."""
-    return [q for q in points if config.effects.diffraction == "quadrature" or q.choice.diffraction == "quadrature"]
 
 
 def needed(point: Point, estimate: bool = True) -> float:
@@ -73,20 +67,7 @@ class Request:
         default = next((q for q in points if q.choice == default_choice()), None)
         points = [q for q in points if not idle(q, default)]
         if self.accuracy is not None:
-            enough = [q for q in points if q.promised.p95 <= self.accuracy]
-            if enough:
-                return min(enough, key=lambda q: q.seconds.median)
-            best = min(points, key=lambda q: (q.promised.p95, q.promised.median))
-            if best.promised.median > self.accuracy:
-                raise Unreachable(
-                    f"{self} is out of reach: the most accurate settings ({best.choice}) come "
-                    f"within {best.promised.median:.2g} in half of the calibration's fits"
-                )
-            alike = [
-                q for q in points
-                if q.promised.median <= self.accuracy and q.promised.p95 <= ALIKE * best.promised.p95
-            ]  # fmt: skip
-            return min(alike, key=lambda q: q.seconds.median)
+            return self._accurate(points, self.accuracy)
         assert self.seconds is not None
         quick = [q for q in points if needed(q, estimate=q is not default) <= self.seconds]
         if not quick:
@@ -96,6 +77,18 @@ class Request:
                 "each file, once compiled"
             )
         return min(quick, key=lambda q: (q.promised.p95, q.seconds.median))
+
+    def _accurate(self, points: Sequence[Point], wanted: float) -> Point:
+        best = min(points, key=lambda q: (q.promised.p95, q.promised.median))
+        enough = [q for q in points if q.promised.p95 <= wanted] or [
+            q for q in points if q.promised.median <= wanted and q.promised.p95 <= ALIKE * best.promised.p95
+        ]
+        if not enough or best.promised.median > wanted:
+            raise Unreachable(
+                f"{self} is out of reach: the most accurate settings ({best.choice}) come "
+                f"within {best.promised.median:.2g} in half of the calibration's fits"
+            )
+        return min(enough, key=lambda q: q.seconds.median)
 
 
 def request(accuracy: float | None, time: str | None) -> Request:

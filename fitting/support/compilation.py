@@ -89,6 +89,12 @@ class Programs:
 _programs = Programs()
 
 
+def programs_ready() -> int:
+    """Programs that were compiled or loaded in this process since this was first asked."""
+    _listen()
+    return _programs.ready
+
+
 @contextmanager
 def programs_told(report: Report, of: int | None = None) -> Iterator[Report]:
     """The same reports, and while programs are compiled how many are ready.

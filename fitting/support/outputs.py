@@ -23,7 +23,8 @@ MARKS = {
     "comparison.md": rb"\A# [^\n]*\n\nData: [^\n]*\. Errors over [^\n]* bins of \(theta_h",
     "cost.md": rb"\A# What accuracy costs in time\n",
     "frontier.json":
-        rb'\A\{\s*"schema_version": "[\d.]+",\s*("objective": \d+,\s*)?"data": "([^"\\]|\\.)*",\s*"directions":',
+        rb'\A\{\s*"schema_version": "[\d.]+",\s*("objective": \d+,\s*)?"data": "([^"\\]|\\.)*",'
+        rb'\s*"(directions|materials)":',
     "rows.json": rb'\A\{\s*"made of": \{',
     "render.json": rb'\A\{\s*"seconds": \{[^}]*\},\s*"difference": \{[^}]*\},\s*"within":',
     ".material.json": rb'\A\{\s*"format": "merlfit-material ',

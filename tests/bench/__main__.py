@@ -19,7 +19,9 @@ ON_CPU = (  # short ones first
     "fit", "presets", "cold", "growth", "channels", "batch", "cluster", "solver", "against_scipy", "against_numpy",
     "rivals",
 )  # fmt: skip
-APART = ("convergence", "posterior", "calibration", "halves", "nickel", "gpu", "report")  # only when they are named
+APART = (  # only when they are named
+    "tiers", "convergence", "posterior", "calibration", "halves", "nickel", "gpu", "report",
+)  # fmt: skip
 SECTIONS = (*ON_CPU, *APART)
 
 

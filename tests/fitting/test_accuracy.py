@@ -1,6 +1,5 @@
 """The word of the estimate, which twenty held cases test, and what carrying a fit on does."""
 
-import itertools
 import json
 from dataclasses import replace
 
@@ -17,7 +16,7 @@ from merlfit.fitting.pipeline import run
 from merlfit.fitting.results.schema import Accuracy, Result, Tried
 from merlfit.fitting.results.storage import read_result, schema
 from merlfit.fitting.settings.choice import POINTS, REFERENCE
-from merlfit.fitting.settings.config import Config, load
+from merlfit.fitting.settings.config import load
 from merlfit.fitting.show.terminal_tables import accuracy_line
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
@@ -159,15 +158,6 @@ def test_carrying_on_never_ends_worse(one, monkeypatch):
     assert told.settings == POINTS[1]
     assert not told.met
     assert [t.estimated is None for t in told.tried] == [False] + [True] * (len(told.tried) - 1)
-
-
-def test_the_way_on_is_never_coarser():
-    for start in POINTS:
-        way = [start, *Aim(Request(accuracy=1e-3), point(start, 0.1, 1.0), Config(), "").finer]
-        assert all(b.refines(a) for a, b in itertools.pairwise(way))
-        assert {q.starts for q in way} == {start.starts}
-        assert way[-1] == start.continued(REFERENCE)
-    assert not POINTS[1].refines(REFERENCE)
 
 
 def test_what_was_not_calibrated_is_not_promised():

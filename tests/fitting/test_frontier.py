@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from merlfit.fitting.commands import cli
-from merlfit.fitting.cost import accuracy, calibration, frontier, measure, tiers
+from merlfit.fitting.cost import accuracy, calibration, frontier, measure
 from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
 from merlfit.fitting.cost.measure import ROWS, CostError, _kept
-from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of, usable
+from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of
 from merlfit.fitting.pipeline.models import two_scale
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.settings.config import Config, ConfigError, load
@@ -110,9 +110,9 @@ def test_a_request_is_repeated_as_it_was_typed(words, said):
 
 def test_a_tier_that_was_asked_for_is_not_replaced(made):
     fast = load(preset="fast")
-    offered = usable(made.points, fast)
+    offered = accuracy.usable(made.points, fast)
     assert {q.choice.diffraction for q in offered} == {"quadrature"}
-    assert len(usable(made.points, Config())) == len(POINTS)
+    assert len(accuracy.usable(made.points, Config())) == len(POINTS)
     settings = Request(accuracy=0.1).choose(offered).choice.settings(fast)
     assert settings.effects == fast.effects
     assert (settings.fit.grid, settings.fit.starts) == ("coarse", 1)
@@ -229,10 +229,9 @@ def test_a_fit_that_came_to_nothing_is_kept_as_infinitely_wrong(made, tmp_path):
 def test_the_shipped_calibration_has_all_points_and_says_what_it_is_of():
     found = frontier.shipped()
     assert [q.choice for q in found.points] == list(POINTS)
-    assert [t.name for t in found.tiers] == list(tiers.TIERS)
     assert "synthetic" in found.data
     assert len(found.materials) == len(calibration.names())
     assert found.points[-1].error.worst < 2e-3 < found.points[0].error.p95
     rows = json.loads((Path(__file__).parents[2] / "results" / "bench" / "cost" / measure.ROWS).read_text())
     measured = measure.assemble(rows, found.materials, found.data)
-    assert (found.points, found.tiers) == (measured.points, measured.tiers)  # what is shipped is what was measured
+    assert found.points == measured.points  # what is shipped is what was measured

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from merlfit.fitting.cost import calibration, tiers
-from merlfit.fitting.cost.frontier import OBJECTIVE, Frontier, Percentiles, Point, Tier
+from merlfit.fitting.cost import calibration
+from merlfit.fitting.cost.frontier import OBJECTIVE, Frontier, Percentiles, Point
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run, synthesis
 from merlfit.fitting.results.storage import versions
@@ -29,14 +29,9 @@ def point(choice, error, seconds, other_minimum=0.0):
 def invented():
     """A frontier of invented numbers: every point twice as accurate as the last and 1.5 times as dear."""
     points = [point(choice, 0.1 / 2**k, 1.5**k) for k, choice in enumerate(POINTS)]
-    listed = [
-        Tier(name=name, error=None if name == "exact" else spread(1e-3), value_ns=10.0, gradient_ns=30.0,
-             compile_seconds=(1.0, 2.0), fit_value_ns=1.0, fit_gradient_ns=4.0)
-        for name in tiers.TIERS
-    ]  # fmt: skip
     return Frontier(
-        objective=OBJECTIVE, data="invented materials", directions="invented", materials=["a"],
-        machine=machine(), taken="2026-11-22", versions=versions(), tiers=listed, points=points,
+        objective=OBJECTIVE, data="invented materials", materials=["a"], machine=machine(), taken="2026-11-22",
+        versions=versions(), points=points,
     )  # fmt: skip
 
 

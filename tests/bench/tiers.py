@@ -1,8 +1,8 @@
-"""What a tier of the diffraction lobe errs by and costs where it is evaluated: the first half of ``merlfit cost``.
+"""What a tier of the diffraction lobe errs by and costs where it is evaluated.
 
 Errors are those of the BRDF against `exact` (Eq. 27), for conductors with parameters drawn between the bounds of the
 fit, in directions drawn from all bins of MERL's grid above the horizon. ``tests/tier_errors.py`` does the same at
-length.
+length; the table of docs/cost.md is this one's.
 """
 
 import time
@@ -16,18 +16,21 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.experimental.compilation_cache import compilation_cache
+from merlfit.fitting.cost import calibration
+from merlfit.fitting.cost.frontier import Percentiles
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.fit.weights import weighted_samples
+from merlfit.merl_io.binary import read
+from merlfit.merl_io.grid import merl_grid
+from merlfit.model.geometry import Geometry
+from merlfit.model.measured import Measured
+from merlfit.model.parameters import WAVELENGTHS_UM
+from merlfit.model.two_scale import TwoScale, two_scale
 
-from ...merl_io.binary import read
-from ...merl_io.grid import merl_grid
-from ...model.geometry import Geometry
-from ...model.measured import Measured
-from ...model.parameters import WAVELENGTHS_UM
-from ...model.two_scale import TwoScale, two_scale
-from ..fit.problem import make_problem
-from ..fit.residuals import Objective
-from ..fit.transforms import layout_of
-from ..fit.weights import weighted_samples
-from .frontier import Percentiles
+from .processes import worker
+from .record import Record
 
 SEED, SETS, DIRECTIONS = 20261122, 40, 64
 WHAT = f"synthetic: {SETS} conductors drawn between the bounds of the fit, {DIRECTIONS} directions of MERL's grid each"
@@ -101,8 +104,7 @@ def times(name: str, file: Path) -> dict[str, Any]:
 def _with_derivatives(evaluate: Callable[[dict[str, Array]], Array], values: dict[str, Array]) -> tuple[Array, Array]:
     """Value and its derivatives, one tangent a parameter: no channel depends on another's entry of n or k."""
     at, slope = jax.linearize(evaluate, values)
-    still = {k: jnp.zeros_like(v) for k, v in values.items()}
-    moving = [{**still, k: jnp.ones_like(v)} for k, v in values.items()]
+    moving = [{k: jnp.full_like(v, k == moved) for k, v in values.items()} for moved in values]
     return at, jax.vmap(slope)(jax.tree.map(lambda *x: jnp.stack(x), *moving))
 
 
@@ -118,7 +120,7 @@ def _fit_times(effects: TwoScale, file: Path) -> dict[str, float]:
     return {"fit_value_ns": value / bins * 1e9, "fit_gradient_ns": gradient / bins * 1e9}
 
 
-def _clock(compute: Callable[..., Any], *args: Any) -> tuple[float, float]:  # noqa: ANN401
+def _clock(compute: Callable[..., Any], *args: Any) -> tuple[float, float]:
     """Seconds of the first call, which compiles, and the median of those after it."""
     seconds = []
     for _ in range(REPEATS + 1):
@@ -126,3 +128,28 @@ def _clock(compute: Callable[..., Any], *args: Any) -> tuple[float, float]:  # n
         jax.block_until_ready(compute(*args))
         seconds.append(time.perf_counter() - start)
     return seconds[0], float(np.median(seconds[1:]))
+
+
+def measure(name: str, file: str = "") -> dict[str, Any]:
+    """Of a process of its own: errors of all tiers, or the times of one."""
+    return times(name, Path(file)) if file else errors()
+
+
+def run(folder: Path, out: Path, every: bool) -> None:
+    """Every tier's errors and times."""
+    record = Record(
+        "tiers", "Tiers of the diffraction lobe", f"{WHAT}; a bin of a fit: a synthetic material",
+        ["Relative errors of the BRDF against exact; ns for three channels; seconds to compile the list's programs."],
+        folder=out,
+    )  # fmt: skip
+    found, file = worker("tiers", "all")[0], calibration.make(calibration.names()[0], folder)
+    for name in TIERS:
+        error, taken = found.get(name, {}), worker("tiers", name, file)[0]
+        compiled = dict(zip(("compile s", "with gradient  "), taken.pop("compile_seconds"), strict=True))
+        heads = {"value_ns": "a direction ns", "gradient_ns": "with gradient", "fit_value_ns": "a bin of a fit ns",
+                 "fit_gradient_ns": "with gradient "}  # fmt: skip
+        record.add({
+            "tier": name, **{f"error: {k}": error.get(k) for k in ("median", "p95", "worst")},
+            **{head: taken.get(key) for key, head in heads.items()}, **compiled,
+        })  # fmt: skip
+    record.finish()
