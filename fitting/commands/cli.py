@@ -510,7 +510,7 @@ def cost(
 
     With a FILE it measures that material only and writes the result, but `merlfit fit` does not use it.
     """
-    from ..cost.command import measure_on
+    from .cost import measure_on
 
     measure_on(file, out, repeats, force)
 

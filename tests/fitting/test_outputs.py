@@ -6,7 +6,7 @@ import json
 import merlfit
 import numpy as np
 import pytest
-from merlfit.fitting.cost.command import OUTPUTS
+from merlfit.fitting.commands.cost import OUTPUTS
 from merlfit.fitting.cost.frontier import keep
 from merlfit.fitting.cost.report import write_markdown
 from merlfit.fitting.results.schema_run import Run

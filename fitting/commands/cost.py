@@ -6,13 +6,13 @@ import typer
 
 from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
+from ..cost.frontier import FILE, keep
+from ..cost.measure import ROWS, CostError, measure, tidy
+from ..cost.report import frontier_figure, gains, table, write_markdown
 from ..show.style import save
 from ..support.compilation import cache_folder
 from ..support.outputs import refuse_others
 from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
-from .frontier import FILE, keep
-from .measure import ROWS, CostError, measure, tidy
-from .report import frontier_figure, gains, table, write_markdown
 
 OUTPUTS = FILE, "cost.md", "cost.png", ROWS
 
