@@ -7,15 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.posterior import emulator as emulators
-from merlfit.fitting.posterior.emulator import Emulator, coordinates_of, cost_at
+from merlfit.fitting.posterior.emulator import Emulator, coordinates_of
 from merlfit.fitting.posterior.likelihood import StandIn
 
 from tests.support.stand_ins import LAYOUT, OWN, banana, gentle, taught
 
+cost_at = jax.jit(emulators.cost_at)
+
 
 def emulated(found, points):
     """Minus log L."""
-    return found.scale * np.asarray(cost_at(jnp.asarray(points), found.channels))
+    return found.scale * np.asarray(cost_at(points, found.channels))
 
 
 def test_channels_depend_on_their_own_coordinates_and_on_the_shared_ones():
@@ -46,8 +48,8 @@ def test_a_quadratic_polynomial_is_met_everywhere():
 def test_its_gradient_is_finite_at_its_own_points():
     """Where the distance of the kernel is zero."""
     points = np.random.default_rng(3).normal(size=(60, 2))
-    found = taught(banana(), [np.arange(2)], points)
-    slope = jax.grad(lambda z: jnp.sum(cost_at(z, found.channels)))(jnp.asarray(points))
+    channels = taught(banana(), [np.arange(2)], points).channels
+    slope = jax.jit(jax.grad(lambda z: jnp.sum(emulators.cost_at(z, channels))))(points)
     assert np.isfinite(slope).all()
 
 
