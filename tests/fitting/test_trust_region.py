@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
@@ -19,11 +20,17 @@ def linear(residual, jacobian):
     )
 
 
-def step(residual, jacobian, radius):
+@jax.jit
+def _step(residual, jacobian, radius):
     descent = BoundedStep()
     state = descent.init(jnp.zeros(jacobian.shape[1]), None)
-    found, result = descent.step(jnp.asarray(radius), descent.query(None, linear(residual, jacobian), state))
-    assert result == optx.RESULTS.successful
+    found, result = descent.step(radius, descent.query(None, linear(residual, jacobian), state))
+    return found, result == optx.RESULTS.successful
+
+
+def step(residual, jacobian, radius):
+    found, successful = _step(residual, jacobian, radius)
+    assert successful
     return np.asarray(found)
 
 
@@ -56,15 +63,21 @@ def test_directions_without_effect_are_not_gone_along():
     [(0.9, 2.0, True), (0.5, 1.0, True), (0.1, 0.5, True), (-0.1, 0.25, False), (-np.inf, 0.25, False)],
 )
 def test_the_radius_follows_what_was_gained_of_what_was_promised(gained, radius, accepted):
-    before = linear([1.0], [[-1.0]])  # a step of 1 promises all of the cost, 1/2
-    after = SimpleNamespace(as_min=lambda: jnp.asarray(0.5 - gained / 2))
-    search, at = Radius(), jnp.zeros(1)
-    first = search.init(at, None)
-    assert first == FIRST_RADIUS
-    length, yes, _, state = search.step(jnp.asarray(False), at, at + 1.0, before, after, first)
+    assert float(Radius().init(jnp.zeros(1), None)) == FIRST_RADIUS
+    length, yes, state = _radius(False, 1.0, 0.5 - gained / 2)
     assert (float(length), float(state), bool(yes)) == (radius, radius, accepted)
-    length, yes, _, _ = search.step(jnp.asarray(True), at, at, before, before, first)
+    length, yes, _ = _radius(True, 0.0, 0.5)
     assert (float(length), bool(yes)) == (FIRST_RADIUS, True)
+
+
+@jax.jit
+def _radius(first, went, cost):
+    """Length, whether the step is taken, and state after a step of which all of the cost, 1/2, was promised."""
+    before = linear([1.0], [[-1.0]])
+    after = SimpleNamespace(as_min=lambda: jnp.asarray(cost))
+    search, at = Radius(), jnp.zeros(1)
+    length, yes, _, state = search.step(first, at, at + went, before, after, search.init(at, None))
+    return length, yes, state
 
 
 def rosenbrock(z, scale):
