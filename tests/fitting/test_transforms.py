@@ -46,7 +46,7 @@ def half_width(values):
 
 def share(values):
     """Of the diffracted light at normal incidence and the middle wavelength, what goes where directions are."""
-    return renormalisation(jnp.zeros(()), jnp.asarray(values["b"] / WAVELENGTHS_UM[1]), jnp.asarray(values["c"]))
+    return jax.jit(renormalisation)(0.0, values["b"] / WAVELENGTHS_UM[1], values["c"])
 
 
 def expected(layout, name, values):
