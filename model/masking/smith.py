@@ -115,9 +115,9 @@ def masking_table(p: Scalar) -> Real:
 def masking(cos_theta: Real, beta: Scalar, p: Scalar, table: Real | None = None) -> Real:
     """Smith's G1 (HP17 Eq. 38) in [0, 1]; 0 below the horizon.
 
-    Many directions share one parameter set, so beyond ``TABLE_SIZE`` of them G1 is tabulated in
-    ``x = 1 / (1 + sqrt(tau mean slope))``, in which it does not depend on beta and is smooth at both ends, and
-    interpolated (`piecewise.interpolate`).
+    Many directions share one parameter set, so G1 is tabulated in ``x = 1 / (1 + sqrt(tau mean slope))``, in which it
+    does not depend on beta and is smooth at both ends, and interpolated (`piecewise.interpolate`), for one direction as
+    for many.
 
     Args:
         cos_theta: cosine between normal and direction, any shape.
@@ -128,8 +128,6 @@ def masking(cos_theta: Real, beta: Scalar, p: Scalar, table: Real | None = None)
     (``tests/model/test_masking.py``, ``tests/hard_cases/cases.toml``). Beyond p = 5, the bound of fits, the table is
     that of 5: 1e-3 off at p = 8, where `masking_direct` is good to 1e-6. Float32 is kept, to 1e-6.
     """
-    if table is None and cos_theta.size <= TABLE_SIZE:
-        return masking_direct(cos_theta, beta, p)
     table = masking_table(p) if table is None else table
     above = cos_theta > 0
     cos = jnp.where(above, cos_theta, 1.0)

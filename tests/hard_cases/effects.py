@@ -24,11 +24,6 @@ def specular_share(theta_d, wavelength_um, b, c, sigma_s):
     return jnp.exp(-diffraction.phase_variance(share * sigma_s**2, jnp.cos(theta_d), wavelength_um))
 
 
-def masking_table(cos_theta, beta, p):
-    """Masking where there are more directions than the table has nodes."""
-    return smith.masking(jnp.full(smith.TABLE_SIZE + 1, cos_theta), beta, p)[0]
-
-
 def grazing(cos_i, cos_o, exponent):
     """The acquisition's loss of two directions."""
     still = jnp.zeros_like(cos_i)
@@ -65,8 +60,8 @@ PAIRS = {
     "diffraction_colour": (fresnel.diffraction_colour, precise.diffraction_colour),
     "epd": (epd, precise.epd),
     "smith_lambda": (smith.smith_lambda, precise.smith_lambda),
-    "masking": (smith.masking, precise.masking),
-    "masking_table": (masking_table, precise.masking),
+    "masking": (smith.masking_direct, precise.masking),
+    "masking_table": (smith.masking, precise.masking),
     "renormalisation": (diffraction.renormalisation, precise.renormalisation),
     "lobe": (convolution.lobe, precise.lobe),
     "specular_share": (specular_share, precise.specular_share),

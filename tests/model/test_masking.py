@@ -76,3 +76,12 @@ def test_whole_slopes_give_the_same_masking(tau):
         found = jax.jit(smith.smith_lambda)(tau, p)
         assert found.dtype == np.float64
         np.testing.assert_allclose(found, np.asarray(expected), rtol=1e-15)
+
+
+@pytest.mark.parametrize("p", [0.12, 0.9, 8.0])
+def test_one_direction_alone_is_as_it_is_among_many(p):
+    """Whatever the exponent, beyond that of fits as well, where the table and the integral part."""
+    many = np.asarray(jax.jit(smith.masking)(np.cos(GRAZING), 0.3, p))
+    alone = jax.jit(smith.masking)
+    for k in (0, 1000, 3999):
+        assert float(alone(np.cos(GRAZING[k : k + 1]), 0.3, p)[0]) == pytest.approx(many[k], rel=1e-14)
