@@ -15,7 +15,7 @@ from tests.times import COMPILED, READ, SPENT
 
 PROGRAMS = 20
 MORE = {
-    "tests/fitting/test_accuracy.py": 100,
+    "tests/fitting/test_accuracy.py": 140,
     "tests/fitting/test_api.py": 340,
     "tests/fitting/test_bad_results.py": 300,
     "tests/fitting/test_bands.py": 100,
@@ -23,6 +23,7 @@ MORE = {
     "tests/fitting/test_cases.py": 300,
     "tests/fitting/test_cluster_fits.py": 300,
     "tests/fitting/test_constraints.py": 80,
+    "tests/fitting/test_cost.py": 30,
     "tests/fitting/test_dims.py": 75,
     "tests/fitting/test_emulator.py": 24,
     "tests/fitting/test_files.py": 60,
