@@ -1,7 +1,8 @@
 """Units in worker processes of this machine.
 
 A worker that dies, whatever killed it, takes with it the one unit that it worked on: `concurrent.futures` would give up
-all of them. So every worker has a pipe of its own, of which the end is seen, and no lock is shared with another.
+all of them, and pools that begin it anew (pebble, multiprocessing) lose the others to a lock that it held. So every
+worker has a pipe of its own, of which the end is seen, and shares no lock.
 """
 
 import os
@@ -9,17 +10,19 @@ import signal
 import sys
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 
 from ..results.manifest import Ending
-from ..support.affinity import begun_on, cores_of, spread
+from ..support.affinity import begun_on, cores_of
 from ..support.clock import Stage
+from ..support.compilation import begin_libraries
 from ..support.outputs import open_log
 from ..support.processes import end_with_parent
 from ..support.terminal import Stopped, stoppable
@@ -28,11 +31,9 @@ from .unit import Ended, Task, Unit, fit_unit
 PATIENCE = 20.0  # seconds that workers have to write what they hold when they are told to stop
 TOLD = 128 + signal.SIGTERM  # exit code of a worker that stopped
 GRACE = 0.5  # seconds after which a stop that came to one worker was for that one alone
+NOTHING = Ended(Ending.STOPPED)
 Tell = Callable[[int, str], None]  # of the unit with this number, what is being done
 Note = Callable[[str], None]
-
-
-NOTHING = Ended(Ending.STOPPED)
 
 
 @dataclass
@@ -44,6 +45,16 @@ class _Worker:
     cores: list[int]
     unit: int | None = None
     last: Ended = NOTHING
+
+    def heard(self) -> Stage | str | Ended:
+        """What is being done, a note of no unit, or what came of the unit; `Ending.LOST` if the process is no more."""
+        with suppress(EOFError, OSError):
+            said = self.pipe.recv()
+            if not isinstance(said, Ended) or said.kind is not Ending.STOPPED:
+                return said
+            self.last = said
+            time.sleep(GRACE)  # where all are told to stop, so are we now
+        return Ended(Ending.LOST, error=_why(self.process))
 
     def tell_to_stop(self) -> None:
         """As job schedulers do it; one that was halted goes on, since it could not hear it."""
@@ -57,15 +68,14 @@ class Pool:
     """Units in ``jobs`` processes at once, each with its share of the cores.
 
     Attributes:
-        note: called with what concerns the run and not one unit alone.
+        note: called with what concerns the run and not one unit alone, once with each text.
     """
 
     name = "Pool"
 
     def __init__(self, jobs: int, task: Task = fit_unit, note: Note = print) -> None:
-        self.jobs, self.task, self.note = jobs, task, note
+        self.jobs, self.task, self.note = jobs, task, cache(note)
         self._workers: list[_Worker] = []
-        self._noted: set[str] = set()
 
     def ended(self, units: Sequence[Unit], tell: Tell) -> Iterator[tuple[int, Ended]]:
         """Number of a unit and what came of it, as they end.
@@ -73,73 +83,60 @@ class Pool:
         A unit whose worker died is tried once more, after all others and alone on the machine.
         """
         lost: list[int] = []
-        for k, ended in self._all(units, deque(range(len(units))), self.jobs, tell):
+        for k, ended in self._all(units, range(len(units)), self.jobs, tell):
             if ended.kind is Ending.LOST:
                 lost.append(k)
                 self.note(f"{ended.error}; it is tried once more when the others are done, alone")
             else:
                 yield k, ended
         for k in lost:
-            for _, ended in self._all(units, deque([k]), 1, tell):
+            for _, ended in self._all(units, [k], 1, tell):
                 yield k, replace(ended, error=f"{ended.error}, twice") if ended.kind is Ending.LOST else ended
-        self._end()
+        self._end(time.monotonic() + PATIENCE)
 
     def stop(self) -> list[tuple[int, Ended]]:
         """End all workers; of each that was at work: its unit, and what there is of it."""
+        until = time.monotonic() + PATIENCE
         for worker in self._workers:
             worker.tell_to_stop()
-        found, until = [], time.monotonic() + PATIENCE
         for worker in self._workers:
             with suppress(EOFError, OSError):
                 while worker.pipe.poll(max(0.0, until - time.monotonic())):
-                    message = worker.pipe.recv()
-                    worker.last = message if isinstance(message, Ended) else worker.last
-            if worker.unit is not None:
-                found.append((worker.unit, worker.last))
+                    if isinstance(said := worker.pipe.recv(), Ended):
+                        worker.last = said
+        found = [(worker.unit, worker.last) for worker in self._workers if worker.unit is not None]
         self._end(until)
         return found
 
-    def _all(self, units: Sequence[Unit], waiting: deque[int], jobs: int, tell: Tell) -> Iterator[tuple[int, Ended]]:
+    def _all(self, units: Sequence[Unit], numbers: Iterable[int], jobs: int, tell: Tell) -> Iterator[tuple[int, Ended]]:
+        waiting = list(numbers)[::-1]
         self._staff(min(jobs, len(waiting)))
         while waiting or any(worker.unit is not None for worker in self._workers):
             for worker in self._workers:
                 if worker.unit is None and waiting:
-                    with suppress(OSError):  # it has died while it was idle; what is left of it is seen below
-                        worker.pipe.send(units[waiting[0]])
-                    worker.unit = waiting.popleft()
-            for pipe in wait([worker.pipe for worker in self._workers]):
-                n, worker = next((n, w) for n, w in enumerate(self._workers) if w.pipe is pipe)
-                try:
-                    message = worker.pipe.recv()
-                except (EOFError, OSError):
-                    message = None
-                if isinstance(message, Ended) and message.kind is Ending.STOPPED:
-                    worker.last = message
-                    time.sleep(GRACE)  # where all are told to stop, so are we now
-                    message = None
-                if message is None:
-                    unit, error = worker.unit, _why(worker.process)
-                    self._workers[n] = self._worker(worker.cores)
+                    worker.unit = waiting.pop()
+                    with suppress(OSError):  # it has died while it was idle, which is heard below
+                        worker.pipe.send(units[worker.unit])
+            ready = wait([worker.pipe for worker in self._workers])
+            for n, worker in [each for each in enumerate(self._workers) if each[1].pipe in ready]:
+                said, unit = worker.heard(), worker.unit
+                if isinstance(said, Ended):
+                    worker.unit = None
+                    if said.kind is Ending.LOST:
+                        self._workers[n] = self._worker(worker.cores)
                     if unit is not None:
-                        yield unit, Ended(Ending.LOST, error=f"{units[unit].path}: {error}")
-                elif isinstance(message, Ended):
-                    unit, worker.unit = worker.unit, None
-                    if unit is not None:
-                        yield unit, message
-                elif isinstance(message, _Note):
-                    if message.text not in self._noted:
-                        self._noted.add(message.text)
-                        self.note(message.text)
-                elif worker.unit is not None:
-                    tell(worker.unit, message)
+                        lost = said.kind is Ending.LOST
+                        yield unit, replace(said, error=f"{units[unit].path}: {said.error}") if lost else said
+                elif not isinstance(said, Stage):
+                    self.note(said)
+                elif unit is not None:
+                    tell(unit, said)
 
     def _staff(self, jobs: int) -> None:
         """So many workers; those that are there stay if their number does."""
-        if len(self._workers) == jobs:
-            return
-        self._end()
-        cores = cores_of()
-        self._workers = [self._worker(cores[n::jobs]) for n in range(jobs)]
+        if len(self._workers) != jobs:
+            self._end(time.monotonic() + PATIENCE)
+            self._workers = [self._worker(cores_of()[n::jobs]) for n in range(jobs)]
 
     def _worker(self, cores: list[int]) -> _Worker:
         context = get_context("spawn")
@@ -150,12 +147,11 @@ class Pool:
         theirs.close()
         return _Worker(process, ours, cores)
 
-    def _end(self, until: float | None = None) -> None:
+    def _end(self, until: float) -> None:
         """End all workers, by force those that have not ended by then (`time.monotonic`)."""
         for worker in self._workers:
             worker.pipe.close()
             worker.tell_to_stop()
-        until = time.monotonic() + PATIENCE if until is None else until
         for worker in self._workers:
             worker.process.join(max(0.0, until - time.monotonic()))
             if worker.process.is_alive():
@@ -176,55 +172,39 @@ def _why(process: SpawnProcess) -> str:
     return f"its process was killed ({name}{memory})"
 
 
-@dataclass(frozen=True)
-class _Note:
-    """What a worker says that is not of one unit."""
-
-    text: str
-
-
 def _work(pipe: Connection, task: Task, cores: list[int]) -> None:
     """Of a worker: units from the pipe, one after the other, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all its processes: ours says what to do
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    import jax
-
-    from ..support.compilation import use_persistent_cache
-
-    jax.devices()  # makes its threads
-    spread(cores)
+    end_with_parent()
     one = threading.Lock()  # several threads compile, and tell of it
 
-    def send(message: _Note | str) -> None:
+    def send(said: str) -> None:
         with one, suppress(OSError):
-            pipe.send(message)
+            pipe.send(said)
 
     def tell(stage: str) -> None:
-        send(stage if isinstance(stage, Stage) else str(stage))
+        send(Stage(stage, getattr(stage, "share", None)))
 
-    use_persistent_cache(lambda text: send(_Note(text)))
-
+    begin_libraries(cores_of(), cores, send)
     with suppress(EOFError, OSError, Stopped), stoppable():
         while True:
             unit: Unit = pipe.recv()
-            with _into(unit):
-                ended = task(unit, tell)
+            _print_into(unit.log)
+            ended = task(unit, tell)
             pipe.send(ended)
             if ended.kind is Ending.STOPPED:
                 sys.exit(TOLD)
 
 
-@contextmanager
-def _into(unit: Unit) -> Iterator[None]:
-    """What this process prints, and libraries written in other languages, goes to the unit's log."""
+def _print_into(path: Path) -> None:
+    """What this process prints from now on, and libraries written in other languages, goes to a log."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):  # it was closed before we began: there is none
+            stream.flush()
     try:
-        file = open_log(unit.log)
+        file = open_log(path)
     except OSError:
         file = open(os.devnull, "ab")  # noqa: SIM115
     with file:
         for number in (1, 2):
             os.dup2(file.fileno(), number)
-    yield
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError, AttributeError):  # it was closed before we began: there is none
-            stream.flush()

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from distributed import Worker, get_worker
 
 from ...merl_io.source import MerlError, opened, whole
-from ..support.affinity import begun_on, cores_of, spread
+from ..support.affinity import begun_on, cores_of
 from ..support.allocation import keep_freed_memory
 from .admission import TOPIC
 
@@ -112,13 +112,8 @@ def _begin(cores: int) -> None:
     keep_freed_memory()
     every, worker = cores_of(), get_worker()
     with begun_on(every[:cores]):
-        import jax
-
-        from ..support.compilation import use_persistent_cache
-
-        jax.devices()  # makes its threads
-    spread(every)
-    use_persistent_cache(lambda text: worker.log_event(TOPIC, {"note": f"{platform.node()}: {text}"}))
+        from ..support.compilation import begin_libraries
+    begin_libraries(every[:cores], every, lambda text: worker.log_event(TOPIC, {"note": f"{platform.node()}: {text}"}))
 
 
 def _reports(worker: Worker, order: Order) -> Callable[[str], None]:

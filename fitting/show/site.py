@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -154,17 +153,12 @@ def _made(jobs: list[Job], count: int) -> Iterator[Made]:
     if count <= 1:
         yield from map(make_page, jobs)
         return
-    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_watch_parent)
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=end_with_parent)
     try:
         for done in as_completed([pool.submit(make_page, job) for job in jobs]):
             yield done.result()
     finally:
         pool.shutdown(cancel_futures=True)  # whoever stops it does not wait for all other pages
-
-
-def _watch_parent() -> None:
-    """A process that makes pages ends with the one that wants them, however that ends."""
-    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def make_page(job: Job) -> Made:

@@ -4,7 +4,7 @@ import glob
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import TextIO
 import jax
 import platformdirs
 
+from .affinity import begun_on, spread
 from .clock import Report, Stage
 from .terminal import note
 
@@ -46,6 +47,14 @@ def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
     _tell_of_compilation(folder, say)
     _mend(folder, say)
     return folder
+
+
+def begin_libraries(first: Sequence[int], cores: Sequence[int], say: Callable[[str], None]) -> None:
+    """Once a process: libraries with a thread for each of the first cores, which then run on all of these."""
+    with begun_on(first):
+        jax.devices()  # makes its threads
+    spread(cores)
+    use_persistent_cache(say)
 
 
 def use_cache() -> None:

@@ -1,6 +1,7 @@
 """How many worker processes this machine has room for, and their end with the process that began them."""
 
 import os
+import threading
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
 
@@ -18,8 +19,11 @@ def jobs_for(units: int, asked: int | None = None) -> int:
 
 
 def end_with_parent() -> None:
-    """Wait for the end of the process that began this one, and end then."""
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
+    """This process ends with the one that began it, however that ends."""
+
+    def end(sentinel: int) -> None:
+        wait([sentinel])
         os._exit(1)
+
+    if (parent := parent_process()) is not None:
+        threading.Thread(target=end, args=(parent.sentinel,), daemon=True).start()

@@ -7,7 +7,7 @@ import numpy as np
 import psutil
 from merlfit.fitting.support.threads import CORES
 
-from ..clusters import scheduler, until, workers
+from ..support.clusters import scheduler, until, workers
 from .batch import LOOP, MIXED, fitted
 from .materials import TWELVE, file
 from .materials import every as every_material

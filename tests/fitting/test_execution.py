@@ -13,14 +13,16 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from merlfit.fitting.batch import pool
 from merlfit.fitting.batch.pool import Pool
 from merlfit.fitting.batch.slot import sha1_of
 from merlfit.fitting.batch.unit import Unit, fit_unit
 from merlfit.fitting.commands.fit import _done
-from merlfit.fitting.results import manifest, pool
+from merlfit.fitting.results import manifest
 from merlfit.fitting.results.manifest import Ending
 from merlfit.fitting.results.storage import versions, write_result
 from merlfit.fitting.settings.config import Config, load
+from merlfit.fitting.support import processes
 from merlfit.fitting.support.outputs import log
 from merlfit.fitting.support.processes import jobs_for
 from merlfit.fitting.support.threads import CORES
@@ -276,7 +278,7 @@ def test_no_more_processes_than_files_cores_and_memory(monkeypatch):
     assert jobs_for(1) == 1
     assert jobs_for(1000, 1000) == CORES
     assert jobs_for(1000, 1) == 1
-    monkeypatch.setattr(pool.psutil, "virtual_memory", lambda: type("Memory", (), {"available": 1}))
+    monkeypatch.setattr(processes.psutil, "virtual_memory", lambda: type("Memory", (), {"available": 1}))
     assert jobs_for(1000) == 1
 
 
