@@ -1,7 +1,7 @@
 """What a set of parameters comes to: quantities that mean the same whatever the parameters behind them."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,12 +12,19 @@ from . import diffraction
 from .albedo import directional_albedo
 from .fresnel import fresnel
 from .parameters import WAVELENGTHS_UM
-from .reflectance import Quantity, Wavelengths
-
-if TYPE_CHECKING:  # which imports this module
-    from .two_scale import TwoScale
+from .reflectance import Reflectance, Wavelengths
+from .two_scale import TwoScale
 
 ALBEDO_INCIDENCES_DEG = (0, 60)
+
+
+class Quantity(NamedTuple):
+    """A derived quantity: its key, what it is, its unit, whether it has one value per channel."""
+
+    name: str
+    meaning: str
+    unit: str
+    per_channel: bool
 
 
 LOBE = Quantity("lobe_half_width", "half width at half maximum of the distribution of the facets' slopes", "deg", False)
@@ -29,13 +36,15 @@ ALBEDOS = tuple(
 )
 
 
-def quantities(material: "TwoScale") -> tuple[Quantity, ...]:
-    """Those that a material has."""
+def quantities(material: Reflectance) -> tuple[Quantity, ...]:
+    """Those that a material has; of other models than the two-scale one none."""
+    if not isinstance(material, TwoScale):
+        return ()
     return (LOBE, *((DIFFRACTED,) if material.diffraction != "off" else ()), F0, *ALBEDOS)
 
 
 def derived(
-    values: Mapping[str, ArrayLike], material: "TwoScale", wavelengths_um: Wavelengths = WAVELENGTHS_UM
+    values: Mapping[str, ArrayLike], material: Reflectance, wavelengths_um: Wavelengths = WAVELENGTHS_UM
 ) -> dict[str, Array]:
     """Derived quantities by name, scalars and (C,) for those per channel; of the material, without the apparatus.
 
@@ -47,6 +56,8 @@ def derived(
     Args:
         values: by name, as for :func:`merlfit.model.two_scale.two_scale`.
     """
+    if not isinstance(material, TwoScale):
+        return {}
     v = {name: jnp.asarray(x) for name, x in values.items()}
     n, k = (v["n"], v["k"]) if "n" in v else (v["eta"], jnp.zeros_like(v["eta"]))
     found = {

@@ -107,3 +107,13 @@ def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k
     plane = i.parallel * o.parallel * ((eta2_real**2 + eta2_imag**2) * sin2_sin2 + 2 * projected_dot * interference)
     contrast_real, contrast_imag = _contrast(n, k)
     return (contrast_real**2 + contrast_imag**2) * (same + crossed + plane) / 2
+
+
+def fresnel_of_dielectric(cos_d: Real, eta: Real) -> Real:
+    """Reflectance without an imaginary part of the index."""
+    return fresnel(cos_d, eta, jnp.zeros_like(eta))
+
+
+def schlick_of_dielectric(cos_d: Real, eta: Real) -> Real:
+    """The same by Schlick's polynomial."""
+    return schlick(cos_d, eta, jnp.zeros_like(eta))

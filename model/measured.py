@@ -13,12 +13,11 @@ from typing import ClassVar, get_args
 
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from . import acquisition
 from .apparatus import APPARATUS, Apparatus, GrazingLoss
 from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
-from .reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values, Wavelengths
+from .reflectance import Factor, Lobes, Reflectance, Setting, Values, Wavelengths
 
 
 @dataclass(frozen=True)
@@ -87,11 +86,8 @@ class Measured(Reflectance):
         losses: dict[str, Factor] = {f"{lobe}_loss": self._loss(lobe) for lobe in self.lobes if self.loses}
         return self._inside(self.material.factors()) | losses
 
-    def tables(self) -> Mapping[str, Factor]:  # noqa: D102
-        return self._inside(self.material.tables()) | self._exponents()
-
-    def curves(self) -> Mapping[str, Factor]:  # noqa: D102
-        return self._inside(self.material.curves()) | self._exponents()
+    def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
+        return self._inside(self.material.tables(scattered)) | self._exponents()
 
     def _exponents(self) -> dict[str, Factor]:
         """Derived ones, which are the same in all directions."""
@@ -128,37 +124,8 @@ class Measured(Reflectance):
     def variant(self) -> str:  # noqa: D102
         return self.material.variant
 
-    def coarse(self, order: int) -> "Measured":  # noqa: D102
-        return replace(self, material=self.material.coarse(order))
-
-    def stand_in(self, order: int) -> "Measured":  # noqa: D102
-        return replace(self, material=self.material.stand_in(order))
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:  # noqa: D102
-        return self.material.starts(clues, middle_um)
-
-    @property
-    def basins(self) -> Mapping[str, int]:  # noqa: D102
-        return self.material.basins
-
-    @property
-    def separated(self) -> Separated | None:  # noqa: D102
-        found = self.material.separated
-        return found and found._replace(lobes=replace(self, material=found.lobes))
-
-    @property
-    def sought(self) -> "Measured":  # noqa: D102
-        return replace(self, material=self.material.sought)
-
-    @property
-    def general(self) -> "Measured":  # noqa: D102
-        return replace(self, material=self.material.general)
-
-    def generalised(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:  # noqa: D102
-        return self.material.generalised(values)
-
-    def in_general(self, name: str) -> str:  # noqa: D102
-        return self.material.in_general(name)
+    def cheap_variant(self, order: int) -> "Measured":  # noqa: D102
+        return replace(self, material=self.material.cheap_variant(order))
 
     @property
     def switches(self) -> Mapping[str, int]:  # noqa: D102

@@ -38,11 +38,8 @@ class Part(Reflectance):
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
         return self._whole(self.material.factors())
 
-    def tables(self) -> Mapping[str, Factor]:  # noqa: D102
-        return self._whole(self.material.tables())
-
-    def curves(self) -> Mapping[str, Factor]:  # noqa: D102
-        return self._whole(self.material.curves())
+    def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
+        return self._whole(self.material.tables(scattered))
 
     def _whole(self, functions: Mapping[str, Factor]) -> dict[str, Factor]:
         """Functions of the material, which look at its settings."""

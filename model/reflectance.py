@@ -65,50 +65,6 @@ class Lobes(NamedTuple):
 Factor = Callable[[Values, Setting], Array]
 
 
-class Quantity(NamedTuple):
-    """A derived quantity: its key, what it is, its unit, whether it has one value per channel."""
-
-    name: str
-    meaning: str
-    unit: str
-    per_channel: bool
-
-
-class Clues(NamedTuple):
-    """What data say of where to start.
-
-    Attributes:
-        half_width: tan(theta_h) where the highlight has fallen to half.
-    """
-
-    half_width: float
-
-
-class Separated(NamedTuple):
-    """What parameters per channel do to a BRDF, exactly or nearly, once the shared ones are given.
-
-        brdf = reflectance(cos_d; constants) lobes + body(cos_i, cos_o, constants, albedo)
-
-    Attributes:
-        lobes: the sharp lobes of facets that reflect everything. fixed: values per channel that make them so, by name.
-        constants: values of the interface that are worth a try, (K,) each, by name.
-        reflectance: of a facet, from cos_d (D,) and the constants (K, 1): (K, D).
-        alike: whether all channels take the same ones.
-        body: from the cosines, a constant and an albedo that broadcast against them; or None.
-        body_constant: name of the constant that the body depends on, if it depends on one.
-        albedo: name of the body's albedo.
-    """
-
-    lobes: "Reflectance"
-    fixed: tuple[tuple[str, float], ...]
-    constants: Mapping[str, np.ndarray]
-    reflectance: Callable[..., Array]
-    alike: bool
-    body: Callable[[Array, Array, Array, Array], Array] | None = None
-    body_constant: str | None = None
-    albedo: str = "albedo"
-
-
 class Reflectance(ABC):
     """A reflectance model. Subclasses are frozen dataclasses, static under jit; their fields are their settings.
 
@@ -166,25 +122,6 @@ class Reflectance(ABC):
         """Why no fit can be of this model with these settings, in words; None of all others."""
         return None
 
-    def of_matter(self, v: Mapping[str, np.ndarray]) -> bool:
-        """Whether some matter may have these values: one of it is preferred, within reason."""
-        return True
-
-    def cautions(
-        self, v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]
-    ) -> list[str]:
-        """What a user of fitted values should know, in sentences; ``v``: arrays (1,), or (C,) for those per channel."""
-        return []
-
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """Those that :meth:`derived` gives."""
-        return ()
-
-    def derived(self, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> dict[str, Array]:
-        """Quantities that mean the same whatever the parameters behind them, scalars and (C,) for those per channel."""
-        return {}
-
     def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:
         """A sharp lobe over theta_h at ``acquisition.RINGS_RAD``, at theta_d = 0 and of any unit: its width matters.
 
@@ -200,61 +137,21 @@ class Reflectance(ABC):
         channels = len(s.wavelength_um)
         return jnp.broadcast_to(found, (channels, len(RINGS_RAD), 1))[channels // 2, :, 0]
 
-    def tables(self) -> Mapping[str, Factor]:
+    def tables(self, scattered: bool = False) -> Mapping[str, Factor]:
         """What depends on parameters and on theta_d at the most, so that many directions can share it.
 
         Code that evaluates directions in blocks computes it once and passes it on with the values; other code does not,
         so that a factor must do without its table, too. Parameters per channel come as ``(C,)`` or with more axes of
         length one.
+
+        Args:
+            scattered: over nodes of their own, whatever the directions, instead of at each theta_d.
         """
         return {}
 
-    def curves(self) -> Mapping[str, Factor]:
-        """Like :meth:`tables`, but over nodes of their own, whatever the directions: for scattered ones."""
-        return self.tables()
-
-    def coarse(self, order: int) -> "Reflectance":
-        """A cheaper variant with the same parameters, factors and tables; ``order``: of its quadratures."""
+    def cheap_variant(self, order: int) -> "Reflectance":
+        """A cheaper variant with the same parameters; ``order``: of its quadratures, at the most."""
         return self
-
-    def stand_in(self, order: int) -> "Reflectance":
-        """A variant nearly equal to this one and quick at few scattered directions, for the posterior's chain."""
-        return self.coarse(order)
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """Parameters from which a fit may start, by name, channels alike; what is left out has its default.
-
-        The first is a guess of everything; what others have differently is another reading of the same clues.
-        """
-        return []
-
-    @property
-    def basins(self) -> Mapping[str, int]:
-        """Parameters by which minima differ, and into how many classes, equally likely, each is divided."""
-        return {q.name: 3 for q in self.parameters if q.scale == "log" and not q.per_channel}
-
-    @property
-    def separated(self) -> Separated | None:
-        """How constants and albedos of the channels are found without a search; None if they cannot."""
-        return None
-
-    @property
-    def sought(self) -> "Reflectance":
-        """A variant with the same parameters, in which the lowest minimum is looked for."""
-        return self
-
-    @property
-    def general(self) -> "Reflectance":
-        """A model of which this one is a special case: what is compiled for it serves all of its kind."""
-        return self
-
-    def generalised(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
-        """Values for :attr:`general` that give the same BRDF as these here."""
-        return dict(values)
-
-    def in_general(self, name: str) -> str:
-        """Name of one of these parameters in :attr:`general`."""
-        return name
 
     @property
     def switches(self) -> Mapping[str, int]:
@@ -365,7 +262,7 @@ def prepared(
     s = setting(Geometry(0 * one, 0 * one, one, one), model, wavelengths_um)
     values = shaped(params, s)
     found = {name: jnp.asarray(x) for name, x in params.items()}
-    return found | {name: compute(values, s) for name, compute in model.curves().items()}
+    return found | {name: compute(values, s) for name, compute in model.tables(scattered=True).items()}
 
 
 def assembled(values: Values, s: Setting) -> Array:
@@ -382,7 +279,7 @@ def shaped(params: Mapping[str, ArrayLike], s: Setting) -> dict[str, Array]:
     """Parameters in the precision of the angles, those per channel with a leading axis; tables if given."""
     model = s.model
     needed = [q.name for q in model.parameters]
-    extra = [*model.tables(), *model.curves(), *model.switches]
+    extra = [*model.tables(), *model.tables(scattered=True), *model.switches]
     if missing := [name for name in (*needed, *model.switches) if name not in params]:
         raise KeyError(f"{model} needs {', '.join(missing)}: {model!r}")
     if unknown := params.keys() - model.ignored() - {*needed, *extra}:
@@ -440,14 +337,15 @@ def reads(model: Reflectance, scattered: bool = False) -> Reads:
     """Found by evaluating them once, abstractly; a factor that looks up a table reads the table's parameters, too.
 
     Args:
-        scattered: whether the tables are `Reflectance.curves`.
+        scattered: as of `Reflectance.tables`.
     """
-    return _reads(model.coarse(LEAST_ORDER), scattered)  # on which it does not depend
+    cheap = model.cheap_variant(LEAST_ORDER)  # on which it does not depend, unless that has other factors
+    return _reads(cheap if cheap.factors().keys() == model.factors().keys() else model, scattered)
 
 
 @cache
 def _reads(model: Reflectance, scattered: bool) -> Reads:
-    names, tables = [q.name for q in model.parameters], model.curves() if scattered else model.tables()
+    names, tables = [q.name for q in model.parameters], model.tables(scattered)
     angle = np.full((1, 1, 1), 0.3)
     example = {
         q.name: np.full(len(WAVELENGTHS_UM), q.default) if q.per_channel else q.default for q in model.parameters

@@ -14,7 +14,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from .body import external_diffuse_reflectance, internal_diffuse_reflectance, substrate
-from .interfaces import fresnel_of_dielectric
+from .fresnel import fresnel_of_dielectric
 from .masking import beckmann, ggx
 from .numerics import safe_sqrt
 

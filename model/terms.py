@@ -4,7 +4,7 @@
 """
 
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -12,16 +12,13 @@ from jax import Array
 
 from . import body, convolution, diffraction, energy, exact
 from .acquisition import RINGS_RAD
-from .effects import ANY
+from .effects import ANY, Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .masking.smith import height_correlated, masking
 from .ndf.epd import epd
 from .numerics import safe_divide
-from .reflectance import Setting, Values, setting
-
-if TYPE_CHECKING:  # which imports this module
-    from .two_scale import TwoScale
+from .reflectance import Reflectance, Setting, Values, setting
 
 LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
 RING_ORDER = 32  # of the convolution whose width gives the loss of diffracted light
@@ -29,8 +26,9 @@ WHICH = "which_body"  # number of the body in `BODIES`, where the model leaves i
 LIT = ("beta", "p", "b", "c", "sigma_s", "n", "k", "eta")  # what the surface's albedo depends on
 
 
-def _effects(s: Setting) -> "TwoScale":
-    return cast("TwoScale", s.model)
+def _effects(s: Setting) -> Effects:
+    """Settings of the two-scale model; no other has these terms."""
+    return cast(Effects, s.model)
 
 
 def _index(v: Values) -> tuple[Array, Array]:
@@ -173,14 +171,14 @@ def surface_albedo(v: Values, s: Setting) -> Array:
     """
     given = {name: v[name] for name in LIT if name in v}
     own = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in given.items()}
-    effects, wavelengths_um = _effects(s), s.wavelength_um.reshape(-1)
+    wavelengths_um = s.wavelength_um.reshape(-1)
     largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
     incidences = energy.incidences(v["beta"])
     placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
     geometry, measure = energy.half_vectors(incidences, *energy.slopes(*placed))
-    inner = effects.coarse(energy.ORDER)
+    inner = s.model.cheap_variant(energy.ORDER) if _effects(s).diffraction != "exact" else s.model
     s = setting(geometry, inner, wavelengths_um)
-    if inner.renormalised and inner.diffraction != "off":
+    if _effects(s).renormalised and _effects(s).diffraction != "off":
         one_minus_sin = 2 * jnp.sin(jnp.pi / 4 - geometry.theta_d[None] / 2) ** 2
         own["relative_variance"] = energy.share_of(v["b"] / wavelengths_um, v["c"])(one_minus_sin)
     lobes = {name: f(own, s) for name, f in inner.factors().items() if name not in ("body", "conservation")}
@@ -200,12 +198,11 @@ def conservation(v: Values, s: Setting) -> Array:
     return jnp.stack([kept, safe_divide(through, mean)])
 
 
-def blurred_over_rings(v: Values, model: "TwoScale", wavelength_um: Array) -> Array:
+def blurred_over_rings(v: Values, model: Reflectance, wavelength_um: Array) -> Array:
     """(S * D) over the rings that a footprint sees, at normal incidence and one wavelength."""
     rings = jnp.asarray(RINGS_RAD)[:, None]
     ones = jnp.ones((1, 1))
-    inner = model.changed(diffraction="quadrature", order=RING_ORDER)
-    s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), inner, wavelength_um)
+    s = setting(Geometry(rings, jnp.zeros((1, 1)), ones, ones), model, wavelength_um)
     return blurred_lobe(v, s)[0, :, 0]
 
 

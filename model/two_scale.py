@@ -24,38 +24,24 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from . import body as bodies
-from . import derived as derivation
 from . import parameters as declared
-from . import plausible, terms
+from . import terms
 from .acquisition import epd_of_rings
 from .effects import ANY, BODIES, KINDS, TWO_SCALE, Effects, Kind
-from .fresnel import fresnel, schlick
 from .geometry import Geometry
-from .interfaces import DIELECTRICS, METALS, fresnel_of_dielectric, schlick_of_dielectric
 from .masking.smith import masking_table
 from .measured import Measured
-from .ndf.epd import HALF
 from .parameters import WAVELENGTHS_UM, Parameter
 from .reflectance import (
-    Clues,
     Factor,
     Lobes,
-    Quantity,
     Reflectance,
-    Separated,
     Setting,
     Values,
     Wavelengths,
     evaluate,
 )
 from .terms import WHICH
-
-TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # where fits start
-BODY_BRDF = {
-    "none": None, "lambert": bodies.lambert_of, "plastic": bodies.plastic, "subsurface": bodies.subsurface,
-}  # fmt: skip
-PERFECT = (("n", 0.0), ("k", 1.0))  # index of facets that reflect everything
 
 
 @dataclass(frozen=True)
@@ -105,21 +91,6 @@ class TwoScale(Effects, Reflectance):
             return "diffraction 'exact' is a reference that takes hours; no fit uses it"
         return None
 
-    def of_matter(self, v: Mapping[str, np.ndarray]) -> bool:  # noqa: D102
-        return plausible.of_matter(v)
-
-    def cautions(  # noqa: D102
-        self, v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]
-    ) -> list[str]:
-        return plausible.cautions(v, channels, wavelengths_um)
-
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
-        return derivation.quantities(self)
-
-    def derived(self, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> dict[str, Array]:  # noqa: D102
-        return derivation.derived(v, self, wavelengths_um)
-
     def factors(self) -> dict[str, Factor]:  # noqa: D102
         diffracts = self.diffraction != "off"
         table: dict[str, Factor] = {} if self.masking == "none" else {"masking": terms.masking_G}
@@ -135,23 +106,18 @@ class TwoScale(Effects, Reflectance):
             table["conservation"] = terms.conservation
         return table
 
-    def tables(self) -> dict[str, Factor]:  # noqa: D102
+    def tables(self, scattered: bool = False) -> dict[str, Factor]:  # noqa: D102
         found: dict[str, Factor] = {}
         if self.masking != "none":
             found["masking_curve"] = lambda v, s: masking_table(v["p"])
         if self.diffraction != "off" and self.renormalised:
-            found["relative_variance"] = terms.relative_variance
+            variance = "variance_curve" if scattered else "relative_variance"
+            found[variance] = terms.variance_curve if scattered else terms.relative_variance
         if self._renormalises:
             found["surface_albedo"] = terms.surface_albedo
-        return found
-
-    def curves(self) -> dict[str, Factor]:  # noqa: D102
-        found = self.tables()
-        if found.pop("relative_variance", None):
-            found["variance_curve"] = terms.variance_curve
-        if self.diffraction == "quadrature":
+        if scattered and self.diffraction == "quadrature":
             found["lobe_surface"] = terms.lobe_surface
-        if self.diffraction != "off" and self.split == "conserving":
+        if scattered and self.diffraction != "off" and self.split == "conserving":
             found["facet_albedo"] = terms.facet_albedo
         return found
 
@@ -169,7 +135,8 @@ class TwoScale(Effects, Reflectance):
     def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:  # noqa: D102
         if lobe == "specular":
             return epd_of_rings(v["beta"], v["p"])
-        return terms.blurred_over_rings(v, self, jnp.asarray(wavelengths_um)[np.size(wavelengths_um) // 2])
+        middle_um = jnp.asarray(wavelengths_um)[np.size(wavelengths_um) // 2]
+        return terms.blurred_over_rings(v, self.changed(diffraction="quadrature", order=terms.RING_ORDER), middle_um)
 
     @property
     def _renormalises(self) -> bool:
@@ -177,71 +144,20 @@ class TwoScale(Effects, Reflectance):
         by_itself = self.body == "none" and self.diffraction == "off" and self.masking != "none"
         return self.split == "conserving" and not by_itself
 
-    def coarse(self, order: int) -> "TwoScale":  # noqa: D102
-        return self.changed(order=min(order, self.order))
-
-    def stand_in(self, order: int) -> "TwoScale":  # noqa: D102
+    def cheap_variant(self, order: int) -> "TwoScale":  # noqa: D102
         if self.diffraction == "exact":
             return self.changed(diffraction="quadrature", order=order)
-        return self.coarse(order)
+        return self.changed(order=min(order, self.order))
 
     @property
     def kind(self) -> Kind:
         """Interface and body."""
         return self.index, self.body
 
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """The measured highlight may be the facets' lobe, or diffracted light.
-
-        A diffraction lobe's half width is where 2 tan(theta_h) / lambda = 1 / b.
-        """
-        first = {**TYPICAL, "beta": clues.half_width / float(np.exp(HALF / TYPICAL["p"]))}
-        if self.diffraction == "off":
-            return [{name: first[name] for name in ("beta", "p")}]
-        return [first, {**first, "b": middle_um / (2 * clues.half_width)}]
-
-    @property
-    def basins(self) -> dict[str, int]:  # noqa: D102
-        return {"beta": 3, "p": 2, **({} if self.diffraction == "off" else {"sigma_s": 2})}
-
-    @property
-    def separated(self) -> Separated | None:
-        """Nearly: with F instead of Q for the colour of diffracted light."""
-        exact, real = self.fresnel == "exact", self.index == "real"
-        of_metal, of_dielectric = (fresnel, fresnel_of_dielectric) if exact else (schlick, schlick_of_dielectric)
-        lobes = self.changed(body="none", index="complex", colour="fresnel", split="printed")
-        return Separated(
-            lobes, PERFECT, DIELECTRICS if real else METALS, of_dielectric if real else of_metal,
-            real, BODY_BRDF[self.body], "eta" if self.body in ("plastic", "subsurface") else None,
-        )  # fmt: skip
-
-    @property
-    def sought(self) -> "TwoScale":
-        """With the printed split of energy: the conserving one costs a hundred times as much."""
-        return replace(self, split="printed")
-
     @property
     def general(self) -> "TwoScale":
-        """Effects of which these are a special case, whatever the kind; no material has them.
-
-        A dielectric is a conductor with k = 0, and which body it is, is said by a number when the program runs
-        (:meth:`generalised`). The conserving split treats kinds too differently.
-        """
+        """Effects of which these are a special case, whatever the kind; no material has them."""
         return _general(self)
-
-    def generalised(self, values: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:  # noqa: D102
-        given = dict(values)
-        if self.general == self:
-            return given
-        if self.index == "real":
-            given["n"] = given.pop("eta")
-            given["k"] = np.zeros_like(given["n"])
-        if self.body == "none":
-            given["albedo"] = np.zeros_like(given["n"])
-        return given | {WHICH: np.int32(BODIES.index(self.body))}
-
-    def in_general(self, name: str) -> str:  # noqa: D102
-        return "n" if name == "eta" and self.general != self else name
 
     @property
     def switches(self) -> dict[str, int]:  # noqa: D102
@@ -270,7 +186,7 @@ def _names_of_all() -> frozenset[str]:
     """Names that parameters and tables may have, so that values of a material do for fewer effects as well."""
     every = [TwoScale(body, index=index) for index, body in KINDS]
     whole = TwoScale("lambert", split="conserving")
-    tables = [*whole.tables(), *whole.curves()]
+    tables = [*whole.tables(), *whole.tables(scattered=True)]
     return frozenset([*(q.name for model in every for q in model.parameters), *tables])
 
 

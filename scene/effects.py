@@ -231,7 +231,7 @@ class _Trial:
         """How far off the worst pixel is, and nanoseconds a direction."""
         chosen = without(model, effects)
         again = "lobe_surface" if any(effect.name == FINEST for effect in effects) else None
-        known = {name: self.tables[name] for name in SETTLED if name in chosen.curves() and name != again}
+        known = {name: self.tables[name] for name in SETTLED if name in chosen.tables(scattered=True) and name != again}
         found, nanoseconds = self._measure(self.given.of(chosen, known))
         return float(np.max(off_by(self.reference, found, self.scene.tolerance), initial=0.0)), nanoseconds
 

@@ -96,7 +96,7 @@ def surface(
         known: tables that need not be computed.
     """
     own, there = {q.name: jnp.asarray(values[q.name], float) for q in model.parameters}, known or {}
-    missing = tuple(name for name in model.curves() if name not in there)
+    missing = tuple(name for name in model.tables(scattered=True) if name not in there)
     found = _prepared(model, own, bands.wavelengths_um, missing) if missing else {}
     return Surface(model, _in_precision({**own, **found, **there}), bands)
 

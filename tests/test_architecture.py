@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests import proofs
+
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
     "model": {"model"}, "merl_io": {"merl_io"}, "scene": {"model", "merl_io", "scene"},
@@ -75,6 +77,16 @@ def test_no_arrow_points_back_along_the_line_of_work():
     for place, part in enumerate(LINE_OF_WORK):
         for path in (ROOT / "fitting" / part).glob("*.py"):
             assert uses(path) <= set(LINE_OF_WORK[: place + 1]), path
+
+
+def test_no_file_imports_itself_by_way_of_others():
+    """Not for type checkers either: `TYPE_CHECKING` hides a circle from the interpreter, not from who reads."""
+    files = {path for top in ALLOWED for path in (ROOT / top).rglob("*.py") if path.parent.name != "main"}
+    waiting = {path: proofs.imported(path) & files - {path} for path in files if path.name != "__init__.py"}
+    waiting = {path: {other for other in others if other.name != "__init__.py"} for path, others in waiting.items()}
+    while free := {path for path, others in waiting.items() if not others & waiting.keys()}:
+        waiting = {path: others for path, others in waiting.items() if path not in free}
+    assert not waiting, sorted(str(path.relative_to(ROOT)) for path in waiting)
 
 
 def test_every_package_is_installed():

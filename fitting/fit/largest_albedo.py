@@ -14,6 +14,7 @@ from ...merl_io.bands import Bands
 from ...model.albedo import directional_albedo
 from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
+from .hints import general_of
 
 INCIDENCES_DEG = (0.0, 20.0, 40.0, 60.0, 70.0, 80.0)  # up to where data are fitted (`choices.THETA_MAX`)
 TOO_MUCH = 1.01  # the rule's own error is below half of what this leaves
@@ -35,12 +36,13 @@ class Brightest(NamedTuple):
 def largest_albedo(material: Reflectance, values: Mapping[str, ArrayLike], bands: Bands) -> Brightest | None:
     """Of a material without the apparatus, over light from the normal to 80 degrees; None where it cannot exceed one.
 
-    One program for all variants of a model (`Reflectance.general`), 0.1 s.
+    One program for all variants of a model (:func:`.hints.general_of`), 0.1 s.
     """
     if isinstance(material, TwoScale) and material.split == "conserving":
         return None
-    given = material.generalised({q.name: jnp.asarray(values[q.name]) for q in material.parameters})
-    found = np.asarray(_albedos(material.general, given, jnp.asarray(bands.wavelengths_um)))
+    general = general_of(material)
+    given = general.values({q.name: jnp.asarray(values[q.name]) for q in material.parameters})
+    found = np.asarray(_albedos(general.model, given, jnp.asarray(bands.wavelengths_um)))
     channel, k = np.unravel_index(np.argmax(found), found.shape)
     return Brightest(float(found[channel, k]), INCIDENCES_DEG[k], bands.names[channel])
 

@@ -15,7 +15,7 @@ from ...model.two_scale import TwoScale
 from ..results import schema
 from ..results.upgrade import NINETY
 from ..support.choices import BEND, Bend, Weights
-from . import error_metrics
+from . import error_metrics, plausible
 from .laplace import laplace_covariance
 from .largest_albedo import largest_albedo
 from .levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
@@ -162,7 +162,7 @@ def cautions(fitted: Fitted, weights: Weights) -> list[str]:
         found.append(f"at a bound, so that a value beyond it may fit better: {', '.join(bound)}")
     values = {name: fitted.values[s] for name, s in fitted.layout.slices.items()}
     bands = fitted.layout.bands
-    found += fitted.material.cautions(values, bands.names, bands.wavelengths_um)
+    found += plausible.cautions(fitted.material, values, bands.names, bands.wavelengths_um)
     return found + excess(fitted)
 
 

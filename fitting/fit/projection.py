@@ -1,7 +1,7 @@
 """Constants per channel that suit given lobes best: variable projection for starting points.
 
 What parameters per channel do to the BRDF is simple once the shared ones are given
-(:class:`merlfit.model.reflectance.Separated`). With R the weights of a row of azimuths, T the lobes of facets that
+(:class:`.hints.LinearParameters`). With R the weights of a row of azimuths, T the lobes of facets that
 reflect everything, F(theta_d) the reflectance of the facets and B the body, a channel's cost is a quadratic form of F
 in sums over rows of one theta_d,
 
@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ...model.reflectance import Reflectance, Separated
+from ...model.reflectance import Reflectance
+from .hints import LinearParameters, hints_of
 from .problem import Part, Problem
 from .residuals import evaluate_block, weigh, with_tables
 from .transforms import Layout
@@ -64,7 +65,7 @@ def project(
     Returns:
         for every layout costs (N,), and values by name, (N,) and (N, C).
     """
-    parted = [_separated(layout) for layout in layouts]
+    parted = [_linear(layout) for layout in layouts]
     lobes, fixed = parted[0].lobes, parted[0].fixed
     count = len(next(iter(shared.values())))
     padded = {name: np.pad(x, (0, -count % BATCH), "edge") for name, x in shared.items()}
@@ -91,9 +92,9 @@ def project(
     return [(costs, {**shared, **found}) for costs, found in joined]
 
 
-def _separated(layout: Layout) -> Separated:
+def _linear(layout: Layout) -> LinearParameters:
     """What separates the channels; constants that are fixed for all of them are the only ones that are tried."""
-    found = layout.model.separated
+    found = hints_of(layout.model).linear
     if found is None:
         raise ValueError(f"the channels of {layout.model} are not separated")
     fixed = {name: np.array(each.fixed) for name, each in layout.constraints if each.fixed and len(each.fixed) == 1}
@@ -104,7 +105,7 @@ def _separated(layout: Layout) -> Separated:
     )
 
 
-def _body_of(parted: Separated) -> BodyTried | None:
+def _body_of(parted: LinearParameters) -> BodyTried | None:
     if parted.body is None:
         return None
     return parted.body, tuple(parted.constants[parted.body_constant].tolist()) if parted.body_constant else (1.0,)
@@ -115,7 +116,7 @@ def _added(parts: Sequence[T]) -> T:
     return jax.tree.map(lambda *x: np.sum(x, 0), *parts)
 
 
-def _project(parted: Separated, problem: Problem, sums: Sums) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _project(parted: LinearParameters, problem: Problem, sums: Sums) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Of one model and batch, and only what is per channel."""
     squares, products, energy = sums[:3]
     cos_d = tuple(_columns(problem).tolist())

@@ -22,6 +22,7 @@ from ...model import reflectance
 from ...model.materialised import materialised, true_of
 from ...model.reflectance import Factor, Reflectance, Setting, reads
 from ..support.threads import side_by_side
+from .hints import General, general_of
 from .problem import LEAST_SHARE, Directions, Part, Problem, directions_of, shares
 from .transforms import Layout, Numbers, Structure
 
@@ -30,8 +31,9 @@ def predict(model: Reflectance, values: Mapping[str, Array], where: Directions) 
     """What the apparatus would have measured, (C, H, D, K)."""
     size = where.log_base.size
     parts = shares(where, min(size, 2 * LEAST_SHARE) if where.scattered else size)
-    given = model.generalised(values)
-    found = side_by_side(lambda part: np.asarray(_predict(model.general, given, part)), parts)
+    general = general_of(model)
+    given = general.values(values)
+    found = side_by_side(lambda part: np.asarray(_predict(general.model, given, part)), parts)
     blocks = np.moveaxis(np.concatenate(found), 1, 0)
     return blocks.reshape(len(blocks), -1, *blocks.shape[3:])
 
@@ -79,7 +81,7 @@ class Objective:
 
         Its last diagonal entry is :meth:`costs`. Sums are taken of derivatives by physical values. A channel's rows and
         columns of other channels' parameters are zero, which is why one tangent a parameter, applied to all channels at
-        once, gives the whole Jacobian. One program does for all variants (`Reflectance.general`).
+        once, gives the whole Jacobian. One program does for all variants (:func:`.hints.general_of`).
         """
         values, slopes = self.layout.values_and_slopes(z)
         return self._spread_out(compact_normal_equations, values, slopes)
@@ -90,10 +92,10 @@ class Objective:
         return self._spread_out(compact_normal_equations_of_many, values, slopes)
 
     def _spread_out(self, compute: Callable[..., Array], values: Mapping[str, Array], slopes: Array) -> np.ndarray:
-        model = self.layout.model
-        given = model.generalised(values)
-        found = side_by_side(lambda part: np.asarray(compute(model.general, given, part)), self.problem.parts)
-        kept = _rows(model)
+        general = general_of(self.layout.model)
+        given = general.values(values)
+        found = side_by_side(lambda part: np.asarray(compute(general.model, given, part)), self.problem.parts)
+        kept = _rows(general)
         compact = reduce(add, found)[..., kept[:, None], kept]
         return spread_out(self.layout, np.asarray(slopes), compact, np.asarray(self.problem.rest))
 
@@ -130,11 +132,10 @@ def weigh(root: Array, nodes: Array) -> Array:
 
 
 @cache
-def _rows(model: Reflectance) -> np.ndarray:
-    """Which rows of the general model's normal equations are those of this one: its parameters, and the residual."""
-    rows = [q.name for q in model.general.parameters]
-    own = [model.in_general(q.name) for q in model.parameters]
-    return np.array([*map(rows.index, own), len(rows)])
+def _rows(general: General) -> np.ndarray:
+    """Which rows of the general model's normal equations are those of the special one: parameters, and the residual."""
+    rows = [q.name for q in general.model.parameters]
+    return np.array([*map(rows.index, general.names), len(rows)])
 
 
 def _compact(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
@@ -200,7 +201,7 @@ def with_tables(model: Reflectance, values: Mapping[str, Array], where: Directio
 
 
 def _tables(model: Reflectance, where: Directions) -> Mapping[str, Factor]:
-    return model.curves() if where.scattered else model.tables()
+    return model.tables(where.scattered)
 
 
 def _rates(

@@ -18,7 +18,7 @@ from scipy.stats.qmc import Sobol
 
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
-from ...model.reflectance import Clues
+from .hints import StartHints, hints_of
 from .problem import Problem
 from .projection import project
 from .residuals import Objective
@@ -26,7 +26,7 @@ from .transforms import Layout
 
 CANDIDATES_EACH = 7  # candidates for every starting point that is asked for; a power of 2 in all
 OWN = 16  # points of the parameters per channel, for every candidate whose channels are not separated
-NEAR = 0.3  # standard deviation of the coordinates that another reading of the clues fixes
+NEAR = 0.3  # standard deviation of the coordinates that another reading of the data fixes
 SCATTER = 1.5  # standard deviation of candidates in units of the prior's
 DARK_QUANTILE = 0.1  # of the bins away from the lobe: taken for the body
 LEAST_THETA_D, NEAREST, GROUPS = np.radians(15.0), 0.25, 40  # of scattered samples that show the highlight's width
@@ -34,11 +34,11 @@ RIM = 1e-3  # of the places of candidates between 0 and 1
 Found = tuple[np.ndarray, dict[str, np.ndarray]]
 
 
-def clues_of(samples: Samples | ScatteredSamples) -> Clues:
+def start_hints(samples: Samples | ScatteredSamples) -> StartHints:
     """What the data say of where to start."""
     if isinstance(samples, ScatteredSamples):
-        return Clues(_scattered_half_width(samples))
-    return Clues(half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0))
+        return StartHints(_scattered_half_width(samples))
+    return StartHints(half_width(samples.theta_h, samples.theta_d, samples.value, samples.weight > 0))
 
 
 def half_width(theta_h: np.ndarray, theta_d: np.ndarray, value: np.ndarray, used: np.ndarray) -> float:
@@ -76,7 +76,7 @@ def _scattered_half_width(samples: ScatteredSamples) -> float:
 
 def starting_points(
     layouts: Sequence[Layout],
-    clues: Clues,
+    data: StartHints,
     problem: Problem,
     count: int,
     over: Callable[..., Iterable] = map,
@@ -88,22 +88,22 @@ def starting_points(
 
     Args:
         problem: on which candidates are compared. over: maps a function over batches of candidates.
-        first: shared parameters of the first instead of those that the clues give.
+        first: shared parameters of the first instead of those that the data give.
     """
     alike: dict[Hashable, list[int]] = {}  # models with the same lobes have the same candidates
     for k, layout in enumerate(layouts):
-        parted = layout.model.separated
+        parted = hints_of(layout.model).linear
         alike.setdefault((parted.lobes, parted.fixed) if parted else k, []).append(k)
     found: dict[int, np.ndarray] = {}
     for members in alike.values():
-        points = _of_alike([layouts[k] for k in members], clues, problem, count, over, first)
+        points = _of_alike([layouts[k] for k in members], data, problem, count, over, first)
         found |= dict(zip(members, points, strict=True))
     return [found[k] for k in range(len(layouts))]
 
 
 def _of_alike(
     layouts: Sequence[Layout],
-    clues: Clues,
+    data: StartHints,
     problem: Problem,
     count: int,
     over: Callable[..., Iterable],
@@ -112,16 +112,17 @@ def _of_alike(
     """The same of models with the same lobes.
 
     Candidates are a Sobol sequence over the prior of the shared parameters, shifted (modulo 1) so that its first point
-    is the first reading of the clues: another first reading moves all of them. Readings take turns: every candidate
+    is the first reading of the data: another first reading moves all of them. Readings take turns: every candidate
     whose turn is not the first reading's lies near its reading. Of every kind the best is taken, then the second best,
     and so on.
     """
     lead = layouts[0].unfixed
     shared = [q.name for q in lead.parameters if not q.per_channel]  # they come first
-    size, basins = len(shared), lead.model.basins
-    readings = lead.model.starts(clues, lead.bands.middle_um) or [{}]
-    if unknown := {*basins, *(name for each in readings for name in each)} - {q.name for q in lead.parameters}:
-        raise ValueError(f"{lead.model}: starts or basins name what is no parameter: {', '.join(sorted(unknown))}")
+    hints = hints_of(lead.model)
+    size, strata = len(shared), hints.strata or {}
+    readings = hints.starts(data, lead.bands.middle_um) or [{}]
+    if unknown := {*strata, *(name for each in readings for name in each)} - {q.name for q in lead.parameters}:
+        raise ValueError(f"{lead.model}: starts or strata name what is no parameter: {', '.join(sorted(unknown))}")
     moved = [[name for name, x in each.items() if x != readings[0].get(name)] for each in readings]
     if first is not None:
         readings[0] = {**first}
@@ -136,8 +137,8 @@ def _of_alike(
     for k in range(1, len(readings)):
         rows, columns = np.flatnonzero(turn == k)[:, None], [shared.index(name) for name in moved[k] if name in shared]
         points[rows, columns] = begun[k][columns] + NEAR / SCATTER * points[rows, columns]
-    kinds = np.column_stack([(places * [basins.get(name, 1) for name in shared]).astype(int), turn])
-    if lead.model.separated is None:
+    kinds = np.column_stack([(places * [strata.get(name, 1) for name in shared]).astype(int), turn])
+    if hints.linear is None:
         own = _classes(lead, size, most)
         kinds = np.column_stack([kinds, own])
         found = [_by_channel(layouts[0], points, size, readings[0], own, problem)]
@@ -162,7 +163,8 @@ def _of_alike(
 
 def _classes(layout: Layout, size: int, count: int) -> np.ndarray:
     """Classes of the parameters per channel, (count, Q): all combinations take turns."""
-    numbers = [layout.model.basins.get(q.name, 1) for q in layout.parameters[size:]]
+    strata = hints_of(layout.model).strata or {}
+    numbers = [strata.get(q.name, 1) for q in layout.parameters[size:]]
     every = np.array(list(product(*map(range, numbers)))).reshape(-1, len(numbers))
     return every[np.arange(count) % len(every)]
 
@@ -177,7 +179,8 @@ def _by_channel(
     """
     own, channels = layout.parameters[size:], len(layout.bands)
     each = OWN if own else 1
-    numbers = np.array([layout.model.basins.get(q.name, 1) for q in own])
+    strata = hints_of(layout.model).strata or {}
+    numbers = np.array([strata.get(q.name, 1) for q in own])
     around = _sobol(len(own), len(points) * each, skipped=1).reshape(len(points), each, len(own))
     around = SCATTER * ndtri(np.clip((classes[:, None] + around) / numbers, RIM, 1 - RIM))
     for k, q in enumerate(own):

@@ -10,6 +10,7 @@ from ...merl_io.bands import ColourSpace
 from ...merl_io.inputs import Input, told
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
+from ...model.derived import quantities
 from ...model.measured import Measured
 from ..fit.identifiability import identifiability
 from ..fit.levenberg_marquardt import Status
@@ -120,7 +121,7 @@ def _intervals(sampled: "Sampled", values: np.ndarray) -> list[schema.Quantiles 
 def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedResult]:
     """Every derived quantity with its value at the fit and posterior quantiles."""
     found, channels = [], fitted.layout.channels
-    for q in fitted.material.quantities:
+    for q in quantities(fitted.material):
         values = sampled.derived[q.name].reshape(len(sampled.values), -1)
         given = zip(np.ravel(sampled.at_fit[q.name]).tolist(), _intervals(sampled, values), strict=True)
         for k, (value, interval) in enumerate(given):

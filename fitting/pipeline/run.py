@@ -16,8 +16,8 @@ from ...merl_io.binary import Measurement, MerlError
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
-from ...model.reflectance import Clues
-from ..fit import error_metrics, scattered_errors
+from ..fit import error_metrics, plausible, scattered_errors
+from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
 from ..fit.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, solve, solve_many
 from ..fit.outcome import Fitted
@@ -26,7 +26,7 @@ from ..fit.published_errors import assess_prediction
 from ..fit.residuals import Objective
 from ..fit.residuals import predict_samples as predicted_by
 from ..fit.selection import choose, nearest, score
-from ..fit.starts import clues_of, starting_points
+from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..fit.weights import weighted_samples
 from ..results import schema, storage
@@ -133,9 +133,12 @@ def fit(
         models = candidates(config)
         report(f"coarse grid: {', '.join(model.variant for model in models)}")
         layouts = [layout_for(config, model, samples.bands) for model in models]
-        sought = [cheaper(replace(layout, model=layout.model.sought), COARSE_ORDER) for layout in layouts]
+        sought = [
+            cheaper(replace(layout, model=hints_of(layout.model).search or layout.model), COARSE_ORDER)
+            for layout in layouts
+        ]
         problem, roughly = make_coarse(samples)
-        found = fit_coarse(sought, clues_of(samples), problem, roughly, config, first)
+        found = fit_coarse(sought, start_hints(samples), problem, roughly, config, first)
         compared, chosen = compare(sought, found, thinned(samples, COARSE))
         z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
         if last != sought[chosen]:  # the conserving split costs a hundred times as much, and moves a fit a little
@@ -223,7 +226,7 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
     roots = [cube_root(samples, p) for p in predicted]  # pyright: ignore[reportArgumentType] - each of its own kind
     scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
     values = [valued(layout, s.z) for layout, s in zip(layouts, found, strict=True)]
-    matter = [material.of_matter(v) for material, v in zip(materials, values, strict=True)]
+    matter = [plausible.of_matter(material, v) for material, v in zip(materials, values, strict=True)]
     candidates = [
         schema.Candidate(
             model=material.name, variant=material.variant, cost=storage.finite(s.cost), objective=storage.finite(j),
@@ -257,7 +260,7 @@ def assess(
 
 def fit_coarse(
     layouts: Sequence[Layout],
-    clues: Clues,
+    data: StartHints,
     problem: Problem,
     roughly: Problem,
     config: Config,
@@ -266,13 +269,13 @@ def fit_coarse(
     """The lowest minima that a race from many starting points finds with every model, all cores at work.
 
     Args:
-        clues, first: where to start (`starts.starting_points`).
+        data, first: where to start (`starts.starting_points`).
         roughly: on which candidates for starting points are compared, and the first lap is run (`CANDIDATES`).
     """
     count = RUNNERS_EACH * config.fit.starts
     with ThreadPoolExecutor(max_workers=CORES) as pool:
         rough = [cheaper(layout, CANDIDATE_ORDER) for layout in layouts]
-        runners = starting_points(rough, clues, roughly, count, pool.map, first)
+        runners = starting_points(rough, data, roughly, count, pool.map, first)
 
         def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
             if first and config.fit.backend == "optimistix":
@@ -342,7 +345,7 @@ def _leaders(found: list[Solution], most: int) -> list[Solution]:
 
 def cheaper(layout: Layout, order: int) -> Layout:
     """The same with a convolution of no more than this order."""
-    return replace(layout, model=layout.model.coarse(order))
+    return replace(layout, model=layout.model.cheap_variant(order))
 
 
 def predict_samples(layout: Layout, z: np.ndarray, samples: AnySamples) -> np.ndarray:

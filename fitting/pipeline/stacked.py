@@ -19,11 +19,11 @@ import numpy as np
 from jax import Array
 
 from ...merl_io.samples import Samples, thin
-from ...model.reflectance import Clues
+from ..fit.hints import StartHints
 from ..fit.levenberg_marquardt import Solution, solve_many
 from ..fit.problem import Part, Problem, make_problem
 from ..fit.residuals import compact_normal_equations, spread_out
-from ..fit.starts import clues_of, starting_points
+from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..settings.config import Config
 from ..support.threads import side_by_side
@@ -35,11 +35,11 @@ class Prepared:
     """What a fit needs of one material.
 
     Attributes:
-        clues: where to start. coarse, roughly: problems of the race and of the candidates for starting points.
+        data: where to start. coarse, roughly: problems of the race and of the candidates for starting points.
         problem: of the last steps.
     """
 
-    clues: Clues
+    data: StartHints
     coarse: Problem
     roughly: Problem
     problem: Problem
@@ -49,7 +49,7 @@ def prepare(samples: Samples, config: Config) -> Prepared:
     """Samples of a file gathered as `run.fit` does it."""
     settings = config.fit
     whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
-    return Prepared(clues_of(samples), *make_coarse(samples), whole)
+    return Prepared(start_hints(samples), *make_coarse(samples), whole)
 
 
 def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> list[Solution]:
@@ -59,7 +59,7 @@ def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> 
     """
     cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
     count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
-    runners = [starting_points([rough], m.clues, m.roughly, count)[0] for m in materials]
+    runners = [starting_points([rough], m.data, m.roughly, count)[0] for m in materials]
 
     def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
         model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])

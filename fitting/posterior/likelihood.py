@@ -70,7 +70,7 @@ def stand_in(layout: Layout, samples: Samples, solution: Solution, count: float)
     which the others average out, does not move the maximum.
     """
     least = solution.cost / count
-    rows = few_rows(replace(layout, model=layout.model.stand_in(ORDER)), samples, solution.z, least)
+    rows = few_rows(replace(layout, model=layout.model.cheap_variant(ORDER)), samples, solution.z, least)
     at, jacobian = rows.tangent(solution.z)
     lacking = solution.normal.sum(0)[:-1, -1] - jacobian.T @ (rows.target - at)
     moved = np.linalg.solve(jacobian.T @ jacobian + least * np.eye(len(solution.z)), lacking)

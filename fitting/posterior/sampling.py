@@ -16,6 +16,7 @@ from ...merl_io.archive import arrays
 from ...merl_io.atomic import WriteError
 from ...merl_io.samples import Samples
 from ...merl_io.source import opened
+from ...model.derived import derived
 from ..fit.laplace import laplace_covariance
 from ..fit.outcome import Fitted
 from ..fit.problem import make_problem
@@ -49,7 +50,7 @@ class Sampled:
 @partial(jax.jit, static_argnums=0)
 def _physical(layout: Layout, draws: Array) -> tuple[Array, dict[str, Array]]:
     material, wavelengths = layout.material, layout.bands.wavelengths_um
-    return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: material.derived(layout.values(z), wavelengths), draws)
+    return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: derived(layout.values(z), material, wavelengths), draws)
 
 
 def physical(layout: Layout, draws: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:

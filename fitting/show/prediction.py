@@ -16,6 +16,7 @@ from ...merl_io.binary import Dims, Measurement
 from ...merl_io.grid import MerlGrid, merl_grid
 from ...model.geometry import Geometry
 from ...model.reflectance import Reflectance, contributions, evaluate, prepared
+from ..fit.hints import general_of
 from ..results.schema import Model, Result
 
 WIDEST_DEG = 89.0  # of the viewers of a lobe
@@ -69,8 +70,8 @@ class Fitted:
     """A fitted material, ready to be evaluated.
 
     Attributes:
-        model: what was fitted. values: of the parameters of its general model (`Reflectance.general`), for which alone
-            programs are compiled, and tables that directions share, if there are any.
+        model: what was fitted. values: of the parameters of its general model (:func:`.hints.general_of`), for which
+            alone programs are compiled, and tables that directions share, if there are any.
     """
 
     model: Model
@@ -79,18 +80,18 @@ class Fitted:
     @classmethod
     def of(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
         """Every direction computes all for itself."""
-        return cls(model, model.measured.generalised(values))
+        return cls(model, general_of(model.measured).values(values))
 
     @classmethod
     def tabled(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
         """Tables do for all directions, 99 in 100 to 1e-5 of what they would compute (`reflectance.prepared`)."""
-        given = model.measured.generalised(values)
-        return cls(model, _prepared(model.measured.general, given, tuple(model.wavelengths_um)))
+        general = general_of(model.measured)
+        return cls(model, _prepared(general.model, general.values(values), tuple(model.wavelengths_um)))
 
     def seen_as(self, seen: Reflectance) -> tuple[Reflectance, dict[str, ArrayLike], Array]:
         """The general model of it, seen by the apparatus or not, and what it takes."""
-        general = seen.general
-        taken = {*(q.name for q in general.parameters), *general.curves(), *general.switches}
+        general = general_of(seen).model
+        taken = {*(q.name for q in general.parameters), *general.tables(scattered=True), *general.switches}
         kept = {name: x for name, x in self.values.items() if name in taken}
         return general, kept, jnp.asarray(self.model.wavelengths_um)
 
@@ -124,10 +125,11 @@ def draws_of(result: Result, chain: Mapping[str, np.ndarray]) -> Fitted:
     assert result.model is not None
     count = np.arange(BAND_DRAWS) + 0.5
     drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
-    every = [result.model.measured.generalised(result.values(chain["values"][k])) for k in drawn]
+    general = general_of(result.model.measured)
+    every = [general.values(result.values(chain["values"][k])) for k in drawn]
     stacked = {name: jnp.asarray([each[name] for each in every]) for name in every[0]}
     wavelengths = tuple(result.model.wavelengths_um)
-    return Fitted(result.model, _prepared_of_many(result.model.measured.general, stacked, wavelengths))
+    return Fitted(result.model, _prepared_of_many(general.model, stacked, wavelengths))
 
 
 def band(draws: Fitted, geometry: Geometry) -> np.ndarray:

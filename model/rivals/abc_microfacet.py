@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..body import lambert
-from ..interfaces import fresnel_of_dielectric
+from ..fresnel import fresnel_of_dielectric
 from ..masking.v_groove import v_groove
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, OneFormula, Separated, Setting, Values
-from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
+from ..reflectance import OneFormula, Setting, Values
+from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER
 from .smooth import C_, lobe
 
 
@@ -48,11 +48,3 @@ class ABCMicrofacet(OneFormula):
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         return lambert(v["diffuse_albedo"])
-
-    @property
-    def separated(self) -> Separated:  # noqa: D102
-        return weighted(self, "A", 0.03, 3000.0)
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """At C = 1 half the height is where B (1 - cos theta_h) = 1."""
-        return [{"B": 2 / clues.half_width**2, "C": 1.0}]

@@ -9,7 +9,7 @@ from ..masking import beckmann as masking
 from ..ndf import beckmann
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, Values
+from ..reflectance import Values
 from .microfacets import Microfacets
 
 
@@ -37,7 +37,3 @@ class Beckmann(Microfacets):
 
     def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
         return masking.G1(cos, v["roughness"])
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """D is at half its peak where tan(theta_h) is m sqrt(ln 2), about."""
-        return [{"roughness": clues.half_width / 0.833}]

@@ -20,14 +20,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..body import lambert
-from ..fresnel import schlick_of_F0
-from ..interfaces import fresnel_of_dielectric
+from ..fresnel import fresnel_of_dielectric, schlick_of_F0
 from ..masking.v_groove import v_groove
 from ..ndf import beckmann
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, OneFormula, Separated, Setting, Values
-from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
+from ..reflectance import OneFormula, Setting, Values
+from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER
 
 
 @dataclass(frozen=True)
@@ -74,11 +73,3 @@ class CookTorrance(OneFormula):
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         return lambert(v["diffuse_albedo"])
-
-    @property
-    def separated(self) -> Separated:  # noqa: D102
-        return weighted(self, "albedo", 0.003, 1.95)
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """D is at half its peak where tan(theta_h) is m sqrt(ln 2), about."""
-        return [{"roughness": clues.half_width / 0.833}]

@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from jax import Array
 
 from .. import parameters as declared
 from ..masking import smith
-from ..ndf.epd import HALF, epd
+from ..ndf.epd import epd
 from ..parameters import Parameter
-from ..reflectance import Clues, Factor, Values
+from ..reflectance import Factor, Values
 from .microfacets import Microfacets
 
 
@@ -34,12 +33,8 @@ class EPD(Microfacets):
     def D(self, theta_h: Array, v: Values) -> Array:  # noqa: D102
         return epd(theta_h, v["beta"], v["p"])
 
-    def tables(self) -> dict[str, Factor]:  # noqa: D102
+    def tables(self, scattered: bool = False) -> dict[str, Factor]:  # noqa: D102
         return {"masking_curve": lambda v, s: smith.masking_table(v["p"])} if self.masking == "smith" else {}
 
     def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
         return smith.masking(cos, v["beta"], v["p"], v.get("masking_curve"))
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """At p = 1."""
-        return [{"beta": clues.half_width / float(np.exp(HALF)), "p": 1.0}]

@@ -9,7 +9,7 @@ from ..masking import ggx as masking
 from ..ndf import ggx
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, Values
+from ..reflectance import Values
 from .microfacets import Microfacets
 
 
@@ -38,7 +38,3 @@ class GGX(Microfacets):
 
     def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
         return masking.G1(cos, v["alpha"])
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """D is at half its peak where tan(theta_h) is alpha sqrt(sqrt(2) - 1), about."""
-        return [{"alpha": clues.half_width / 0.644}]

@@ -9,7 +9,7 @@ from jax import Array
 from ..ndf import gtr
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, Values
+from ..reflectance import Values
 from .microfacets import NumericMasking
 
 
@@ -53,7 +53,3 @@ class GTR(NumericMasking):
     def slope(self, v: Values) -> Array:
         """alpha, and larger where the tail is heavy."""
         return v["alpha"] ** jnp.clip(jnp.asarray(self._gamma(v)) / 2, 0.1, 1.0)
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """That of GGX."""
-        return [{"alpha": min(clues.half_width / 0.644, 0.99)}]

@@ -24,17 +24,16 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.scipy.special import erfc
 
 from ..body import lambert
-from ..interfaces import fresnel_of_dielectric
+from ..fresnel import fresnel_of_dielectric
 from ..numerics import safe_sqrt
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values
-from .common import DIFFUSE, weighted
+from ..reflectance import Factor, Lobes, Reflectance, Setting, Values
+from .common import DIFFUSE
 from .he_series import lambert_w, series
 
 SOURCE = "He et al. 1991"
@@ -111,19 +110,6 @@ class He(Reflectance):
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
         return Lobes({"specular": at["albedo"] * at["fresnel"] * at["surface"]}, body=at["body"])
-
-    @property
-    def separated(self) -> Separated:  # noqa: D102
-        return weighted(self, "albedo", 0.003, 300.0)
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """A rough surface reflects as facets of root mean square slope sqrt(2) sigma / tau; a smooth one diffracts.
-
-        The latter's lobe, where sigma is a few hundredths of the wavelength, is exp(-(pi tau v_xy / lambda)^2).
-        """
-        rough = {"autocorrelation": 10.0, "roughness": float(np.clip(10.0 * clues.half_width / 1.18, 2e-3, 19.0))}
-        width = middle_um * 0.833 / (2 * np.pi * clues.half_width)
-        return [rough, {"autocorrelation": float(np.clip(width, 0.6, 290.0)), "roughness": 0.05}]
 
 
 def surface(v: Values, s: Setting) -> Array:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from .. import parameters as declared
@@ -12,11 +11,11 @@ from ..acquisition import epd_of_rings
 from ..body import lambert
 from ..fresnel import schlick_of_F0
 from ..masking import smith
-from ..ndf.epd import HALF, epd
+from ..ndf.epd import epd
 from ..numerics import Real
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, Factor, Lobes, Reflectance, Setting, Values, Wavelengths
+from ..reflectance import Factor, Lobes, Reflectance, Setting, Values, Wavelengths
 from .common import DIFFUSE
 
 SOURCE = "HP15 Eq. 24-27"
@@ -74,7 +73,7 @@ class HP15(Reflectance):
             "body": lambda v, s: lambert(v["diffuse_albedo"]),
         }
 
-    def tables(self) -> dict[str, Factor]:  # noqa: D102
+    def tables(self, scattered: bool = False) -> dict[str, Factor]:  # noqa: D102
         return {"masking_curve": lambda v, s: smith.masking_table(v["p"])}
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
@@ -83,15 +82,6 @@ class HP15(Reflectance):
 
     def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = declared.WAVELENGTHS_UM) -> Array:  # noqa: D102
         return epd_of_rings(v["beta"], v["p"]) if lobe == "specular" else super().profile(lobe, v, wavelengths_um)
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """The highlight is the facets' lobe, and diffracted light a wide haze; or it is itself diffracted."""
-        first = {"beta": clues.half_width / float(np.exp(HALF)), "p": 1.0, "a": 0.9}
-        return [first, {**first, "a": float(np.clip(2 * clues.half_width / (0.64 * middle_um), 0.02, 40.0))}]
-
-    @property
-    def basins(self) -> dict[str, int]:  # noqa: D102
-        return {"beta": 3, "p": 2, "a": 3}
 
 
 def _masking(v: Values, s: Setting) -> Array:

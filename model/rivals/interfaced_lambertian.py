@@ -21,13 +21,13 @@ import numpy as np
 from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
-from ..body import plastic, substrate
+from ..body import substrate
 from ..geometry import Geometry
 from ..numerics import Real, safe_divide, safe_sqrt
 from ..parameters import Parameter
 from ..priors import LogNormal
 from ..quadrature import gauss_legendre
-from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values
+from ..reflectance import Factor, Lobes, Reflectance, Setting, Values
 from .beckmann import Beckmann
 from .ggx import GGX
 from .microfacets import Microfacets
@@ -63,9 +63,6 @@ class _Gaussian(Microfacets):
 
     def G1(self, cos: Array, v: Values) -> Array:
         raise ValueError("Smith's masking of Gaussian normals is 0: they need V-grooves")
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        return [{"roughness": float(np.clip(clues.half_width / 1.18, 2e-3, 0.9))}]
 
 
 class Normals(NamedTuple):
@@ -127,8 +124,8 @@ class InterfacedLambertian(Reflectance):
     def objection(self) -> str | None:  # noqa: D102
         return "form 'reference' is a reference; no fit uses it" if self.form == "reference" else None
 
-    def tables(self) -> Mapping[str, Factor]:  # noqa: D102
-        return self.surface.tables()
+    def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
+        return self.surface.tables(scattered)
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
         own = {name: factor for name, factor in self.surface.factors().items() if name != "body"}
@@ -165,15 +162,6 @@ class InterfacedLambertian(Reflectance):
         angle = sigma * jnp.sqrt(-2 * jnp.log1p(-reached * nodes))
         shares = jnp.asarray(weights) * jnp.sinc(angle / np.pi)
         return Normals(jnp.tan(angle), shares / jnp.sum(shares))
-
-    @property
-    def separated(self) -> Separated:
-        """The surface exactly, the body as that of a smooth plastic."""
-        return self.surface.separated._replace(body=plastic, body_constant="eta")
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """Those of the surface."""
-        return self.surface.starts(clues, middle_um)
 
 
 class _Pairs(NamedTuple):

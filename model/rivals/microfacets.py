@@ -2,27 +2,22 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from jax import Array
 
 from .. import parameters as declared
-from ..body import lambert, lambert_of
-from ..fresnel import fresnel, schlick_of_F0
-from ..interfaces import DIELECTRICS, FACETS, METALS, fresnel_of_dielectric
+from ..body import lambert
+from ..fresnel import fresnel, fresnel_of_dielectric, schlick_of_F0
 from ..masking import smith_numeric
 from ..masking.v_groove import v_groove
 from ..parameters import Parameter
-from ..reflectance import Clues, Factor, Lobes, Reflectance, Separated, Setting, Values
+from ..reflectance import Factor, Lobes, Reflectance, Setting, Values
 
 F0 = Parameter("F0", "F_0", "reflectance of a facet at normal incidence", "1", 0.05, 0.0, 1.0, "linear",
                per_channel=True, source="Schlick 1994", quantity="odds")  # fmt: skip
 INTERFACES = {"schlick": (F0,), "dielectric": declared.INTERFACE, "conductor": declared.CONDUCTOR}
-TRIED = {
-    "schlick": (FACETS, schlick_of_F0), "dielectric": (DIELECTRICS, fresnel_of_dielectric),
-    "conductor": (METALS, fresnel),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,17 +85,6 @@ class Microfacets(Reflectance):
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
         return Lobes({"specular": at["facets"] * at["distribution"]}, at["masked"], at["body"])
 
-    @property
-    def separated(self) -> Separated:
-        """Exactly: lobes are those of facets with F0 = 1."""
-        constants, formula = TRIED[self.fresnel]
-        lobes, fixed = replace(self, fresnel="schlick"), (("F0", 1.0), ("albedo", 0.0))
-        return Separated(lobes, fixed, constants, formula, self.fresnel == "dielectric", lambert_of)
-
-    @abstractmethod
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """The width that the highlight has."""
-
 
 @dataclass(frozen=True)
 class NumericMasking(Microfacets):
@@ -114,7 +98,7 @@ class NumericMasking(Microfacets):
     def slope(self, v: Values) -> Array:
         """A typical slope."""
 
-    def tables(self) -> dict[str, Factor]:  # noqa: D102
+    def tables(self, scattered: bool = False) -> dict[str, Factor]:  # noqa: D102
         return {"masking_curve": lambda v, s: self._curve(v)} if self.masking == "smith" else {}
 
     def _curve(self, v: Values) -> Array:

@@ -11,7 +11,6 @@ from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from ..geometry import Geometry
@@ -20,7 +19,7 @@ from ..numerics import Real, Scalar, safe_divide, safe_sqrt
 from ..parameters import ALBEDO, Parameter
 from ..priors import LogNormal
 from ..quadrature import gauss_legendre
-from ..reflectance import Clues, Factor, Lobes, Reflectance, Setting, Values
+from ..reflectance import Factor, Lobes, Reflectance, Setting, Values
 from .oren_nayar_qualitative import PAPER, ROUGHNESS
 
 WEIGHT = Parameter("k_s", "k_s", "weight of the surface's reflection", "1", 0.05, 1e-5, 10.0, per_channel=True,
@@ -81,10 +80,6 @@ class OrenNayar(Reflectance):
         g = s.geometry
         grooves = v_groove(g) / (g.cos_i * g.cos_o)
         return Lobes({"specular": at["weight"] * at["distribution"]}, grooves, at["body"])
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """exp(-theta_h^2 / (2 sigma^2)) is a half at 1.18 sigma."""
-        return [] if self.surface == "none" else [{"roughness": float(np.clip(clues.half_width / 1.18, 2e-3, 1.4))}]
 
 
 def _distribution(v: Values, s: Setting) -> Array:

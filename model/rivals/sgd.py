@@ -11,7 +11,7 @@ from ..ndf import sgd
 from ..numerics import Real
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, OneFormula, Setting, Values
+from ..reflectance import OneFormula, Setting, Values
 from .common import DIFFUSE
 
 SOURCE = "Bagher et al. 2012"
@@ -90,11 +90,3 @@ class ShiftedGamma(OneFormula):
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         return lambert(v["diffuse_albedo"])
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """Narrow lobes fall as (1 + tan^2 / alpha^2)^-p at first."""
-        return [{"alpha": min(clues.half_width / 1.2, 1.5)}]
-
-    @property
-    def basins(self) -> dict[str, int]:  # noqa: D102
-        return {"alpha": 3, "p": 2}

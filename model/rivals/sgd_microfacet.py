@@ -8,7 +8,7 @@ from jax import Array
 from ..ndf import sgd
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, Values
+from ..reflectance import Values
 from .microfacets import NumericMasking
 
 
@@ -42,7 +42,3 @@ class SGDMicrofacet(NumericMasking):
 
     def slope(self, v: Values) -> Array:  # noqa: D102
         return v["alpha"]
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """Narrow lobes fall as (1 + tan^2 / alpha^2)^-p at first."""
-        return [{"alpha": min(clues.half_width / 1.2, 1.5)}]

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..body import lambert
+from ..fresnel import fresnel_of_dielectric
 from ..geometry import Geometry
-from ..interfaces import fresnel_of_dielectric
 from ..numerics import Real, safe_sqrt
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Clues, OneFormula, Separated, Setting, Values
-from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER, weighted
+from ..reflectance import OneFormula, Setting, Values
+from .common import DIFFUSE, LOEW_ETA, LOEW_PAPER
 
 C_ = Parameter("C", "C", "falloff exponent of the lobe's tail", "1", 1.0, 1e-2, 10.0, source="Loew et al. 2012",
                prior=LogNormal(0.8, 2.5))  # fmt: skip
@@ -62,11 +62,3 @@ class Smooth(OneFormula):
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102
         return lambert(v["diffuse_albedo"])
-
-    @property
-    def separated(self) -> Separated:  # noqa: D102
-        return weighted(self, "A", 0.03, 3000.0)
-
-    def starts(self, clues: Clues, middle_um: float) -> list[dict[str, float]]:
-        """At C = 1 half the height is where B D_p^2 = 1, D_p about twice tan(theta_h)."""
-        return [{"B": 1 / (2 * clues.half_width) ** 2, "C": 1.0}]

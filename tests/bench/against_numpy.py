@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.fit.levenberg_marquardt import prior_factor
 from merlfit.fitting.fit.problem import energy
-from merlfit.fitting.fit.starts import clues_of, starting_points
+from merlfit.fitting.fit.starts import start_hints, starting_points
 from merlfit.fitting.pipeline.run import (
     CANDIDATE_ORDER,
     CANDIDATES,
@@ -64,7 +64,7 @@ class Plain:
 def coarse_stage(layout, samples, config):
     """Seconds of the race that `run.fit_coarse` makes, from merlfit's starting points, which cost nothing here."""
     rough, (_, roughly) = cheaper(layout, CANDIDATE_ORDER), make_coarse(samples)
-    points = starting_points([rough], clues_of(samples), roughly, RUNNERS_EACH * config.fit.starts)[0]
+    points = starting_points([rough], start_hints(samples), roughly, RUNNERS_EACH * config.fit.starts)[0]
     begun, plain = time.perf_counter(), Plain(layout, thin(samples, COARSE_RUNS))
     begin = Plain(layout, thin(samples, FIRST_RUNS))
 

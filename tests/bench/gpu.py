@@ -53,7 +53,7 @@ def one_by_one(layout, some, config):
     """Costs of the same fits without a batch."""
     cheap, costs = [cheaper(layout, COARSE_ORDER)], []
     for material in some:
-        (found,) = fit_coarse(cheap, material.clues, material.coarse, material.roughly, config)
+        (found,) = fit_coarse(cheap, material.data, material.coarse, material.roughly, config)
         costs.append(solve(Objective(layout, material.problem), found.z, config.fit.max_steps).cost)
     return costs
 

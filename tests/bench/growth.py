@@ -3,10 +3,11 @@
 import time
 
 import numpy as np
+from merlfit.fitting.fit.hints import hints_of
 from merlfit.fitting.fit.levenberg_marquardt import solve
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
-from merlfit.fitting.fit.starts import clues_of
+from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.run import GRIDS
@@ -33,7 +34,9 @@ def measure(path, grid, azimuths, precision):
     samples = thin(weighted_samples(read(path)), GRIDS[grid])
     problem = make_problem(samples, int(azimuths), precision)
     typical = {q.name: q.default for q in layout.parameters}
-    start = layout.free({**typical, **OPTICS, **layout.model.starts(clues_of(samples), layout.bands.middle_um)[0]})
+    start = layout.free(
+        {**typical, **OPTICS, **hints_of(layout.model).starts(start_hints(samples), layout.bands.middle_um)[0]}
+    )
     before = resident_peak()
     runs = []
     for _ in range(REPEATS + 1):  # the first one compiles

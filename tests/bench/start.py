@@ -5,7 +5,7 @@ import time
 from merlfit.fitting.fit.levenberg_marquardt import solve
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
-from merlfit.fitting.fit.starts import clues_of
+from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
@@ -22,7 +22,7 @@ def coarse_optimum(path, body):
     config = load(body=body, posterior=False)
     (model,) = candidates(config)
     layout, samples = layout_for(config, model), weighted_samples(read(path), config.rungs[0], config.fit.theta_max)
-    (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], clues_of(samples), *make_coarse(samples), config)
+    (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], start_hints(samples), *make_coarse(samples), config)
     return config, layout, samples, found.z
 
 

@@ -8,7 +8,7 @@ import pytest
 from merlfit.fitting.fit.levenberg_marquardt import solve
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
-from merlfit.fitting.fit.starts import clues_of, starting_points
+from merlfit.fitting.fit.starts import start_hints, starting_points
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.fitting.results import schema
@@ -58,7 +58,7 @@ def test_normal_equations_of_any_number_of_bands(model, bands):
 def test_a_fit_of_any_number_of_bands_finds_what_the_data_were_made_of(bands):
     layout, samples, z = samples_of(Measured(GGX()), bands)
     objective = Objective(layout, make_problem(samples))
-    starts = starting_points([layout], clues_of(samples), objective.problem, 4)[0]
+    starts = starting_points([layout], start_hints(samples), objective.problem, 4)[0]
     best = min((solve(objective, start) for start in starts), key=lambda s: s.cost)
     np.testing.assert_allclose(layout.flat(jnp.asarray(best.z)), layout.flat(jnp.asarray(z)), rtol=1e-4)
 

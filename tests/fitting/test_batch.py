@@ -10,7 +10,7 @@ import pytest
 from merlfit.fitting.fit.levenberg_marquardt import solve
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
-from merlfit.fitting.fit.starts import clues_of
+from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
@@ -94,7 +94,7 @@ def test_whole_fits_are_those_of_single_files():
     files = [weighted_samples(measured(seed)[0]) for seed in (4, 5)]
     together = fit_batch(LAYOUT, [prepare(samples, config) for samples in files], config)
     for samples, found in zip(files, together, strict=True):
-        (best,) = run.fit_coarse([LAYOUT], clues_of(samples), *run.make_coarse(samples), config)
+        (best,) = run.fit_coarse([LAYOUT], start_hints(samples), *run.make_coarse(samples), config)
         alone = solve(Objective(LAYOUT, make_problem(thin(samples, run.COARSE), 4)), best.z, config.fit.max_steps)
         assert (found.steps, found.converged) == (alone.steps, alone.converged)
         assert found.cost == pytest.approx(alone.cost, rel=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import typer
 from merlfit.fitting.commands.settings import parameters_given
-from merlfit.fitting.fit.projection import _separated
+from merlfit.fitting.fit.projection import _linear
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.settings.config import ConfigError, load, parameters_of
@@ -168,8 +168,8 @@ def test_options_of_the_command_are_the_same_settings(capsys):
 
 
 def test_a_constant_that_is_fixed_is_the_only_one_tried():
-    assert _separated(constrained(eta=Constraint(fixed=(1.45,)))).constants["eta"].tolist() == [1.45]
-    assert len(_separated(constrained(p=Constraint(fixed=(0.9,)))).constants["eta"]) > 1
+    assert _linear(constrained(eta=Constraint(fixed=(1.45,)))).constants["eta"].tolist() == [1.45]
+    assert len(_linear(constrained(p=Constraint(fixed=(0.9,)))).constants["eta"]) > 1
 
 
 def test_arrays_with_a_fixed_index_and_bounds_give_the_rest():

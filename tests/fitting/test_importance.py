@@ -15,6 +15,7 @@ from merlfit.fitting.posterior import importance
 from merlfit.fitting.posterior.chain import WALKERS, Chain
 from merlfit.fitting.posterior.diagnosis import LEAST_SIZE, diagnose
 from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
+from merlfit.model.derived import quantities
 
 from tests.support.stand_ins import LAYOUT
 
@@ -119,7 +120,7 @@ def test_weights_too_uneven_for_any_chain_do_not_send_it_on(monkeypatch):
 def test_too_short_a_chain_goes_into_json():
     with np.errstate(divide="ignore"):
         found = corrected(gaussian_chain(steps=50), gaussian, gaussian)
-    told = {q.name: np.zeros((len(found.draws) + 1, 3 if q.per_channel else 1)) for q in LAYOUT.material.quantities}
+    told = {q.name: np.zeros((len(found.draws) + 1, 3 if q.per_channel else 1)) for q in quantities(LAYOUT.material)}
     sampled = SimpleNamespace(
         posterior=found, values=found.draws, derived={k: x[:-1] for k, x in told.items()},
         at_fit={k: x[-1] for k, x in told.items()},

@@ -10,7 +10,7 @@ import pytest
 from merlfit.fitting.fit.levenberg_marquardt import solve
 from merlfit.fitting.fit.problem import directions, make_problem
 from merlfit.fitting.fit.residuals import Objective, predict
-from merlfit.fitting.fit.starts import clues_of, starting_points
+from merlfit.fitting.fit.starts import start_hints, starting_points
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
@@ -105,7 +105,7 @@ def test_truth_is_recovered(model, dense):
     samples = of_model(model, dense, truth)
     samples = dataclasses.replace(samples, weight=samples.weight / np.maximum(samples.value, 1e-3))
     objective = Objective(layout, make_problem(samples))
-    starts = starting_points([layout], clues_of(samples), objective.problem, 5)[0]
+    starts = starting_points([layout], start_hints(samples), objective.problem, 5)[0]
     found = min((solve(objective, z, 150) for z in starts), key=lambda s: s.cost)
     values = layout.values(jnp.asarray(found.z))
     if model.name == "sgd":

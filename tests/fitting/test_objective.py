@@ -12,7 +12,7 @@ from merlfit.fitting.fit.levenberg_marquardt import Status, solve
 from merlfit.fitting.fit.outcome import Fitted
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective, compact_normal_equations, spread_out
-from merlfit.fitting.fit.starts import clues_of, starting_points
+from merlfit.fitting.fit.starts import start_hints, starting_points
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
@@ -80,7 +80,7 @@ def test_the_program_of_all_kinds_has_the_normal_equations_of_each(coarse, kind)
 def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
     thinned = thin(coarse[0], (5, 5, 1))
     problem = make_problem(thinned)
-    z = jnp.asarray(starting_points([LOBE], clues_of(coarse[0]), problem, 1)[0][0])
+    z = jnp.asarray(starting_points([LOBE], start_hints(coarse[0]), problem, 1)[0][0])
     assert len(problem.parts) == 1
     assert problem.parts[0].target.shape[0] == 1
     monkeypatch.setattr(problems, "BLOCK", 700)

@@ -9,6 +9,7 @@ from merlfit.fitting.fit.error_metrics import Errors
 from merlfit.fitting.fit.largest_albedo import largest_albedo
 from merlfit.fitting.fit.levenberg_marquardt import BLACK, LEAST_BINS, UNEXPLAINED_COST, Solution, Status
 from merlfit.fitting.fit.outcome import POOR, Fitted, cautions, excess
+from merlfit.fitting.fit.plausible import METAL_FLOOR
 from merlfit.fitting.fit.selection import ALIKE, MARGIN
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
@@ -18,7 +19,6 @@ from merlfit.fitting.settings.config import load
 from merlfit.merl_io.bands import MERL
 from merlfit.merl_io.binary import DIMS
 from merlfit.model.measured import Measured
-from merlfit.model.plausible import METAL_FLOOR
 from merlfit.model.priors import PRIORS
 from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale

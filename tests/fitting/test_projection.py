@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.fit import projection
+from merlfit.fitting.fit.hints import DIELECTRICS, METALS, hints_of
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.projection import ALBEDOS, BATCH, project
 from merlfit.fitting.fit.residuals import Objective
@@ -14,7 +15,6 @@ from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.effects import KINDS
-from merlfit.model.interfaces import DIELECTRICS, METALS
 from merlfit.model.measured import Measured
 from merlfit.model.rivals.abc_microfacet import ABCMicrofacet
 from merlfit.model.rivals.cook_torrance import CookTorrance
@@ -148,7 +148,7 @@ SEPARATED = [
 
 
 @pytest.mark.parametrize("model", SEPARATED, ids=str)
-def test_channels_of_rivals_are_separated_exactly(model, blank):
+def test_channels_of_rivals_are_linear_exactly(model, blank):
     """Projected costs are the model's own, and no other constants that are tried are better."""
     layout, rng = layout_of(Measured(model)), np.random.default_rng(1)
     z = 0.5 * rng.standard_normal(layout.size)
@@ -160,7 +160,7 @@ def test_channels_of_rivals_are_separated_exactly(model, blank):
     ((costs, found),) = project([layout], shared, objective.problem)
     ours = np.asarray(objective.costs_of_many({name: jnp.asarray(x) for name, x in found.items()})).sum(1)
     np.testing.assert_allclose(costs, ours, rtol=1e-6)
-    parted = layout.model.separated
+    parted = hints_of(layout.model).linear
     for _ in range(10):
         chosen = rng.integers(0, len(next(iter(parted.constants.values()))), (2, 1 if parted.alike else 3))
         other = {**found, **{name: np.broadcast_to(x[chosen], (2, 3)) for name, x in parted.constants.items()}}

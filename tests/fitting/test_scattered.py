@@ -10,7 +10,7 @@ from merlfit.fitting.commands.metrics import samples_by_incidence
 from merlfit.fitting.fit import scattered_errors as assess
 from merlfit.fitting.fit.problem import Arrangement, make_problem
 from merlfit.fitting.fit.residuals import Objective, predict_samples
-from merlfit.fitting.fit.starts import clues_of
+from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import compressive_weight, cos_weighted_median, weighted_samples
 from merlfit.fitting.pipeline.result import unread
@@ -255,7 +255,7 @@ def test_errors_alike_among_neighbours_count_once(file):
 
 def test_the_width_of_the_highlight_is_read_off():
     samples = weighted_samples(_measured(lambda theta_h: np.exp(-np.log(2) * (np.tan(theta_h) / 0.1) ** 2) + 0.01))
-    assert clues_of(samples).half_width == pytest.approx(0.1, rel=0.3)
+    assert start_hints(samples).half_width == pytest.approx(0.1, rel=0.3)
 
 
 def _measured(brdf):

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from merlfit.fitting.fit import starts
+from merlfit.fitting.fit.hints import DIELECTRICS, TYPICAL, StartHints, hints_of
 from merlfit.fitting.fit.levenberg_marquardt import solve
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.projection import ALBEDOS, project
@@ -17,21 +19,19 @@ from merlfit.fitting.fit.starts import (
     NEAR,
     RIM,
     SCATTER,
-    clues_of,
     half_width,
+    start_hints,
     starting_points,
 )
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
-from merlfit.model.interfaces import DIELECTRICS
 from merlfit.model.measured import Measured
 from merlfit.model.priors import PRIORS, LogNormal
-from merlfit.model.reflectance import Clues
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
-from merlfit.model.two_scale import TYPICAL, TwoScale
+from merlfit.model.two_scale import TwoScale
 from scipy.special import ndtr, ndtri
 
 LAYOUT = layout_of(Measured(TwoScale("lambert", "lobe")))
@@ -46,9 +46,9 @@ TRUTH = {
     "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
     "grazing_exponent_diffracted": 0.2, "eta": np.full(3, 1.5), "albedo": np.array([0.5, 0.3, 0.1]),
 }  # fmt: skip
-CLASSES = LAYOUT.model.basins
+CLASSES = hints_of(LAYOUT.model).strata
 MIDDLE_UM = LAYOUT.bands.middle_um
-SEEN = Clues(MIDDLE_UM / 120)  # a highlight that were diffracted light of b = 60 um
+SEEN = StartHints(MIDDLE_UM / 120)  # a highlight that were diffracted light of b = 60 um
 FIRST = {**TYPICAL, "beta": 0.05, "grazing_exponent": 0.5, "grazing_exponent_diffracted": 0.3}
 
 
@@ -185,7 +185,7 @@ def test_effects_without_diffraction_are_scattered_too(problem):
 
 def test_the_first_has_the_width_of_a_known_lobe(samples):
     half = TRUTH["beta"] * np.log(2) ** (1 / (2 * TRUTH["p"]))
-    first, other = LAYOUT.model.starts(clues_of(samples), MIDDLE_UM)
+    first, other = hints_of(LAYOUT.model).starts(start_hints(samples), MIDDLE_UM)
     assert half / 2 < first["beta"] * np.log(2) ** (1 / (2 * first["p"])) < 2 * half
     assert {name: first[name] for name in TYPICAL} == TYPICAL
     assert {name for name in other if other[name] != first[name]} == {"b"}
@@ -193,13 +193,13 @@ def test_the_first_has_the_width_of_a_known_lobe(samples):
 
 def test_the_correlation_length_is_that_of_a_highlight_of_diffracted_light(samples):
     sharp = {**TRUTH, "beta": 0.002, "b": 20.0, "sigma_s": 0.2}
-    clues = clues_of(replace(samples, value=predict_samples(LAYOUT, LAYOUT.free(sharp), samples)))
-    assert sharp["b"] / 2 < LAYOUT.model.starts(clues, MIDDLE_UM)[1]["b"] < 2 * sharp["b"]
+    clues = start_hints(replace(samples, value=predict_samples(LAYOUT, LAYOUT.free(sharp), samples)))
+    assert sharp["b"] / 2 < hints_of(LAYOUT.model).starts(clues, MIDDLE_UM)[1]["b"] < 2 * sharp["b"]
 
 
 def test_a_black_file_has_a_first_one_nevertheless(samples):
     for black in (replace(samples, value=0 * samples.value), replace(samples, weight=0 * samples.weight)):
-        for values in LAYOUT.model.starts(clues_of(black), MIDDLE_UM):
+        for values in hints_of(LAYOUT.model).starts(start_hints(black), MIDDLE_UM):
             assert np.all(np.isfinite(LAYOUT.free({**TRUTH, **values})))
 
 
@@ -240,16 +240,13 @@ def test_the_half_width_of_nothing_is_a_number():
         assert 0 < half_width(grid.theta_h, grid.theta_d, value, nothing) <= 2
 
 
-class Inseparable(GGX):
-    """The same, whose channels are searched."""
-
-    separated = None
-
-
-@pytest.mark.parametrize("model", [GGX(), Inseparable()], ids=["projected", "searched"])
-def test_points_of_any_model_are_of_every_width_and_suit_every_channel(samples, model):
+@pytest.mark.parametrize("linear", [True, False], ids=["projected", "searched"])
+def test_points_of_any_model_are_of_every_width_and_suit_every_channel(samples, linear, monkeypatch):
     """Of a narrow lobe over a bright body a wide one is the cheaper guess: with guesses by cost alone it were lost."""
-    layout = layout_of(Measured(model))
+    layout = layout_of(Measured(GGX()))
+    if not linear:
+        own = replace(hints_of(layout.model), linear=None)
+        monkeypatch.setattr(starts, "hints_of", lambda model: own)
     value = predict_samples(layout, layout.free(NARROW), samples)
     problem = make_problem(
         thin(replace(samples, value=value, weight=samples.weight / np.maximum(value, 1e-2)), (2, 3, 1))

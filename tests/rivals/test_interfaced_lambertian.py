@@ -7,7 +7,7 @@ import pytest
 from jaxtyping import TypeCheckError
 from merlfit.model import sampled_facets
 from merlfit.model.body import plastic
-from merlfit.model.interfaces import fresnel_of_dielectric
+from merlfit.model.fresnel import fresnel_of_dielectric
 from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian, through
 from merlfit.model.rivals.oren_nayar import OrenNayar
 from scipy.integrate import quad

@@ -4,6 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ...model.reflectance import Reflectance
+from ...model.two_scale import TwoScale
+
 METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
 METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
 BRIGHT = 0.1  # albedo under a complex index that dust explains no more: a choice goes by it, cautions by the floor
@@ -11,13 +14,17 @@ LEAST_K = 0.2  # in some channel: what absorbs less is a dielectric (the darkest
 SILVERY = 0.1, 2.0  # an n below the first is silver's, whose k is above the second (Johnson & Christy 1972)
 
 
-def cautions(v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]) -> list[str]:
-    """What to know of them; nothing where there is nothing to doubt.
+def cautions(
+    material: Reflectance, v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_um: Sequence[float]
+) -> list[str]:
+    """What to know of them; nothing where there is nothing to doubt, and of other models.
 
     Args:
         v: by parameter, (1,), or (C,) for those per channel. channels: their names. wavelengths_um: theirs.
     """
     found = []
+    if not isinstance(material, TwoScale):
+        return found
     if float(np.max(v.get("sigma_s", np.zeros(1)))) > min(wavelengths_um) / 2:
         found.append(
             "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
@@ -25,13 +32,13 @@ def cautions(v: Mapping[str, np.ndarray], channels: Sequence[str], wavelengths_u
     return found + (_of_no_metal(v, channels) if "k" in v else [])
 
 
-def of_matter(v: Mapping[str, np.ndarray]) -> bool:
+def of_matter(material: Reflectance, v: Mapping[str, np.ndarray]) -> bool:
     """Whether some matter may have these constants, if its photograph has any scale: what a choice goes by.
 
     Metals of photographs are up to ten times too dark, so that their n and k lie far from the tables' (`cautions` says
     so), but they are no bright bodies, they absorb, and only the best mirrors have an n near 0.
     """
-    if "k" not in v:
+    if "k" not in v or not isinstance(material, TwoScale):
         return True
     n, k = np.atleast_1d(v["n"]), np.atleast_1d(v["k"])
     floor = float(np.max(v.get("albedo", np.zeros(1))))

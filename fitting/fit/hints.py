@@ -1,0 +1,276 @@
+"""What helps a fit of a model, and that its BRDF does not depend on: starting points, strata, cheaper variants.
+
+All of it is optional: a model of which nothing is said here starts from points of its prior (docs/extending.md).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import product
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from ...model import body as bodies
+from ...model.effects import BODIES
+from ...model.fresnel import fresnel, fresnel_of_dielectric, schlick, schlick_of_dielectric, schlick_of_F0
+from ...model.measured import Measured
+from ...model.ndf.epd import HALF
+from ...model.reflectance import Reflectance
+from ...model.terms import WHICH
+
+TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # of a two-scale material, where fits start
+STRATA = 3  # of every shared parameter with a logarithmic scale
+_METALS = np.array(list(product(np.geomspace(0.05, 6, 14), np.geomspace(0.05, 12, 14)))).T
+METALS = {"n": _METALS[0], "k": _METALS[1]}
+DIELECTRICS = {"eta": 1 + np.geomspace(0.15, 1.55, 10)}
+FACETS = {"F0": np.geomspace(0.003, 0.95, 16)}
+TRIED = {
+    "schlick": (FACETS, schlick_of_F0), "dielectric": (DIELECTRICS, fresnel_of_dielectric),
+    "conductor": (METALS, fresnel),
+}  # fmt: skip
+"""By the interface of microfacets: constants that are worth a try where a fit starts, and what facets reflect."""
+BODY_BRDF = {
+    "none": None, "lambert": bodies.lambert_of, "plastic": bodies.plastic, "subsurface": bodies.subsurface,
+}  # fmt: skip
+PERFECT = (("n", 0.0), ("k", 1.0))  # index of facets that reflect everything
+
+
+class StartHints(NamedTuple):
+    """What data say of where to start.
+
+    Attributes:
+        half_width: tan(theta_h) where the highlight has fallen to half.
+    """
+
+    half_width: float
+
+
+Start = dict[str, float]
+Starts = Callable[[StartHints, float], list[Start]]
+
+
+class LinearParameters(NamedTuple):
+    """What parameters per channel do to a BRDF, exactly or nearly, once the shared ones are given.
+
+        brdf = reflectance(cos_d; constants) lobes + body(cos_i, cos_o, constants, albedo)
+
+    Attributes:
+        lobes: the sharp lobes of facets that reflect everything. fixed: values per channel that make them so, by name.
+        constants: values of the interface that are worth a try, (K,) each, by name.
+        reflectance: of a facet, from cos_d (D,) and the constants (K, 1): (K, D).
+        alike: whether all channels take the same ones.
+        body: from the cosines, a constant and an albedo that broadcast against them; or None.
+        body_constant: name of the constant that the body depends on, if it depends on one.
+        albedo: name of the body's albedo.
+    """
+
+    lobes: Reflectance
+    fixed: tuple[tuple[str, float], ...]
+    constants: Mapping[str, np.ndarray]
+    reflectance: Callable[..., Array]
+    alike: bool
+    body: Callable[[Array, Array, Array, Array], Array] | None = None
+    body_constant: str | None = None
+    albedo: str = "albedo"
+
+
+class General(NamedTuple):
+    """A model of which another one is a special case: what is compiled for it serves all of its kind.
+
+    Attributes:
+        model: that one. values: its values with the same BRDF, from those of the special case. names: of its
+            parameters, in the order of the special case's.
+    """
+
+    model: Reflectance
+    values: Callable[[Mapping[str, ArrayLike]], dict[str, ArrayLike]]
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Hints:
+    """What helps a fit of one model.
+
+    Attributes:
+        starts: parameters from which a fit may start, by name, channels alike, from what the data say and the
+            wavelength (um) of the middle channel; what is left out has its default. The first is a guess of everything;
+            what others have differently is another reading of the same data.
+        strata: parameters by which minima differ, and into how many classes, equally likely, each is divided; None for
+            all shared ones with a logarithmic scale.
+        linear: how constants and albedos of the channels are found without a search; None if they cannot.
+        search: a variant with the same parameters, in which the lowest minimum is looked for; None for the model.
+    """
+
+    starts: Starts = field(default=lambda data, middle_um: [])
+    strata: Mapping[str, int] | None = None
+    linear: LinearParameters | None = None
+    search: Reflectance | None = None
+
+
+@cache
+def hints_of(model: Reflectance) -> Hints:
+    """What is known of a model; of one that an apparatus sees, what is known of its material."""
+    if isinstance(model, Measured):
+        found = hints_of(model.material)
+        linear, search = found.linear, found.search
+        return replace(
+            found,
+            linear=linear and linear._replace(lobes=replace(model, material=linear.lobes)),
+            search=search and replace(model, material=search),
+        )
+    found = _BY_NAME[model.name](model) if model.name in _BY_NAME else Hints()
+    if found.strata is not None:
+        return found
+    shared = [q.name for q in model.parameters if q.scale == "log" and not q.per_channel]
+    return replace(found, strata=dict.fromkeys(shared, STRATA))
+
+
+@cache
+def general_of(model: Reflectance) -> General:
+    """The model that is compiled for all of a kind: itself, or for two-scale materials one whatever the interface.
+
+    A dielectric is a conductor with k = 0, and which body it is, is said by a number when the program runs. The
+    conserving split treats kinds too differently.
+    """
+    material: Any = model.material if isinstance(model, Measured) else model
+    names = tuple(q.name for q in model.parameters)
+    if material.name != "two-scale" or material.general == material:
+        return General(model, dict, names)
+
+    def values(v: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+        given = dict(v)
+        if material.index == "real":
+            given["n"] = given.pop("eta")
+            given["k"] = np.zeros_like(given["n"])
+        if material.body == "none":
+            given["albedo"] = np.zeros_like(given["n"])
+        return given | {WHICH: np.int32(BODIES.index(material.body))}
+
+    whole = replace(model, material=material.general) if isinstance(model, Measured) else material.general
+    return General(whole, values, tuple("n" if name == "eta" else name for name in names))
+
+
+def _two_scale(model: Any) -> Hints:  # noqa: ANN401 - of the class that its name says, like what follows
+    """The measured highlight may be the facets' lobe, or diffracted light; the search is with the printed split.
+
+    A diffraction lobe's half width is where 2 tan(theta_h) / lambda = 1 / b. Channels are separated nearly: with F
+    instead of Q for the colour of diffracted light. The conserving split costs a hundred times as much.
+    """
+    diffracts = model.diffraction != "off"
+
+    def starts(data: StartHints, middle_um: float) -> list[Start]:
+        first = {**TYPICAL, "beta": data.half_width / float(np.exp(HALF / TYPICAL["p"]))}
+        if not diffracts:
+            return [{name: first[name] for name in ("beta", "p")}]
+        return [first, {**first, "b": middle_um / (2 * data.half_width)}]
+
+    exact, real = model.fresnel == "exact", model.index == "real"
+    of_metal, of_dielectric = (fresnel, fresnel_of_dielectric) if exact else (schlick, schlick_of_dielectric)
+    linear = LinearParameters(
+        model.changed(body="none", index="complex", colour="fresnel", split="printed"),
+        PERFECT, DIELECTRICS if real else METALS, of_dielectric if real else of_metal,
+        real, BODY_BRDF[model.body], "eta" if model.body in ("plastic", "subsurface") else None,
+    )  # fmt: skip
+    strata = {"beta": 3, "p": 2, **({"sigma_s": 2} if diffracts else {})}
+    return Hints(starts, strata, linear, replace(model, split="printed"))
+
+
+def _microfacets(reading: Callable[[float], Start]) -> Callable[[Any], Hints]:
+    """Of facets whose lobe has a half width; channels are separated exactly: lobes are those of facets with F0 = 1."""
+
+    def hints(model: Any) -> Hints:  # noqa: ANN401
+        constants, formula = TRIED[model.fresnel]
+        lobes, fixed = replace(model, fresnel="schlick"), (("F0", 1.0), ("albedo", 0.0))
+        alike = model.fresnel == "dielectric"
+        linear = LinearParameters(lobes, fixed, constants, formula, alike, bodies.lambert_of)
+        return Hints(lambda data, middle_um: [reading(data.half_width)], linear=linear)
+
+    return hints
+
+
+def _weighted(weight: str, least: float, most: float, starts: Starts) -> Callable[[Any], Hints]:
+    """Of a model whose channels are a weight times a lobe that all share, and a Lambert body.
+
+    Args:
+        weight: name of the parameter. least, most: between which values are tried where a fit starts.
+    """
+    tried = {weight: np.geomspace(least, most, 28)}
+
+    def hints(model: Any) -> Hints:  # noqa: ANN401
+        fixed = ((weight, 1.0), ("diffuse_albedo", 0.0))
+        return Hints(
+            starts,
+            linear=LinearParameters(model, fixed, tried, _alone, False, bodies.lambert_of, None, "diffuse_albedo"),
+        )
+
+    return hints
+
+
+def _alone(cos_d: Array, **weight: Array) -> Array:
+    """The weight, whatever the angle."""
+    return next(iter(weight.values())) * jnp.ones_like(cos_d)
+
+
+def _interfaced(model: Any) -> Hints:  # noqa: ANN401
+    """The surface exactly, the body as that of a smooth plastic."""
+    found = hints_of(model.surface)
+    assert found.linear is not None
+    return replace(found, linear=found.linear._replace(body=bodies.plastic, body_constant="eta"))
+
+
+def _oren_nayar(model: Any) -> Hints:  # noqa: ANN401
+    """exp(-theta_h^2 / (2 sigma^2)) is a half at 1.18 sigma."""
+    if model.surface == "none":
+        return Hints()
+    return Hints(lambda data, middle_um: [{"roughness": float(np.clip(data.half_width / 1.18, 2e-3, 1.4))}])
+
+
+def _hp15(model: Any) -> Hints:  # noqa: ANN401
+    """The highlight is the facets' lobe, and diffracted light a wide haze; or it is itself diffracted."""
+
+    def starts(data: StartHints, middle_um: float) -> list[Start]:
+        first = {"beta": data.half_width / float(np.exp(HALF)), "p": 1.0, "a": 0.9}
+        return [first, {**first, "a": float(np.clip(2 * data.half_width / (0.64 * middle_um), 0.02, 40.0))}]
+
+    return Hints(starts, {"beta": 3, "p": 2, "a": 3})
+
+
+def _he_starts(data: StartHints, middle_um: float) -> list[Start]:
+    """A rough surface reflects as facets of root mean square slope sqrt(2) sigma / tau; a smooth one diffracts.
+
+    The latter's lobe, where sigma is a few hundredths of the wavelength, is exp(-(pi tau v_xy / lambda)^2).
+    """
+    rough = {"autocorrelation": 10.0, "roughness": float(np.clip(10.0 * data.half_width / 1.18, 2e-3, 19.0))}
+    width = middle_um * 0.833 / (2 * np.pi * data.half_width)
+    return [rough, {"autocorrelation": float(np.clip(width, 0.6, 290.0)), "roughness": 0.05}]
+
+
+def _shoulder(half_width: float) -> Start:
+    """Narrow shifted gamma lobes fall as (1 + tan^2 / alpha^2)^-p at first."""
+    return {"alpha": min(half_width / 1.2, 1.5)}
+
+
+# Where lobes are at half their peak, with t the tangent of theta_h there: t = m sqrt(ln 2), about, for Beckmann's;
+# t = alpha sqrt(sqrt(2) - 1) for GGX. At C = 1 an ABC lobe is where B times its argument is 1: 1 - cos(theta_h) for
+# microfacets, the square of D_p, about twice the tangent, for the smooth model.
+_BY_NAME: dict[str, Callable[[Any], Hints]] = {
+    "two-scale": _two_scale,
+    "beckmann": _microfacets(lambda t: {"roughness": t / 0.833}),
+    "ggx": _microfacets(lambda t: {"alpha": t / 0.644}),
+    "gtr": _microfacets(lambda t: {"alpha": min(t / 0.644, 0.99)}),
+    "epd": _microfacets(lambda t: {"beta": t / float(np.exp(HALF)), "p": 1.0}),
+    "sgd-microfacet": _microfacets(_shoulder),
+    "gaussian": _microfacets(lambda t: {"roughness": float(np.clip(t / 1.18, 2e-3, 0.9))}),
+    "interfaced-lambertian": _interfaced,
+    "abc-microfacet": _weighted("A", 0.03, 3000.0, lambda data, _: [{"B": 2 / data.half_width**2, "C": 1.0}]),
+    "smooth": _weighted("A", 0.03, 3000.0, lambda data, _: [{"B": 1 / (2 * data.half_width) ** 2, "C": 1.0}]),
+    "cook-torrance": _weighted("albedo", 0.003, 1.95, lambda data, _: [{"roughness": data.half_width / 0.833}]),
+    "he": _weighted("albedo", 0.003, 300.0, _he_starts),
+    "sgd": lambda model: Hints(lambda data, _: [_shoulder(data.half_width)], {"alpha": 3, "p": 2}),
+    "hp15": _hp15,
+    "oren-nayar": _oren_nayar,
+}
