@@ -10,12 +10,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from merlfit.fitting.fit.hp15_procedures import ALONG, determinant, layout, one_step, random_start, selected, two_steps
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.run import COARSE
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
+
+from tests.reference.hp15_procedures import ALONG, determinant, layout, one_step, random_start, selected, two_steps
 
 from .bench.materials import file
 from .bench.record import RECONSTRUCTIONS, cell

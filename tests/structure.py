@@ -96,7 +96,9 @@ def _levels(uses: dict[Path, set[Path]], folder: Path) -> int:
     def room(path: Path) -> Path:
         return path if path.parent == folder else folder / path.relative_to(folder).parts[0]
 
-    inside = [path for path in uses if folder in path.parents and path.parent.name != "main" and path.stem != "__init__"]
+    inside = [
+        path for path in uses if folder in path.parents and path.parent.name != "main" and path.stem != "__init__"
+    ]
     rooms: dict[Path, set[Path]] = {room(path): set() for path in inside}
     for path in inside:
         rooms[room(path)] |= {room(other) for other in uses[path] if other in inside} - {room(path)}

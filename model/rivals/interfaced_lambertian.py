@@ -82,7 +82,7 @@ class InterfacedLambertian(Reflectance):
     Attributes:
         normals: distribution: ``beckmann`` (IL Eq. 15), ``ggx`` (Eq. 20) or ``gaussian`` in the slope angle (Eq. 13).
         masking: ``smith``, or ``v-groove``: symmetric cavities (Eq. 14), which Gaussian normals need. Light meets
-            one facet only; :func:`merlfit.model.sampled_facets.paths` follows it from facet to facet.
+            one facet only; ``tests/reference/sampled_facets.py`` follows it from facet to facet.
         form: ``fast``, a sum over 3 x 8 normals; ``reference``, over 32 x 64.
 
     Reciprocal. Up to 75 degrees the reference is within 5e-3 of the integral (widths 0.15 and 0.5). The error of the

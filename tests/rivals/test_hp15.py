@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.fit import hp15_procedures as hp15
 from merlfit.fitting.fit.problem import directions, make_problem
 from merlfit.fitting.fit.residuals import Objective, predict
 from merlfit.merl_io.grid import merl_grid
@@ -19,6 +18,7 @@ from scipy.integrate import quad
 
 from tests.oracles import microfacets as oracle
 from tests.oracles.facets import direction
+from tests.reference import hp15_procedures as hp15
 from tests.support.compiled import evaluate, from_vectors
 
 VALUES = {

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
-from merlfit.model import sampled_facets
 from merlfit.model.body import plastic
 from merlfit.model.fresnel import fresnel_of_dielectric
 from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian, through
@@ -15,6 +14,7 @@ from scipy.integrate import quad
 from tests.oracles import microfacets
 from tests.oracles import rivals as oracle
 from tests.oracles.facets import direction
+from tests.reference import sampled_facets
 from tests.support.compiled import evaluate, from_vectors
 
 ETA, ALBEDO = np.array([1.5, 1.2, 2.0]), np.array([0.9, 0.5, 0.1])

@@ -11,14 +11,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-
-from ...merl_io.samples import Samples
-from ...model.measured import Measured
-from ...model.rivals.hp15 import HP15
-from .levenberg_marquardt import Solution, solve, solve_many
-from .problem import make_problem
-from .residuals import Objective
-from .transforms import Layout, layout_of
+from merlfit.fitting.fit.levenberg_marquardt import Solution, solve, solve_many
+from merlfit.fitting.fit.problem import make_problem
+from merlfit.fitting.fit.residuals import Objective
+from merlfit.fitting.fit.transforms import Layout, layout_of
+from merlfit.merl_io.samples import Samples
+from merlfit.model.measured import Measured
+from merlfit.model.rivals.hp15 import HP15
 
 ALONG = 1e-2  # 1/(sr um): largest determinant where diffraction is taken to be all
 DIFFRACTED, REFLECTED = ("a", "k_w", "diffuse_albedo"), ("beta", "p", "k_s", "F0")

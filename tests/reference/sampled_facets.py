@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
-
-from .body import external_diffuse_reflectance, internal_diffuse_reflectance, substrate
-from .fresnel import fresnel_of_dielectric
-from .masking import beckmann, ggx
-from .numerics import safe_sqrt
+from merlfit.model.body import external_diffuse_reflectance, internal_diffuse_reflectance, substrate
+from merlfit.model.fresnel import fresnel_of_dielectric
+from merlfit.model.masking import beckmann, ggx
+from merlfit.model.numerics import safe_sqrt
 
 NormalsName = Literal["beckmann", "ggx", "gaussian"]
 Smooth = Literal["beckmann", "ggx"]  # those that Smith's masking leaves something of
