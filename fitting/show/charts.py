@@ -14,8 +14,8 @@ from typing import Any
 
 import vl_convert
 
-from .chart_rows import INCIDENCES_DEG, Rows
-from .style import CHANNEL_COLOURS, OKABE_ITO
+from .curves import PAGE_INCIDENCES_DEG, Rows
+from .style import CHANNEL_COLOURS, DEGREES, OKABE_ITO
 
 Spec = dict[str, Any]
 SCALES = ("cube root", "logarithmic", "linear")
@@ -101,11 +101,11 @@ def lobes(plane: Rows, parts: Rows, channels: Sequence[str]) -> Spec:
             "tooltip": [_tip("part", "part", None), _tip("o", "θo (degrees)", ".3~r"), _tip("value", "1/sr")],
         },
     }  # fmt: skip
-    step = INCIDENCES_DEG[1] - INCIDENCES_DEG[0]
+    step = PAGE_INCIDENCES_DEG[1] - PAGE_INCIDENCES_DEG[0]
     slider = {
         "input": "range",
-        "min": INCIDENCES_DEG[0],
-        "max": INCIDENCES_DEG[-1],
+        "min": PAGE_INCIDENCES_DEG[0],
+        "max": PAGE_INCIDENCES_DEG[-1],
         "step": step,
         "name": "θi (degrees)",
     }
@@ -131,7 +131,7 @@ def peak(rows: Rows, channels: Sequence[str], theta_d: float) -> Spec:
 
 def _peak(channels: Sequence[str], ending: str, up: str, title: str, across: str, scale: Spec, kept: str) -> Spec:
     x = {"field": "h", "type": "quantitative", "title": "θh (degrees)", "scale": {"type": across, "nice": False},
-         "axis": {"values": [0.01, 0.1, 1, 10, 90], "format": "~g"} if across == "log" else {}}  # fmt: skip
+         "axis": {"values": DEGREES, "format": "~g"} if across == "log" else {}}  # fmt: skip
     tips = [_tip("channel", "channel", None), _tip("h", "θh (degrees)", ".3~r"), _tip(f"file{ending}", "file"),
             _tip(f"fit{ending}", "fit")]  # fmt: skip
     y = {"type": "quantitative", "title": up, "scale": scale, "axis": {"format": "~g", "tickCount": 6}}

@@ -5,15 +5,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from ...model.geometry import Geometry
-from . import prediction
-from .prediction import plane_of_incidence, viewers
+from .curves import added
 from .spheres import PARTS, of_parts, show
-from .style import FAINT, OKABE_ITO, new, printable
+from .style import DECADES, OKABE_ITO, at_mirror, new, printable
 from .subject import Subject
 
 INCIDENCE_DEG = 45
-DECADES = 6.0  # that the logarithmic scale reaches below the brightest value
 LINES = ("-", "--", "-.", ":")
 HATCHES = ("", "////", "....", "xxxx")
 
@@ -39,21 +36,15 @@ def effects(subject: Subject) -> Figure:
 
 
 def _lobes(axis: Axes, subject: Subject) -> None:
-    model = subject.model
-    middle = len(model.channels) // 2
-    angles, _ = viewers(INCIDENCE_DEG, np.degrees(subject.grid.theta_h))
-    i, o = plane_of_incidence(np.radians(INCIDENCE_DEG), np.radians(angles))
-    found = prediction.parts_of(subject.fitted, Geometry.from_vectors(i, o))
-    brightest = max(float(lobe[middle].max()) for lobe in found.values())
-    for k, (name, lobe) in enumerate(found.items()):
-        axis.plot(angles, lobe[middle], LINES[k % 4], color=OKABE_ITO[k % 8], label=PARTS.get(name, name))
-    axis.axvline(INCIDENCE_DEG, color=FAINT, linewidth=0.5, linestyle=":")
+    angles, found = added(subject, INCIDENCE_DEG)
+    for k, (words, lobe) in enumerate(found.items()):
+        axis.plot(angles, lobe, LINES[k % 4], color=OKABE_ITO[k % 8], label=words)
+    at_mirror(axis, INCIDENCE_DEG)
+    brightest = max(float(lobe.max()) for lobe in found.values())
     axis.set(
-        yscale="log", ylim=(brightest / 10**DECADES, 3 * brightest), ylabel="BRDF (1/sr)", xticks=[-90, -45, 0, 45, 90],
-        xlabel=r"$\theta_o$ (deg)",
-        title=rf"channel {subject.channels[middle]}, $\theta_i = {INCIDENCE_DEG}^\circ$",
+        yscale="log", ylim=(brightest / 10**DECADES, 3 * brightest), ylabel="BRDF (1/sr)", xlabel=r"$\theta_o$ (deg)",
+        title=rf"channel {subject.channels[len(subject.channels) // 2]}, $\theta_i = {INCIDENCE_DEG}^\circ$",
     )  # fmt: skip
-    axis.grid(alpha=0.25)
     axis.legend(loc="upper left")
 
 

@@ -5,15 +5,12 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ...model.geometry import Geometry
-from . import prediction
-from .prediction import plane_of_incidence, viewers
-from .style import FAINT, MARKS, channel_colour, new, printable
+from .curves import lobe
+from .style import DECADES, FAINT, MARKS, at_mirror, channel_colour, marks, new, printable
 from .subject import Subject
 
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
 HIGHLIGHT = 0.1  # of the rise from the darkest datum to the peak: every datum that is brighter than this is drawn
-DECADES = 6.0  # that the logarithmic scale reaches below the brightest value
 
 
 @printable
@@ -41,34 +38,25 @@ def lobes(subject: Subject) -> Figure:
 
 def _row(row: np.ndarray, subject: Subject, degrees: float) -> tuple[float, float]:
     """Draw one incidence; the darkest and the brightest value that is to be seen."""
-    model, grid = subject.model, subject.grid
-    angles, is_datum = viewers(degrees, np.degrees(grid.theta_h))
-    i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
-    fitted = prediction.predicted_lobe(subject.fitted, i, o)
-    alone = prediction.predicted_lobe(subject.fitted, i, o, loss=False) if model.measured.loses else None
-    likely, file = subject.likely, subject.measurement
-    shaded = None if likely is None else prediction.band(likely, Geometry.from_vectors(i, o))
-    seen = np.full_like(fitted, np.nan)
-    if file is not None:
-        seen = prediction.measured_lobe(file, grid, *prediction.half_difference(i, o))
-    for c, name in enumerate(model.channels):
+    angles, is_datum, found = lobe(subject, degrees)
+    visible = found.get("file", found["fit"])
+    for c, name in enumerate(subject.model.channels):
         colour = channel_colour(name, c)
-        drawn = shown(np.where(is_datum, seen[c], np.nan), np.cumsum(is_datum) % len(seen) == c)
         for axis, scale in zip(row, (np.cbrt, np.asarray), strict=True):
-            axis.plot(angles, scale(fitted[c]), "-", color=colour)
-            if alone is not None:
-                axis.plot(angles, scale(alone[c]), "--", linewidth=0.6, color=colour)
-            if shaded is not None:
-                axis.fill_between(angles, *scale(shaded[:, c]), alpha=0.25, linewidth=0, color=colour)
-            axis.plot(angles[drawn], scale(seen[c, drawn]), MARKS[c % len(MARKS)], markersize=1.6, fillstyle="none",
-                      color=colour, markeredgewidth=0.4)  # fmt: skip
+            scaled = {curve: scale(x[c]) for curve, x in found.items()}
+            axis.plot(angles, scaled["fit"], "-", color=colour)
+            if "alone" in found:
+                axis.plot(angles, scaled["alone"], "--", linewidth=0.6, color=colour)
+            if "low" in found:
+                axis.fill_between(angles, scaled["low"], scaled["high"], alpha=0.25, linewidth=0, color=colour)
+            if "file" in found:
+                turn = np.cumsum(is_datum) % len(visible) == c
+                drawn = shown(np.where(is_datum, visible[c], np.nan), turn)
+                axis.plot(angles[drawn], scaled["file"][drawn], **marks(name, c, 1.6, 0.4))
     for axis in row:
-        axis.axvline(degrees, color=FAINT, linewidth=0.5, linestyle=":")
-        axis.set_xticks([-90, -45, 0, 45, 90])
-        axis.grid(alpha=0.25)
+        at_mirror(axis, degrees)
     row[0].text(0.03, 0.94, rf"$\theta_i = {degrees}^\circ$", transform=row[0].transAxes, va="top")
-    visible = seen if file is not None else fitted
-    high = np.nanmax(np.where(np.isfinite(visible), np.fmax(fitted, seen), np.nan))
+    high = np.nanmax(np.where(np.isfinite(visible), np.fmax(found["fit"], visible), np.nan))
     return float(np.nanmin(np.where(visible > 0, visible, np.nan))), float(high)
 
 

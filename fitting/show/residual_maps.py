@@ -13,7 +13,7 @@ from ...merl_io.samples import folded
 from ...model.geometry import Geometry
 from ..fit.weights import within
 from . import prediction
-from .style import FAINT, channel_colour, new, printable
+from .style import DEGREES, FAINT, channel_colour, new, printable
 from .subject import Subject
 
 AZIMUTHS = 7  # of 180, of the residuals along an angle
@@ -33,7 +33,7 @@ def residuals(subject: Subject) -> Figure:
         _ratios(panels, subject, loss) for loss in ((True, False) if subject.model.measured.loses else (True,))
     )
     panels[0].set(xscale="log", xlabel=r"$\theta_h$ (deg)", ylabel="fit over file")
-    panels[0].set_xticks([0.01, 0.1, 1, 10, 90], ["0.01", "0.1", "1", "10", "90"])
+    panels[0].set_xticks(DEGREES, [f"{x:g}" for x in DEGREES])
     panels[1].set(xlabel=r"$\theta_d$ (deg)", xticks=[0, 30, 60, 90])
     shown = [x for x in TICKS if widest**0.1 < x < widest]  # neither beyond the axis nor upon each other
     ticks = {1 / x: f"1/{x:g}" for x in shown} | {x: f"{x:g}" for x in shown}

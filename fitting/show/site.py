@@ -31,8 +31,7 @@ from ..support.numbers import counted
 from ..support.outputs import is_ours, refuse_others
 from ..support.processes import end_with_parent, jobs_for
 from ..support.terminal import unexpected
-from . import chart_rows as rows_of_charts
-from . import charts, page_pictures
+from . import charts, curves, page_pictures
 from .comparison_table import group_of
 from .corner import UNITS
 from .inspection import file_of
@@ -216,9 +215,9 @@ def _page_of(job: Job, result: Result) -> Page:
 def _charts(subject: Subject) -> Page:
     """Charts of a result, as specifications and as they are drawn."""
     channels = subject.model.channels
-    peak, widths = rows_of_charts.peak(subject)
+    peak, widths = curves.peak_rows(subject)
     specs = {
-        "lobes": charts.lobes(*rows_of_charts.lobes(subject), channels),
+        "lobes": charts.lobes(*curves.lobe_rows(subject), channels),
         "peak": charts.peak(peak, channels, PEAK_DIFFERENCE_DEG),
     }
     return _embedded(specs) | {"widths": widths}

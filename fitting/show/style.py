@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
 
@@ -30,13 +31,10 @@ STYLE = {
     "axes.linewidth": 0.5, "lines.linewidth": 0.8, "axes.titlepad": 3.0, "axes.labelpad": 2.0, "grid.linewidth": 0.4,
     "figure.constrained_layout.h_pad": 0.03, "figure.constrained_layout.w_pad": 0.03,
 }  # fmt: skip
-TICKS: dict[str, Any] = {
-    "labelsize": SMALL,
-    "width": 0.5,
-    "length": 2.0,
-    "pad": 1.5,
-}  # told to each axis: ticks are made when drawn
-
+TICKS: dict[str, Any] = {"labelsize": SMALL, "width": 0.5, "length": 2.0, "pad": 1.5}
+"""Told to each axis: ticks are made when drawn."""
+DEGREES = (0.01, 0.1, 1, 10, 90)  # ticks of theta_h on a logarithmic axis
+DECADES = 6.0  # that a logarithmic scale reaches below the brightest value
 OWN: dict[str, Any] = {**mpl.rcParamsDefault, "pdf.fonttype": 42, "ps.fonttype": 42}  # journals refuse Type 3 fonts
 del OWN["backend"]  # which shows figures, and is the user's
 
@@ -89,6 +87,21 @@ def new(height: float, width: float = COLUMN_INCHES, layout: str | None = "const
 def channel_colour(channel: str, place: int) -> str:
     """Of a channel by its name, or by its place where it has another one."""
     return CHANNEL_COLOURS.get(channel, OKABE_ITO[place % len(OKABE_ITO)])
+
+
+def marks(channel: str, place: int, size: float, edge: float) -> dict[str, Any]:
+    """How data of a channel are marked: hollow, so that none hides another."""
+    return {
+        "color": channel_colour(channel, place), "marker": MARKS[place % len(MARKS)], "linestyle": "none",
+        "markersize": size, "fillstyle": "none", "markeredgewidth": edge,
+    }  # fmt: skip
+
+
+def at_mirror(axis: Axes, degrees: float) -> None:
+    """What every panel of viewers in the plane of incidence has: the mirror direction, and the same ticks."""
+    axis.axvline(degrees, color=FAINT, linewidth=0.5, linestyle=":")
+    axis.set_xticks([-90, -45, 0, 45, 90])
+    axis.grid(alpha=0.25)
 
 
 def save(figure: Figure, path: Path, dpi: int | None = None) -> None:

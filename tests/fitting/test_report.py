@@ -18,9 +18,7 @@ from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.fitting.results.manifest import Ending, Journal
 from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.settings.config import Config
-from merlfit.fitting.show import chart_rows as rows
-from merlfit.fitting.show import charts
-from merlfit.fitting.show.peak import half_width
+from merlfit.fitting.show import charts, curves
 from merlfit.fitting.show.site import _units
 from merlfit.fitting.show.subject import Subject
 from merlfit.merl_io.binary import read, write
@@ -151,7 +149,7 @@ def test_the_lobes_of_a_fit_that_is_the_file(run):
         value = NICKEL[q.parameter]
         q.value = float(value if q.channel is None else value["RGB".index(q.channel)])
     subject = Subject(result, read(run / "nickel.binary"))
-    plane, added = rows.lobes(subject)
+    plane, added = curves.lobe_rows(subject)
     seen = [row for row in plane if row["file"] is not None]
     assert len(seen) > 1000
     ratio = np.array([row["fit"] / row["file"] for row in seen])
@@ -161,7 +159,7 @@ def test_the_lobes_of_a_fit_that_is_the_file(run):
     for row in added:
         parts[row["i"], row["o"]] = parts.get((row["i"], row["o"]), 0) + row["value"]
     assert all(abs(total / at[i, o, "G"] - 1) < 2e-3 for (i, o), total in parts.items())
-    widths = rows.peak(subject)[1]
+    widths = curves.peak_rows(subject)[1]
     assert [row["file"] for row in widths] == pytest.approx([row["fit"] for row in widths], rel=0.05)
     assert [row["wavelength"] for row in widths] == sorted((row["wavelength"] for row in widths), reverse=True)
 
@@ -177,8 +175,10 @@ def test_contributions_add_up(model, compiled_quickly):
 
 def test_half_width_of_a_known_peak():
     degrees = np.linspace(0.1, 10, 90)
-    assert half_width(degrees, np.exp(-((degrees - 0.1) ** 2))) == pytest.approx(0.1 + np.sqrt(np.log(2)), abs=0.01)
-    assert half_width(degrees, np.ones(90)) is None
+    assert curves.half_width(degrees, np.exp(-((degrees - 0.1) ** 2))) == pytest.approx(
+        0.1 + np.sqrt(np.log(2)), abs=0.01
+    )
+    assert curves.half_width(degrees, np.ones(90)) is None
 
 
 def test_a_chart_is_drawn_without_a_browser():

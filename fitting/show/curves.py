@@ -1,0 +1,158 @@
+"""Data of the figures that have lines, once: the printed pictures and, as rows, the charts of the pages draw them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...model.geometry import Geometry
+from . import prediction
+from .prediction import PEAK_DIFFERENCE_DEG, WIDEST_DEG, plane_of_incidence, viewers
+from .spheres import PARTS
+from .subject import Subject
+
+PAGE_INCIDENCES_DEG = (0, 15, 30, 45, 60, 75)
+ON_PAGE = 61  # viewers of a lobe that see no row of theta_h
+CURVES = ("fit", "file", "alone", "low", "high")
+HALVES_SHOWN = 6.0  # half widths that the plot of normalised peaks reaches to
+Rows = list[dict[str, Any]]
+"""Of a chart: a row a direction and channel; what there is not is None."""
+
+
+def lobe(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """File and fit in the plane of incidence.
+
+    Args:
+        degrees: theta_i. named: how many viewers lie between (`viewers`).
+
+    Returns:
+        viewers (deg), and which of them see a row of theta_h, (N,); by name what there is of `CURVES`, BRDF (1/sr),
+        (C, N): ``alone`` is the fit without the grazing loss, ``low`` and ``high`` are of the posterior's predictions.
+    """
+    angles, is_datum = viewers(degrees, np.degrees(subject.grid.theta_h), **named)
+    i, o = plane_of_incidence(np.radians(degrees), np.radians(angles))
+    found = {"fit": prediction.predicted_lobe(subject.fitted, i, o)}
+    if subject.measurement is not None:
+        where = prediction.half_difference(i, o)
+        found["file"] = prediction.measured_lobe(subject.measurement, subject.grid, *where)
+    if subject.model.measured.loses:
+        found["alone"] = prediction.predicted_lobe(subject.fitted, i, o, loss=False)
+    if subject.likely is not None:
+        found["low"], found["high"] = prediction.band(subject.likely, Geometry.from_vectors(i, o))
+    return angles, is_datum, found
+
+
+def added(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """What each lobe and the body add in the plane of incidence: viewers (deg), and by part the middle channel's."""
+    angles, _ = viewers(degrees, np.degrees(subject.grid.theta_h), **named)
+    where = Geometry.from_vectors(*plane_of_incidence(np.radians(degrees), np.radians(angles)))
+    found = prediction.parts_of(subject.fitted, where).items()
+    return angles, {PARTS.get(name, name): brdf[len(subject.model.channels) // 2] for name, brdf in found}
+
+
+def lobe_rows(subject: Subject) -> tuple[Rows, Rows]:
+    """Of :func:`lobe` and of :func:`added`: ``i``, ``o`` (deg), ``channel``, curves; ``i``, ``o``, ``part``, ``value``.
+
+    Of the file only data are shown.
+    """
+    plane: Rows = []
+    parts: Rows = []
+    for degrees in PAGE_INCIDENCES_DEG:
+        angles, is_datum, found = lobe(subject, degrees, between=ON_PAGE)
+        kept = np.flatnonzero(is_datum | (np.abs(angles) < WIDEST_DEG))
+        place = [{"i": degrees, "o": short(angles[k], 5)} for k in kept]
+        if "file" in found:
+            found["file"] = np.where(is_datum, found["file"], np.nan)
+        for c, channel in enumerate(subject.model.channels):
+            curves = {name: found[name][c] if name in found else None for name in CURVES}
+            plane += _rows(({**at, "channel": channel} for at in place), curves, kept)
+        for part, brdf in added(subject, degrees, between=ON_PAGE)[1].items():
+            parts += _rows(({**at, "part": part} for at in place), {"value": brdf}, kept)
+    return plane, parts
+
+
+def _rows(heads: Iterable[dict[str, Any]], curves: Mapping[str, np.ndarray | None], kept: Iterable[int]) -> Rows:
+    """One a place: what is said of it, then numbers."""
+    return [
+        head | {name: None if x is None else short(x[k]) for name, x in curves.items()}
+        for head, k in zip(heads, kept, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Of file and fit at one theta_d and phi_d.
+
+    Attributes:
+        theta_h_deg: of the rows above the horizon, (H,). brdf: of ``file`` and ``fit``, (1/sr), (C, H); the file's is
+            NaN where there is none. relative: the same over their values at the origin (HP17 Fig. 15).
+        halves: theta_h (deg) by channel at which they have fallen to half, None where they do not.
+        theta_d_deg, phi_d_deg: where it is.
+    """
+
+    theta_h_deg: np.ndarray
+    brdf: dict[str, np.ndarray]
+    relative: dict[str, np.ndarray]
+    halves: dict[str, list[float | None]]
+    theta_d_deg: float
+    phi_d_deg: float
+
+    @property
+    def near(self) -> np.ndarray:
+        """Where it is of interest how wide the peak is, (H,)."""
+        widest = max([*filter(None, self.halves["file"] + self.halves["fit"]), 0.0])
+        return self.theta_h_deg < min(HALVES_SHOWN * widest or 90.0, 90.0)
+
+
+def peak(subject: Subject) -> Peak:
+    """Every datum of the peak."""
+    grid = subject.grid
+    d = int(np.argmin(np.abs(np.degrees(grid.theta_d) - PEAK_DIFFERENCE_DEG)))
+    p = len(grid.phi_d) // 2
+    seen = grid.theta_h < np.pi / 2 - grid.theta_d[d]
+    where = (jnp.asarray(grid.theta_h[seen]), jnp.asarray(grid.theta_d[d]), jnp.asarray(grid.phi_d[p]))
+    fit = prediction.brdf_of(subject.fitted, Geometry.from_half_difference(*where))
+    file = np.full_like(fit, np.nan) if subject.measurement is None else subject.measurement.values[:, seen, d, p]
+    degrees, brdf = np.degrees(grid.theta_h[seen]), {"file": file, "fit": fit}
+    return Peak(
+        degrees, brdf, {name: x / x[:, :1] for name, x in brdf.items()},
+        {name: [half_width(degrees, channel) for channel in x] for name, x in brdf.items()},
+        float(np.degrees(grid.theta_d[d])), float(np.degrees(grid.phi_d[p])),
+    )  # fmt: skip
+
+
+def half_width(degrees: np.ndarray, values: np.ndarray) -> float | None:
+    """Where values that fall from the first one reach half of it, linear between; None where they do not."""
+    below = np.flatnonzero(values < values[0] / 2)
+    if not below.size or below[0] == 0:
+        return None
+    k = below[0]
+    share = (values[k - 1] - values[0] / 2) / (values[k - 1] - values[k])
+    return float(degrees[k - 1] + share * (degrees[k] - degrees[k - 1]))
+
+
+def peak_rows(subject: Subject) -> tuple[Rows, Rows]:
+    """Of :func:`peak`, and how wide it is.
+
+    Returns:
+        ``h`` (deg), ``channel``, ``near`` (1 where the width is to be seen), ``file``, ``fit``, ``file_rel``,
+        ``fit_rel``; ``channel``, ``wavelength`` (nm), and halves: ``file``, ``fit``.
+    """
+    found, rows, widths = peak(subject), [], []
+    at = [{"h": short(h), "near": int(near)} for h, near in zip(found.theta_h_deg, found.near, strict=True)]
+    for c, channel in enumerate(subject.model.channels):
+        wavelength = 1000 * subject.model.wavelengths_um[c]
+        widths.append(
+            {"channel": channel, "wavelength": wavelength, **{kind: x[c] for kind, x in found.halves.items()}}
+        )
+        curves = {kind: x[c] for kind, x in found.brdf.items()}
+        curves |= {f"{kind}_rel": x[c] for kind, x in found.relative.items()}
+        rows += _rows(({**each, "channel": channel} for each in at), curves, range(len(at)))
+    return rows, widths
+
+
+def short(x: float, digits: int = 4) -> float | None:
+    """A number of few digits; None for none."""
+    return float(f"{x:.{digits}g}") if np.isfinite(x) else None
