@@ -52,7 +52,8 @@ def fit(
 
     Args:
         file: its path, a table as arrays by name, or what :func:`read` made of either.
-        out: folder for the result; without it, the result lasts as long as the object: :meth:`Fit.save` keeps it.
+        out: folder for the result; without it, the result lasts as long as the object, or what :meth:`Fit.sample` made
+            of it: :meth:`Fit.save` keeps it.
         settings: a TOML file like configs/default.toml, or the same as a mapping.
         model: two-scale by default; of several, the one that describes the file best is taken (docs/rivals.md).
         index: auto, real (a dielectric) or complex (a conductor). body: what lies under the surface: auto, none,
@@ -101,8 +102,13 @@ def fit(
         warnings.warn(place.said, stacklevel=2)
     found = Fit(result, place.path, measurement)
     if out is None:
-        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
+        found._folder = _Kept()
+        weakref.finalize(found._folder, shutil.rmtree, folder, ignore_errors=True)
     return found
+
+
+class _Kept:
+    """A folder, for as long as somebody has this."""
 
 
 def load(path: str | os.PathLike[str]) -> Fit:

@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,25 +11,28 @@ from jax.tree_util import register_pytree_node
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
-from ..merl_io.atomic import refused, write_bytes
+from ..merl_io.atomic import refused, write_bytes, write_text
+from ..merl_io.binary import Measurement, MerlError
 from ..merl_io.inputs import Input
+from ..merl_io.scattered import vectors_of
 from ..merl_io.source import PLAIN
-from .pipeline.draws import chain_file, chain_of, own_chain
+from .pipeline.draws import chain_file, chain_of, own_chain, states
 from .pipeline.place import claimed, place_of
 from .pipeline.resampling import resample
-from .results.schema import Metrics, Model, ParameterResult, Quantiles, Result
+from .results.schema import Metrics, Model, Quantiles, Result
 from .results.storage import ResultError, write_result
 from .show import style
 from .show.inspection import file_of
 from .show.pictures import PICTURES
-from .show.prediction import Fitted, predicted_lobe
+from .show.prediction import Fitted, all_bins, predicted_lobe
 from .show.subject import subject_of
-from .show.terminal_tables import print_result
+from .show.terminal_tables import parameters_as_latex, print_result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
 from .support.terminal import Screen, console
 
 if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports] - where it is installed
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
 
 WIDTH = 118  # columns of a fit that is printed, at the most
@@ -39,7 +43,7 @@ class Values(dict[str, Any]):
 
     def __setitem__(self, name: str, value: object) -> None:
         raise TypeError(
-            f'values of a fit are what was found; change a copy of them: {{**fit.values, "{name}": {value}}}'
+            f'values of a fit are what was found; change a copy of them: {{**fit.parameters, "{name}": {value}}}'
         )
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
@@ -67,6 +71,7 @@ class Fit:
         self.result = result
         self.path = path
         self._measured = measured
+        self._folder: object = None  # whoever keeps it keeps the folder of a result that was given none (`api.fit`)
 
     @property
     def succeeded(self) -> bool:
@@ -89,31 +94,42 @@ class Fit:
         return self.result.metrics
 
     @property
-    def parameters(self) -> dict[str, ParameterResult]:
-        """Every fitted number by its name (``beta``, ``eta_R``), with unit, quantiles and bounds."""
-        return {q.name: q for q in self.result.parameters}
+    def parameters(self) -> dict[str, Any]:
+        """Values by name, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them.
 
-    @property
-    def values(self) -> dict[str, Any]:
-        """Values by parameter, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them.
-
-        What was found is not changed here: ``{**fit.values, "beta": 0.2}`` is a copy to change.
+        What was found is not changed here: ``{**fit.parameters, "beta": 0.2}`` is a copy to change. :meth:`table` has
+        their intervals, bounds and units.
         """
         return Values(self.result.values())
 
-    def table(self) -> list[dict[str, Any]]:
-        """One row a fitted number, for ``pandas.DataFrame`` and the like.
+    def table(self) -> "pandas.DataFrame | list[dict[str, Any]]":
+        """One row a number of the model: a frame where pandas is installed, else a list of dictionaries.
 
         ``q05``, ``q50`` and ``q95`` are quantiles of the posterior, None without one; ``low`` and ``high`` the 90 %
-        interval by the Laplace approximation, None at a bound and where the data do not decide.
+        interval by the Laplace approximation, None at a bound and where the data do not decide; ``fitted`` is free,
+        fixed or tied.
         """
+        try:
+            import pandas
+        except ImportError:
+            return self._rows()
+        return pandas.DataFrame(self._rows()).set_index("name")
+
+    def to_latex(self, path: str | os.PathLike[str] | None = None) -> str:
+        """The parameters as a table of LaTeX (booktabs): symbol, value, 90 % interval, unit; ``path``: a file, too."""
+        text = parameters_as_latex(self.result)
+        if path is not None:
+            write_text(Path(path), text)
+        return text
+
+    def _rows(self) -> list[dict[str, Any]]:
         rows = []
         for q in self.result.parameters:
             low, high = (q.laplace.q05, q.laplace.q95) if q.laplace else (None, None)
             quantiles = q.quantiles.model_dump() if q.quantiles else dict.fromkeys(Quantiles.model_fields)
             rows.append({
                 "name": q.name, "value": q.value, "low": low, "high": high, **quantiles,
-                "unit": q.unit, "at_bound": q.at_bound, "meaning": q.meaning,
+                "unit": q.unit, "fitted": q.fitted, "at_bound": q.at_bound, "meaning": q.meaning,
             })  # fmt: skip
         return rows
 
@@ -138,10 +154,36 @@ class Fit:
         for name, vectors in (("i", light), ("o", viewer)):
             if vectors.shape[-1:] != (3,) or not np.allclose(np.linalg.norm(vectors, axis=-1), 1.0, atol=1e-6):
                 raise ValueError(f"{name} should be unit vectors of shape (..., 3)")
-        return predicted_lobe(Fitted.of(model, self.values), light, viewer, with_grazing_loss)
+        return predicted_lobe(Fitted.of(model, self.result.values()), light, viewer, with_grazing_loss)
+
+    def residuals(self) -> np.ndarray:
+        """Measured less predicted (1/sr), as the apparatus sees both; NaN where there is no datum.
+
+        Returns:
+            (C, 90, 90, 180), theta_h, theta_d and phi_d, of a MERL file, or of the grid that it has; (C, N) of N
+            scattered directions.
+
+        Raises:
+            merlfit.MerlError: the fitted file is missing, or is another one now.
+            merlfit.ResultError: the fit failed.
+        """
+        measured, fitted = self._file(), Fitted.tabled(self._model(), self.result.values())
+        if isinstance(measured, Measurement):
+            folded = all_bins(fitted, measured.dims)
+            predicted = np.concatenate([folded, folded[..., ::-1]], -1)  # bins phi_d and pi - phi_d are reciprocal
+        else:
+            light, viewer = vectors_of(measured)
+            predicted = predicted_lobe(fitted, light, viewer)
+        return np.where(measured.valid, measured.values - predicted, np.nan)
+
+    def _file(self) -> Input:
+        """What was fitted, read again where this object was loaded."""
+        if self._measured is None:
+            self._measured = self.result.source.read(file_of(self.path, self.result))
+        return self._measured
 
     def sample(self, max_steps: int | None = None, report: Report = silent) -> "Fit":
-        """Sample the posterior, or continue its chain; file and this object hold the intervals then.
+        """The same fit with its posterior sampled, or with its chain continued; its file holds the intervals then, too.
 
         Args:
             max_steps: of the chain, at the most.
@@ -152,18 +194,24 @@ class Fit:
             merlfit.ResultError: the fit failed, or its chain is missing.
             merlfit.ChainError: the chain is of another fit.
             merlfit.WriteError: it cannot be kept, or a command is writing there.
-            RuntimeError: the sampler failed; file and object are as they were.
+            RuntimeError: the sampler failed; the file is as it was.
         """
         use_cache()
         with claimed(self.path.parent, alone=False):
-            self.result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
-        return self
+            result = resample(self.path, self.result, file_of(self.path, self.result), max_steps, report)
+        found = Fit(result, self.path, self._measured)
+        found._folder = self._folder
+        return found
 
     def to_arviz(self) -> "xarray.DataTree":
-        """The posterior as ArviZ has it: one chain of equally likely draws in units of physics, by parameter.
+        """The posterior as ArviZ has it, in groups.
 
-        The draws of a merlfit posterior are weighted; as many are drawn from them by systematic resampling, in no order
-        of time: R-hat and effective sizes are those of ``result.posterior``, not what ArviZ would compute from these.
+        - ``posterior``: one chain of equally likely draws in units of physics, by parameter. The draws of a merlfit
+          posterior are weighted; as many are drawn from them by systematic resampling, in no order of time: R-hat and
+          effective sizes are its attributes, not what ArviZ would compute from these.
+        - ``sample_stats``: their weights before, and their log likelihood on all bins.
+        - ``walkers``: all states of the chains, in free coordinates (docs/statistics.md).
+        - ``observed_data``: the file, if it is there.
 
         Raises:
             ImportError: arviz-base is not installed (``pip install 'merlfit[arviz]'``).
@@ -176,16 +224,30 @@ class Fit:
         chain = chain_file(self.result, self.path)
         weights = chain["weights"].ravel()
         places = (np.arange(len(weights)) + 0.5) / len(weights)
-        drawn = chain["values"][np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)]
+        taken = np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)
         grouped: dict[str, list[np.ndarray]] = {}
         for k, q in enumerate(self.result.parameters):
-            grouped.setdefault(q.parameter, []).append(drawn[:, k])
+            grouped.setdefault(q.parameter, []).append(chain["values"][taken, k])
         per_channel = {q.parameter for q in self.result.parameters if q.channel}
-        found = {name: np.stack(x, -1)[None] if name in per_channel else x[0][None] for name, x in grouped.items()}
-        return arviz_base.from_dict(
-            {"posterior": found}, dims={name: ["channel"] for name in per_channel},
-            coords={"channel": self._model().channels},
-        )  # fmt: skip
+        groups = {
+            "posterior": {n: np.stack(x, -1)[None] if n in per_channel else x[0][None] for n, x in grouped.items()},
+            "sample_stats": {"weight": weights[taken][None]},
+        }
+        if "log_likelihood" in chain:  # which earlier versions did not keep
+            groups["sample_stats"]["log_likelihood"] = chain["log_likelihood"][taken][None]
+        dims = {name: ["channel"] for name in per_channel}
+        if (walked := states(self.result, self.path)) is not None:
+            groups["walkers"], dims["z"] = {"z": walked.swapaxes(0, 1)}, ["coordinate"]
+        with suppress(MerlError):
+            groups["observed_data"] = {"brdf": self._file().values}
+            dims["brdf"] = ["channel"]
+        posterior = self.result.posterior
+        assert posterior is not None
+        coordinates = {"channel": self._model().channels, "coordinate": posterior.coordinates}
+        found = arviz_base.from_dict(groups, dims=dims, coords=coordinates)
+        diagnostics = posterior.model_dump(include={"r_hat", "effective_size", "bulk_size", "tail_size", "pareto_k"})
+        found["posterior"].attrs.update(diagnostics, message=posterior.message, coordinates=posterior.coordinates)
+        return found
 
     def plot(self, name: str, path: str | os.PathLike[str] | None = None) -> Figure:
         """One of the pictures that `merlfit inspect` draws, as wide as a column of a paper (8.5 cm).

@@ -62,6 +62,16 @@ class ScatteredMeasurement:
         return "linear RGB, as stored" if self.bands.names == MERL.names else "none: a channel is a wavelength"
 
 
+def vectors_of(measurement: ScatteredMeasurement) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors of light and viewer, (N, 3) each; the light's azimuth is 0."""
+    m, still = measurement, np.zeros_like(measurement.phi)
+    pairs = ((m.theta_i, still), (m.theta_o, m.phi))
+    light, viewer = (
+        np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1) for theta, phi in pairs
+    )
+    return light, viewer
+
+
 @dataclass(frozen=True)
 class ScatteredSamples:
     """Samples with weights, in an order in which neighbours have like directions (`order`).

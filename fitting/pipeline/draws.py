@@ -13,6 +13,7 @@ from ..settings.config import ConfigError, parse
 from .models import layout_for
 
 Chain = Mapping[str, np.ndarray]
+DRAWN = "names", "values", "weights"
 SAME = 1e-6  # in free coordinates: two fits of one model are farther apart
 
 
@@ -38,8 +39,9 @@ def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     path = _place(result, path)
     try:
         with opened(path, NoPicture) as (file, _):
-            read = arrays(file, ("names", "values", "weights", "fit_free").__contains__, texts=("names",))
-        found, started = {name: read[name] for name in ("names", "values", "weights")}, read.get("fit_free")
+            read = arrays(file, (*DRAWN, "fit_free", "log_likelihood").__contains__, texts=("names",))
+        found, started = {name: read[name] for name in DRAWN}, read.get("fit_free")
+        found |= {name: read[name] for name in ("log_likelihood",) if name in read}
     except NoPicture:
         raise
     except (ValueError, KeyError):

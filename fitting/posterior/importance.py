@@ -35,7 +35,7 @@ class Posterior:
 
     Attributes:
         chain: on the few bins. draws: some of its states, (n, P); weights: theirs, smoothed, sum 1, (n,).
-        log_ratio: log L of all bins minus the chain's, (n,). pareto_k: shape of the largest weights.
+        log_ratio: log L of all bins minus the chain's, (n,), and log L itself. pareto_k: shape of the largest weights.
         diagnosis: of the chain.
         effective_size: of the weighted draws, (P,). sufficient: whether intervals may be given. message: in a sentence.
         wanted: steps of the chain with which its weighted draws would be enough, where they are not and all else is; 0
@@ -46,6 +46,7 @@ class Posterior:
     draws: np.ndarray
     weights: np.ndarray
     log_ratio: np.ndarray
+    log_likelihood: np.ndarray
     pareto_k: float
     diagnosis: Diagnosis
     effective_size: np.ndarray
@@ -99,14 +100,14 @@ def correct(
     diagnosis, size = diagnose(chain.states), chain.states.shape[-1]
     failed = [f"{said}; {GO_ON}" for said in diagnosis.failures(names)]
     flat = chain.states.reshape(-1, size)
-    draws, log_ratio, wanted = np.empty((0, size)), np.empty(0), DRAWS
+    draws, log_ratio, of_all, wanted = np.empty((0, size)), np.empty(0), np.empty(0), DRAWS
     while True:
         new = flat[spread_over(len(flat), wanted, len(draws))]
         whole = []
         for z in new:
             whole.append(log_likelihood(z))
             progress(len(draws) + len(whole), wanted)
-        draws = np.concatenate([draws, new])
+        draws, of_all = np.concatenate([draws, new]), np.concatenate([of_all, whole])
         log_ratio = np.concatenate([log_ratio, np.array(whole) - log_few(new)])
         weights, k = smoothed(log_ratio)
         own = sizes(draws, weights, np.full(size, np.inf)).min()  # what more draws can mend; the chain is for itself
@@ -130,4 +131,4 @@ def correct(
             failed.append(TOO_UNEVEN.format(name=name, count=len(draws), least=least, most=LEAST_SIZE))
     good = f"{diagnosis.steps} steps are {diagnosis.ratio:.0f} autocorrelation times, Pareto k {k:.2f}"
     message = (failed or [good])[0]
-    return Posterior(chain, draws, weights, log_ratio, k, diagnosis, effective, not failed, message, longer)
+    return Posterior(chain, draws, weights, log_ratio, of_all, k, diagnosis, effective, not failed, message, longer)

@@ -29,7 +29,7 @@ from .emulator import Emulator
 from .importance import Posterior, correct
 from .likelihood import log_likelihood, stand_in
 
-DRAWN = ("draws_free", "weights", "log_ratio", "values")  # arrays of a finished chain
+DRAWN = ("draws_free", "weights", "log_ratio", "log_likelihood", "values")  # arrays of a finished chain
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,10 @@ def _sampled(
     done = Sampled(
         found, values[:-1], {k: x[:-1] for k, x in quantities.items()}, {k: x[-1] for k, x in quantities.items()}
     )
-    draws = {"draws_free": found.draws, "weights": found.weights, "log_ratio": found.log_ratio, "values": done.values}
+    draws = {
+        "draws_free": found.draws, "weights": found.weights, "log_ratio": found.log_ratio,
+        "log_likelihood": found.log_likelihood, "values": done.values,
+    }  # fmt: skip
     told = {**_names(layout), **found.chain.arrays(), **draws}
     if said := _unwritten(path, {**told, **{f"derived_{k}": x for k, x in done.derived.items()}}):
         return replace(done, posterior=replace(found, message=f"{found.message}; {said}"))

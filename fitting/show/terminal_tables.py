@@ -13,6 +13,7 @@ from ..results.schema import Accuracy, Model, ParameterResult, Quantiles, Result
 from ..support.numbers import counted, distance, number
 
 LAPLACE = "by the Laplace approximation"
+LATEX_UNITS = {"1": "", "um": "\\textmu m", "1/sr": "sr$^{-1}$", "deg": "$^\\circ$"}
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,20 @@ def parameter_table(result: Result) -> Table:
         found = ["-"] * len(found) if q.fitted == "fixed" else found
         table.add_row(q.name, number(q.value), *found, unit, bounds, q.meaning)
     return table
+
+
+def parameters_as_latex(result: Result) -> str:
+    """The same as a table of LaTeX, with the rules of booktabs; units and intervals are those of the posterior."""
+    rows = []
+    for q in result.parameters:
+        found = q.quantiles or q.laplace
+        ends = "--" if found is None or q.fitted == "fixed" else f"{number(found.q05)} \\dots {number(found.q95)}"
+        name = q.symbol if q.channel is None else f"{q.symbol}^{{\\mathrm{{{q.channel}}}}}"
+        interval = q.fitted if q.fitted == "fixed" else f"${ends}$" if found else ends
+        rows.append(f"${name}$ & ${number(q.value)}$ & {interval} & {LATEX_UNITS.get(q.unit, q.unit)} \\\\")
+    head = "parameter & value & 90\\,\\% interval & unit \\\\"
+    lines = ["\\begin{tabular}{lrrl}", "\\toprule", head, "\\midrule", *rows, "\\bottomrule", "\\end{tabular}"]
+    return "\n".join(lines) + "\n"
 
 
 def fitted_line(m: Model) -> str:

@@ -8,6 +8,7 @@ import merlfit
 import numpy as np
 import pytest
 from merlfit.fitting import api
+from merlfit.fitting.fit import error_metrics
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.draws import chain_file, chain_of
 from merlfit.fitting.pipeline.place import claimed
@@ -15,6 +16,7 @@ from merlfit.fitting.posterior import importance
 from merlfit.fitting.results.schema_posterior import sha1_of_draws
 from merlfit.fitting.results.storage import read_result, write_result
 from merlfit.fitting.show.subject import subject_of
+from merlfit.merl_io.grid import merl_grid
 
 from tests.support.made_results import made, put_result
 
@@ -86,15 +88,22 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
     assert fit.result.posterior is None
     assert "fitted parameters" in str(fit)
     assert file.stem in repr(fit)
-    assert [row["value"] for row in fit.table()] == [q.value for q in fit.parameters.values()]
-    assert {row["q05"] for row in fit.table()} == {None}
+    table = fit.table()
+    assert table["value"].tolist() == [q.value for q in fit.result.parameters]
+    assert table["q05"].isna().all()
+    assert table.loc["beta", "fitted"] == "free"
+    assert fit.parameters["n"].shape == (3,)
+    lines = fit.to_latex().splitlines()
+    assert lines[0] == r"\begin{tabular}{lrrl}"
+    assert len(lines) == len(table) + 6
+    assert lines[4].startswith(r"$\beta$ & $")
 
     up, slanted = np.array([0.0, 0.0, 1.0]), np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
     alone, measured = fit.brdf(up, slanted), fit.predict(up, slanted)
     assert alone.shape == (3, 2)
     material = fit.result.model.material
     np.testing.assert_allclose(
-        alone, merlfit.two_scale(fit.values, merlfit.Geometry.from_vectors(up, slanted), material)
+        alone, merlfit.two_scale(fit.parameters, merlfit.Geometry.from_vectors(up, slanted), material)
     )
     assert np.all(measured < alone)
 
@@ -104,9 +113,20 @@ def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypat
         fit.to_arviz()
     with pytest.raises(merlfit.NoPicture, match="not sampled"):
         fit.plot_trace()
-    assert merlfit.sample(fit) is fit
+    left = fit.residuals()
+    assert left.shape == (3, 90, 90, 180)
+    values, valid = merlfit.read(file).values, np.isfinite(left)[0]
+    found = error_metrics.errors(values, values - np.nan_to_num(left), valid, merl_grid())
+    assert found.rmse == pytest.approx(fit.metrics.rmse, rel=1e-4)  # tables do for all directions, to 1e-5
+    unsampled, fit = fit, merlfit.sample(fit)
+    assert unsampled.result.posterior is None
     assert fit.result.posterior.steps == 20
-    found = fit.to_arviz().posterior
+    whole = fit.to_arviz()
+    found = whole.posterior
+    assert whole["sample_stats"]["log_likelihood"].shape == found["beta"].shape
+    assert whole["walkers"]["z"].dims == ("chain", "draw", "coordinate")
+    assert whole["observed_data"]["brdf"].shape == (3, 90, 90, 180)
+    assert found.attrs["r_hat"] == fit.result.posterior.r_hat
     assert found["n"].dims == ("chain", "draw", "channel")
     assert found["beta"].shape[0] == 1
     assert list(found["channel"].values) == ["R", "G", "B"]
@@ -168,7 +188,7 @@ def test_saving_into_its_own_folder_waits_for_no_command_and_leaves_the_chain_of
     fit = merlfit.load(tmp_path / "nickel.json")
     with claimed(tmp_path), pytest.raises(merlfit.WriteError, match="another merlfit is writing there"):
         fit.save(tmp_path)
-    free = layout_of(fit.result.model.measured).free(fit.values)
+    free = layout_of(fit.result.model.measured).free(fit.parameters)
     for fit_free, kept in ((free, True), (free + 1, False)):
         np.savez(chain_of(fit.path), fit_free=fit_free)
         if not kept:

@@ -182,9 +182,11 @@ def test_arrays_with_a_fixed_index_and_bounds_give_the_rest():
     fit = merlfit.fit({**arrays, "values": values}, settings=settings, fix={"eta": 1.45}, bounds={"alpha": (0.05, 0.5)})
     assert fit.status == "CONVERGED"
     for name, expected in truth.items():
-        np.testing.assert_allclose(fit.values[name], expected, rtol=1e-5, err_msg=name)
+        np.testing.assert_allclose(fit.parameters[name], expected, rtol=1e-5, err_msg=name)
     assert [q.fitted for q in fit.result.parameters] == ["free", "fixed", "fixed", "fixed", "free", "free", "free"]
-    assert (fit.parameters["alpha"].lower, fit.parameters["alpha"].upper) == (0.05, 0.5)
-    assert fit.parameters["eta_526nm"].laplace is None
+    found = {q.name: q for q in fit.result.parameters}
+    assert (found["alpha"].lower, found["alpha"].upper) == (0.05, 0.5)
+    assert found["eta_526nm"].laplace is None
+    assert np.nanmax(np.abs(fit.residuals())) < 1e-5
     assert fit.result.identifiability.coordinates == ["alpha", "odds_645nm", "odds_526nm", "odds_444nm"]
     assert "fixed" in str(fit)

@@ -186,11 +186,11 @@ def test_numbers_are_read_without_a_picture(tmp_path):
 def test_setting_a_value_of_a_fit_is_refused_and_a_copy_may_be_changed(tmp_path):
     put_result(tmp_path)
     fit = merlfit.load(tmp_path / "nickel.json")
-    with pytest.raises(TypeError, match=r'change a copy of them: \{\*\*fit.values, "beta": 0.2\}'):
-        fit.values["beta"] = 0.2
-    changed = {**fit.values, "beta": 0.2}
-    assert changed["beta"] == 0.2 != fit.values["beta"]
-    json.dumps({name: np.asarray(x).tolist() for name, x in fit.values.items()})
+    with pytest.raises(TypeError, match=r'change a copy of them: \{\*\*fit.parameters, "beta": 0.2\}'):
+        fit.parameters["beta"] = 0.2
+    changed = {**fit.parameters, "beta": 0.2}
+    assert changed["beta"] == 0.2 != fit.parameters["beta"]
+    json.dumps({name: np.asarray(x).tolist() for name, x in fit.parameters.items()})
 
 
 def test_a_folder_of_work_that_is_not_of_cost_stays(tmp_path):

@@ -24,7 +24,7 @@ def test_quantiles_stay_when_only_the_chain_cannot_be_written(tmp_path, monkeypa
     draws = np.zeros((4, layout.size))
     none = np.zeros(4)
     chain = SimpleNamespace(arrays=dict)
-    found = Posterior(chain, draws, none + 0.25, none, 0.1, None, none, True, "long enough")
+    found = Posterior(chain, draws, none + 0.25, none, none, 0.1, None, none, True, "long enough")
     monkeypatch.setattr(sampling, "draw", lambda *_: found)
     monkeypatch.setattr(sampling, "physical", lambda layout, draws: (draws + 1, {}))
     fitted = SimpleNamespace(layout=layout, solution=SimpleNamespace(z=np.zeros(layout.size)))
