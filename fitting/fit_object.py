@@ -244,7 +244,8 @@ class Fit:
         posterior = self.result.posterior
         assert posterior is not None
         coordinates = {"channel": self._model().channels, "coordinate": posterior.coordinates}
-        found = arviz_base.from_dict(groups, dims=dims, coords=coordinates)
+        # a chain that was stopped may have more walkers than steps
+        found = arviz_base.from_dict(groups, dims=dims, coords=coordinates, check_conventions=False)
         diagnostics = posterior.model_dump(include={"r_hat", "effective_size", "bulk_size", "tail_size", "pareto_k"})
         found["posterior"].attrs.update(diagnostics, message=posterior.message, coordinates=posterior.coordinates)
         return found
