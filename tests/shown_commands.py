@@ -1,12 +1,13 @@
 """What README and docs/ show is run: `python -m tests.shown_commands`.
 
-Commands (blocks ``sh``) and programs (blocks ``python``; ``py`` is an excerpt) are run in the order of `pages`, each
-one once, in one fresh folder. Where a block ``text`` follows, its lines should be among what was printed; numbers may
+Commands (blocks ``sh``) and programs (blocks ``python``; ``py`` is an excerpt) are run each one once, in one fresh
+folder, in the order of `pages`. Where a block ``text`` follows, its lines should be among what was printed; numbers may
 differ. Lines that are not are told, and an error unless `--quick`: the status of a fit is not the same on every
 processor. `--rewrite` puts what was printed into these blocks instead. `--install` first installs merlfit into an empty
 environment. `--quick` is a rehearsal: commands fit GGX from one start on the coarse grid, one file but for the first
-time, sample short chains, draw with few samples, and what takes minutes all the same is left out, to tests that are
-named. README's program is run as it is: the default fit in an empty environment.
+time, sample short chains, draw with few samples; two pages are run at once where neither needs the other (`parts`);
+and what takes minutes all the same is left out, to tests that are named. README's program is run
+as it is: the default fit in an empty environment.
 """
 
 import argparse
@@ -16,8 +17,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +57,7 @@ ELSEWHERE = {  # commands that are not run here, and where they are
 MINUTES = {  # commands that `--quick` leaves out, and what runs them
     r"merlfit fit .*--accuracy": "tests/fitting/test_accuracy.py",
 }
+AT_ONCE = 2  # pages of a rehearsal: a command is mostly imports and tracing, which keep one core busy
 ONCE = "merlfit: compiling, once"  # and in which folder of this machine: no page shows it
 BORDERS, NUMBER = re.compile("[\u2500-\u257f]+"), re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 
@@ -73,11 +78,21 @@ class Shown:
         return [line for line in lines if line and not line.startswith("#")]
 
 
+def parts(root: Path = ROOT) -> tuple[list[list[Path]], ...]:
+    """README and tutorial, how-tos, the rest: what is in a list is in the order of its pages, lists of a part in none.
+
+    A how-to stands alone, but for those that go on with what README has fitted.
+    """
+    docs = root / "docs"
+    first = [root / "README.md", docs / "tutorial.md"]
+    howtos = sorted((docs / "howto").glob("*.md"))
+    rest = [page for page in sorted(docs.glob("*.md")) if page not in first]
+    return [first], [[page] for page in howtos], [[page] for page in rest]
+
+
 def pages(root: Path = ROOT) -> list[Path]:
     """README, tutorial, how-tos, the rest."""
-    docs = root / "docs"
-    first = [root / "README.md", docs / "tutorial.md", *sorted((docs / "howto").glob("*.md"))]
-    return [*first, *(page for page in sorted(docs.glob("*.md")) if page not in first)]
+    return [page for part in parts(root) for each in part for page in each]
 
 
 def shown(text: str) -> Iterator[Shown]:
@@ -114,12 +129,16 @@ def unlike(expected: str, printed: str) -> list[str]:
 
 
 def install(folder: Path) -> Path:
-    """An environment of its own with merlfit in it; the folder of its programs."""
-    subprocess.run([sys.executable, "-m", "venv", folder / "env"], check=True)
-    pip = [folder / "env" / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    """An environment of its own with merlfit in it, by uv where it is there; the folder of its programs."""
+    env, uv = folder / "env", shutil.which("uv")
+    make = [uv, "venv", "--quiet", "--python", sys.executable, env] if uv else [sys.executable, "-m", "venv", env]
+    subprocess.run(make, check=True)
+    python = env / "bin" / "python"
+    pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    into = [uv, "pip", "install", "--quiet", "--python", python] if uv else pip
     constraints = ["--constraint", ROOT / "constraints.txt"]
-    subprocess.run([*pip, *constraints, f"{ROOT}[arviz]", "jsonschema"], check=True)
-    return folder / "env" / "bin"
+    subprocess.run([*into, *constraints, f"{ROOT}[arviz]", "jsonschema"], check=True)
+    return env / "bin"
 
 
 class Runner:
@@ -129,6 +148,7 @@ class Runner:
         self.folder, self.programs_in, self.quick = folder, programs_in, quick
         self.environment = {**os.environ, "PATH": f"{programs_in}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
         self.printed: dict[str, str] = {}
+        self.once: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
         self.failed: list[str] = []
         self.differs: list[str] = []
         (folder / "short.toml").write_text(SHORT)
@@ -155,22 +175,26 @@ class Runner:
         return None if None in found else "".join(filter(None, found))
 
     def _run(self, key: str, words: list, said: str) -> str:
-        if key not in self.printed:
-            start = time.perf_counter()
-            print(f"$ {said}", flush=True)
-            done = subprocess.run(
-                words,
-                cwd=self.folder,
-                env=self.environment | (HASTY if self.quick and words[0] == "sh" else {}),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-            )
-            print(f"{done.stdout}-> {done.returncode}, {time.perf_counter() - start:.0f} s", flush=True)
-            if done.returncode not in ((0, 1) if key.startswith(MAY_FAIL) else (0,)):
-                self.failed.append(f"{said}: exit code {done.returncode}")
-            self.printed[key] = done.stdout
-        return self.printed[key]
+        """What is printed; another page that shows the same waits for it."""
+        with self.once[key]:
+            if key not in self.printed:
+                self.printed[key] = self._run_now(key, words, said)
+            return self.printed[key]
+
+    def _run_now(self, key: str, words: list, said: str) -> str:
+        start = time.perf_counter()
+        done = subprocess.run(
+            words,
+            cwd=self.folder,
+            env=self.environment | (HASTY if self.quick and words[0] == "sh" else {}),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        print(f"$ {said}\n{done.stdout}-> {done.returncode}, {time.perf_counter() - start:.0f} s", flush=True)
+        if done.returncode not in ((0, 1) if key.startswith(MAY_FAIL) else (0,)):
+            self.failed.append(f"{said}: exit code {done.returncode}")
+        return done.stdout
 
 
 def check(page: Path, runner: Runner) -> None:
@@ -193,11 +217,17 @@ def rewrite(page: Path, runner: Runner) -> None:
     page.write_text(text)
 
 
-def run(folder: Path, programs_in: Path, quick: bool, asked: list[Path], what=check) -> list[str]:
-    """All pages; what failed, in words."""
+def run(folder: Path, programs_in: Path, quick: bool, asked: tuple[list[list[Path]], ...], what=check) -> list[str]:
+    """All parts; what failed, in words. What is printed in full is printed page after page."""
     runner = Runner(folder, programs_in, quick)
-    for page in asked:
-        what(page, runner)
+
+    def follow(some: list[Path]) -> None:
+        for page in some:
+            what(page, runner)
+
+    with ThreadPoolExecutor(AT_ONCE if quick else 1) as lanes:
+        for part in asked:
+            list(lanes.map(follow, part))
     print("\n".join(runner.differs))
     return runner.failed + ([] if quick else runner.differs)
 
@@ -211,7 +241,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         programs_in = install(folder) if asked.install else Path(sys.executable).parent
-        failed = run(folder, programs_in, asked.quick, pages(), rewrite if asked.rewrite else check)
+        failed = run(folder, programs_in, asked.quick, parts(), rewrite if asked.rewrite else check)
     sys.exit("\n".join(failed) if failed else 0)
 
 

@@ -110,18 +110,18 @@ print("7.25 │ here")
 def test_what_fails_and_what_is_not_printed_is_named(tmp_path, capsys):
     page, programs = tmp_path / "page.md", shown_commands.Path(sys.executable).parent
     page.write_text(TEXT)
-    one, other = shown_commands.run(tmp_path, programs, False, [page])
+    one, other = shown_commands.run(tmp_path, programs, False, ([[page]],))
     assert one == "page.md: merlfit check missing.binary: exit code 2"
     assert other.startswith("page.md: 'missing.binary: no such fool'")
     capsys.readouterr()
-    assert shown_commands.run(tmp_path, programs, True, [page]) == [one]  # what was not printed is told alone
+    assert shown_commands.run(tmp_path, programs, True, ([[page]],)) == [one]  # what was not printed is told alone
     assert other in capsys.readouterr().out
 
 
 def test_what_was_printed_is_put_into_a_page(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(TEXT)
-    shown_commands.run(tmp_path, shown_commands.Path(sys.executable).parent, True, [page], shown_commands.rewrite)
+    shown_commands.run(tmp_path, shown_commands.Path(sys.executable).parent, True, ([[page]],), shown_commands.rewrite)
     assert "no such file" in page.read_text()
     assert page.read_text().endswith("```text\n7.25 │ here\n```\n")
 
