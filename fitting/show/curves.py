@@ -4,10 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from ...model.geometry import Geometry
 from . import prediction
 from .prediction import PEAK_DIFFERENCE_DEG, WIDEST_DEG, plane_of_incidence, viewers
 from .spheres import PARTS
@@ -40,14 +38,14 @@ def lobe(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, np
     if subject.model.measured.loses:
         found["alone"] = prediction.predicted_lobe(subject.fitted, i, o, loss=False)
     if subject.likely is not None:
-        found["low"], found["high"] = prediction.band(subject.likely, Geometry.from_vectors(i, o))
+        found["low"], found["high"] = prediction.band(subject.likely, prediction.from_vectors(i, o))
     return angles, is_datum, found
 
 
 def added(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """What each lobe and the body add in the plane of incidence: viewers (deg), and by part the middle channel's."""
     angles, _ = viewers(degrees, np.degrees(subject.grid.theta_h), **named)
-    where = Geometry.from_vectors(*plane_of_incidence(np.radians(degrees), np.radians(angles)))
+    where = prediction.from_vectors(*plane_of_incidence(np.radians(degrees), np.radians(angles)))
     found = prediction.parts_of(subject.fitted, where).items()
     return angles, {PARTS.get(name, name): brdf[len(subject.model.channels) // 2] for name, brdf in found}
 
@@ -112,8 +110,8 @@ def peak(subject: Subject) -> Peak:
     d = int(np.argmin(np.abs(np.degrees(grid.theta_d) - PEAK_DIFFERENCE_DEG)))
     p = len(grid.phi_d) // 2
     seen = grid.theta_h < np.pi / 2 - grid.theta_d[d]
-    where = (jnp.asarray(grid.theta_h[seen]), jnp.asarray(grid.theta_d[d]), jnp.asarray(grid.phi_d[p]))
-    fit = prediction.brdf_of(subject.fitted, Geometry.from_half_difference(*where))
+    where = grid.theta_h[seen], grid.theta_d[d], grid.phi_d[p]
+    fit = prediction.brdf_of(subject.fitted, prediction.from_half_difference(*where))
     file = np.full_like(fit, np.nan) if subject.measurement is None else subject.measurement.values[:, seen, d, p]
     degrees, brdf = np.degrees(grid.theta_h[seen]), {"file": file, "fit": fit}
     return Peak(

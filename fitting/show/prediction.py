@@ -22,6 +22,8 @@ from ..results.schema import Model, Result
 WIDEST_DEG = 89.0  # of the viewers of a lobe
 BAND_DRAWS = 100  # of the posterior, for bands
 PEAK_DIFFERENCE_DEG = 5.0  # theta_d of the peak
+# A program each: called as they are, every operation in them is one
+from_vectors, from_half_difference = map(jax.jit, (Geometry.from_vectors, Geometry.from_half_difference))
 
 
 def plane_of_incidence(theta_i: float, theta_o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +100,7 @@ class Fitted:
 
 def predicted_lobe(fitted: Fitted, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
     """BRDF of the fitted material, (C, N): as the apparatus would have measured it, or without its loss."""
-    return brdf_of(fitted, Geometry.from_vectors(i, o), loss)
+    return brdf_of(fitted, from_vectors(i, o), loss)
 
 
 def brdf_of(fitted: Fitted, geometry: Geometry, loss: bool = True) -> np.ndarray:

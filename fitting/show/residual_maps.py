@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
@@ -10,7 +9,6 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from ...merl_io.samples import folded
-from ...model.geometry import Geometry
 from ..fit.weights import within
 from . import prediction
 from .style import DEGREES, FAINT, channel_colour, new, printable
@@ -62,7 +60,7 @@ def _ratios(panels: np.ndarray, subject: Subject, loss: bool) -> float:
     where = grid.theta_h[:, None, None], grid.theta_d[d][None, :, None], grid.phi_d[p][None, None, :]
     here = np.ix_(np.arange(len(grid.theta_h)), d, p)
     inside = (file.valid & grid.above & within(grid, subject.theta_max))[here]
-    geometry = Geometry.from_half_difference(*map(jnp.asarray, where))
+    geometry = prediction.from_half_difference(*where)
     fitted = prediction.brdf_of(subject.fitted, geometry, loss)
     for c, name in enumerate(subject.channels):
         data, colour = file.values[c][here], channel_colour(name, c)

@@ -25,7 +25,7 @@ def test_inspect_finds_the_file_of_a_project_that_moved(tmp_path, monkeypatch):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
-    shown = call("inspect", tmp_path / "moved" / "fits" / "nickel.json", "-o", elsewhere)
+    shown = call("inspect", tmp_path / "moved" / "fits" / "nickel.json", "-o", elsewhere, "--pictures", "errors")
     assert "is not the file that was fitted" in shown.stderr  # found, and refused: another SHA-1
 
 

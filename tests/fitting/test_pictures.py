@@ -1,6 +1,7 @@
 """Pictures of a fit: what their panels show, which marks, units and scales they have, and how they look in print."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import matplotlib as mpl
@@ -65,15 +66,39 @@ def few_draws(monkeypatch):
     monkeypatch.setattr(prediction, "BAND_DRAWS", 10)
 
 
+@pytest.fixture(scope="module")
+def printed(subject):
+    """Each picture of the subject once, drawn in spite of a user's settings of matplotlib."""
+
+    @cache
+    def draw(name):
+        with mpl.rc_context({"text.usetex": True, "font.size": 30.0}):
+            figure = PICTURES[name].draw(subject)
+        figure.draw_without_rendering()
+        return figure
+
+    return draw
+
+
+@pytest.fixture(scope="module")
+def corners():
+    """Corner plots of a chain by its picture, how wide it is, and whether it is long enough; each drawn once."""
+
+    @cache
+    def draw(name, scale, sufficient):
+        result = made(posterior=sufficient)
+        return result, PICTURES[name].draw(Subject(result, None, chain(result, scale)))
+
+    return draw
+
+
 @pytest.mark.parametrize("name", PICTURES)
-def test_a_picture_can_be_printed(name, subject):
+def test_a_picture_can_be_printed(name, printed):
     """It is as wide as a column, no letter is smaller than 6 points, none is cut off, and it says what the data are.
 
     Neither the user's settings of matplotlib nor what is a formula to it and is none in an origin changes that.
     """
-    with mpl.rc_context({"text.usetex": True, "font.size": 30.0}):
-        figure = PICTURES[name].draw(subject)
-    figure.draw_without_rendering()
+    figure = printed(name)
     width = 17.8 if name == "corner-all" else 8.5
     assert figure.get_figwidth() * 2.54 == pytest.approx(width)
     assert figure.get_figheight() * 2.54 < 25
@@ -236,9 +261,8 @@ def test_what_cannot_be_drawn_says_why(name, words):
 
 
 @pytest.mark.parametrize("sufficient", [True, False])
-def test_a_chain_that_is_too_short_has_a_watermark(sufficient):
-    result = made(posterior=sufficient)
-    found = [text.get_text() for text in PICTURES["corner"].draw(Subject(result, None, chain(result))).texts]
+def test_a_chain_that_is_too_short_has_a_watermark(sufficient, corners):
+    found = [text.get_text() for text in corners("corner", 0.1, sufficient)[1].texts]
     assert (corner.WATERMARK in found) == (not sufficient)
     assert any("9 autocorrelation times" in text for text in found) == (not sufficient)
 
@@ -246,9 +270,8 @@ def test_a_chain_that_is_too_short_has_a_watermark(sufficient):
 @pytest.mark.parametrize(
     ("name", "scale"), [("corner", 0.003), ("corner", 0.1), ("corner", 1.0), ("corner-all", 0.003)]
 )
-def test_the_corner_plot_has_units_scales_values_and_ticks(name, scale):
-    result = made(posterior=True)
-    figure = PICTURES[name].draw(Subject(result, None, chain(result, scale)))
+def test_the_corner_plot_has_units_scales_values_and_ticks(name, scale, corners):
+    result, figure = corners(name, scale, True)
     shown = [q for q in result.parameters if name == "corner-all" or q.channel in (None, "G")]
     assert len(shown) < len(result.parameters) or name == "corner-all"
     axes = np.array(figure.axes).reshape(len(shown), len(shown))
@@ -279,9 +302,8 @@ def test_ticks_of_neighbours_do_not_collide(panel, scale, forward):
 
 
 @pytest.mark.parametrize("name", ["corner", "corner-all"])
-def test_no_letters_of_the_corner_plot_lie_on_a_panel(name, subject):
-    figure = PICTURES[name].draw(subject)
-    figure.draw_without_rendering()
+def test_no_letters_of_the_corner_plot_lie_on_a_panel(name, printed):
+    figure = printed(name)
     size = int(np.sqrt(len(figure.axes)))
     panels = [axis.get_window_extent() for k, axis in enumerate(figure.axes) if k // size >= k % size]
     axes = np.array(figure.axes).reshape(size, size)
@@ -305,7 +327,7 @@ def test_pictures_are_written_in_the_format_asked_for(kind, tmp_path):
 def test_inspect_draws_what_it_is_asked_for(tmp_path, subject, monkeypatch):
     monkeypatch.setattr(inspection, "subject_of", lambda *_: subject)
     monkeypatch.setattr(inspection, "use_persistent_cache", lambda: None)
-    asked = ["lobes", "corner"]
+    asked = ["peak", "trace"]
     assert inspection.show(tmp_path / "x.json", subject.result, Path("x.binary"), tmp_path, "pdf", asked)
     assert {p.name for p in tmp_path.iterdir()} == {f"gold-metallic-paint3.two-scale.{name}.pdf" for name in asked}
 
