@@ -37,7 +37,7 @@ def told(fitted, seconds):
     s, names = fitted.solution, fitted.layout.names
     return {
         "index": fitted.material.index, "body": fitted.material.body, "status": fitted.status.name,
-        "weights": fitted.bend,
+        "weights": fitted.exponent,
         "cost": s.cost, "steps": s.steps, "effective_bins": fitted.count, "seconds": seconds,
         "at_bound": [n for n, bound in zip(names, fitted.at_bound, strict=True) if bound != "no"],
         "parameters": dict(zip(names, fitted.values.tolist(), strict=True)),
@@ -49,7 +49,7 @@ def searched(path, weights):
     """A file fitted as `merlfit fit` does it, and the kinds that were compared."""
     start, config = time.perf_counter(), load(posterior=False, weights=weights)
     measurement = read(path)
-    samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted = fit(measurement, samples, config)
     candidates = {"candidates": [c.model_dump() for c in fitted.candidates]} if weights == "compressive" else {}
     return {**candidates, weights: told(fitted, time.perf_counter() - start)}
@@ -60,7 +60,7 @@ def ladder(path, row):
     start, config = time.perf_counter(), load(posterior=False, weights="adaptive")
     first = row["compressive"]
     layout, measurement = layout_for(config, two_scale(config, (first["index"], first["body"]))), read(path)
-    samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     tried = descend(layout, layout.free(by_name(layout, first)), measurement, samples, config, Clock())
     spent = first["seconds"] + time.perf_counter() - start
     kept = nearest([(f.errors.picture, f.errors.highlight) for f in tried])

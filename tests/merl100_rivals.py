@@ -38,7 +38,7 @@ FIGURES = ("rmse", "smape", "cube_root", "log", "highlight", "picture")
 def kept(fitted, seconds):
     """What is kept of one fit."""
     return {
-        "variant": fitted.material.variant, "status": fitted.status.name, "weights": fitted.bend,
+        "variant": fitted.material.variant, "status": fitted.status.name, "weights": fitted.exponent,
         "cost": fitted.solution.cost, "effective_bins": fitted.count, "seconds": seconds,
         "values": dict(zip(fitted.layout.names, fitted.values.tolist(), strict=True)),
         **{name: getattr(fitted.errors, name) for name in FIGURES},
@@ -63,7 +63,7 @@ def measure(material, weights, names):
     with TemporaryDirectory() as made:
         measurement = read(file(os.environ.get("MERL_RECONSTRUCTIONS", made), material))
     config = load(posterior=False, weights=weights)
-    samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     for name in missing:
         done[name] = fitted_of(measurement, samples, name, weights)
         keep(target, rows)

@@ -65,7 +65,7 @@ def values_of(layout, flat):
 def measure(material, rival, folder, weights):
     """Of both models: log2 of fit over file (H, D), squared error summed over the rows up to each theta_h (H)."""
     measurement, grid = read(file(folder, material)), merl_grid()
-    samples = weighted_samples(measurement, load().rungs[0], THETA_MAX)
+    samples = weighted_samples(measurement, load().exponents[0], THETA_MAX)
     half = samples.value.shape[-1]
     used = np.all(samples.weight > 0, 0) & within(grid, THETA_MAX)[..., :half]
     turned = np.flip(grid.cos_i, -1)[..., :half]  # the light's cosine where both have changed places

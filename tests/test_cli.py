@@ -49,7 +49,7 @@ def fitted(tmp_path_factory):
     settings = folder / "short.toml"
     settings.write_text(f"{QUICK}[posterior]\nmax_steps = 20\n")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sampler, "LESSONS", 0)  # which tests/fitting/test_posterior.py looks at
+        patch.setattr(sampler, "RETRAININGS", 0)  # which tests/fitting/test_posterior.py looks at
         patch.setattr(importance, "MOST_DRAWS", 60)  # a thirtieth of a second each
         patch.setattr(importance, "DRAWS", 40)
         done = call("fit", file, "-o", folder / "out", "--config", settings, "--seed", "3")

@@ -22,8 +22,8 @@ from ..batch.unit import Ended, Unit
 from ..cost.accuracy import Aim, aim
 from ..cost.request import request
 from ..pipeline.models import candidates
-from ..pipeline.place import Complete, claimed, completeness, results_beside
-from ..pipeline.run import settled
+from ..pipeline.place import Completeness, claimed, completeness, results_beside
+from ..pipeline.run import settings_for_scattered
 from ..results.manifest import Ending, Journal
 from ..results.schema import Result
 from ..results.storage import valid_result
@@ -74,7 +74,7 @@ def refuse_unoffered(files: list[Path], settings: Config, *options: str) -> None
     """End with an error where more is asked for than there is of scattered directions, before anything is read."""
     try:
         for path in filter(is_scattered, files):
-            settled(path, settings, *options)
+            settings_for_scattered(path, settings, *options)
     except MerlError as error:
         raise fail(str(error)) from None
 
@@ -281,9 +281,9 @@ def _kept(unit: Unit, ended: Ended) -> str:
     if ended.said:
         return ended.said
     found = completeness(unit.target)
-    if found == Complete.NOTHING:
+    if found == Completeness.NOTHING:
         return f"{unit.name} was not fitted"
-    more = "continues it" if found == Complete.CHAIN else "samples it"
+    more = "continues it" if found == Completeness.CHAIN else "samples it"
     return f"{unit.target} holds {found.words}; `merlfit sample {unit.target}` {more}"
 
 

@@ -164,7 +164,7 @@ class Aim:
             best = min(tried, key=lambda t: t.error)
         if best.solution is not fitted.solution:
             whole = assess(best.layout, best.solution, measurement, samples, self.config.fit.theta_max)
-            fitted = replace(whole, candidates=fitted.candidates, bend=fitted.bend)
+            fitted = replace(whole, candidates=fitted.candidates, exponent=fitted.exponent)
         return fitted, self._summary(tried, best)
 
     def _assessed(self, choice: Choice, layout: Layout, solution: Solution, problem: Problem) -> _Try:

@@ -124,7 +124,7 @@ def compress(z: Array, normal: Array | np.ndarray) -> _Affine:
     return _Affine(z, r[:, -1], r[:, :-1])
 
 
-class _Way(eqx.Module):
+class _SolverState(eqx.Module):
     """Where one solve is; of several, all arrays have a leading axis.
 
     Attributes:
@@ -144,7 +144,7 @@ class _Way(eqx.Module):
 
 
 @cache
-def _machine(size: int, rtol: float) -> tuple[Callable[..., _Way], Callable[..., _Way]]:
+def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState], Callable[..., _SolverState]]:
     """Start and step of the solver for P parameters, compiled, of several solves at once."""
     solver = TrustRegion(rtol=rtol, atol=rtol)
     z = jnp.zeros(size)
@@ -156,12 +156,12 @@ def _machine(size: int, rtol: float) -> tuple[Callable[..., _Way], Callable[...,
     near = _Affine(z, jnp.zeros(size + 1), jnp.zeros((size + 1, size)))
     dynamic, static = eqx.partition(solver.init(affine, z, near, {}, shape, None, frozenset()), eqx.is_array)
 
-    def start(y: Array, kept: Array) -> _Way:
+    def start(y: Array, kept: Array) -> _SolverState:
         state = eqx.tree_at(lambda s: s.y_eval, dynamic, y)
         never, finite = jnp.asarray(-CLEAR), jnp.all(jnp.isfinite(kept))
-        return _Way(y, state, kept, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
+        return _SolverState(y, state, kept, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
 
-    def advance(way: _Way, normal: Array) -> _Way:
+    def advance(way: _SolverState, normal: Array) -> _SolverState:
         state: Any = eqx.combine(way.state, static)
         near = compress(state.y_eval, normal)
         y, state, _ = solver.step(affine, way.y, near, {}, state, frozenset())
@@ -172,13 +172,15 @@ def _machine(size: int, rtol: float) -> tuple[Callable[..., _Way], Callable[...,
         blocked = jnp.where(jnp.all(jnp.isfinite(normal)), way.blocked, steps)
         converged = (stop & (steps > blocked + CLEAR)) | (offset < OFFSET_TOLERANCE)
         kept = jnp.where(better, normal, way.kept)
-        moved = _Way(y, eqx.filter(state, eqx.is_array), kept, offset, steps, blocked, converged, ~converged)
+        moved = _SolverState(y, eqx.filter(state, eqx.is_array), kept, offset, steps, blocked, converged, ~converged)
         return jax.tree.map(lambda new, old: jnp.where(way.active, new, old), moved, way)
 
     return jax.jit(jax.vmap(start)), jax.jit(_one_after_the_other(advance))
 
 
-def _one_after_the_other(advance: Callable[[_Way, Array], _Way]) -> Callable[[_Way, Array], _Way]:
+def _one_after_the_other(
+    advance: Callable[[_SolverState, Array], _SolverState],
+) -> Callable[[_SolverState, Array], _SolverState]:
     """Over the leading axis; on a GPU side by side.
 
     On a CPU XLA spreads a batch of decompositions over its own threads, and waits for them in one of these: calls from
@@ -200,18 +202,18 @@ def solve_many(
         evaluate: normal equations (M, C, P+1, P+1) of M points (M, P). points: where to start, (M, P).
         max_steps, rtol: as for `solve`, of each.
     """
-    start, advance = _machine(points.shape[1], rtol)
+    start, advance = _compiled_steps(points.shape[1], rtol)
     begun = np.asarray(points, float)
     ways = start(begun, evaluate(begun))
     for step in range(max_steps):
         if not np.asarray(ways.active).any():
             break
         ways = advance(ways, evaluate(np.asarray(ways.state.y_eval)) if step else ways.kept)
-    ended: _Way = jax.tree.map(np.asarray, ways)
+    ended: _SolverState = jax.tree.map(np.asarray, ways)
     return [_ended(jax.tree.map(lambda x, k=k: x[k], ended)) for k in range(len(begun))]
 
 
-def _ended(way: _Way) -> Solution:
+def _ended(way: _SolverState) -> Solution:
     kept = np.asarray(way.kept)
     cost = float(kept[:, -1, -1].sum()) if np.all(np.isfinite(kept)) else float("nan")
     return Solution(np.asarray(way.y), cost, kept, max(int(way.steps), 1), float(way.offset), bool(way.converged))

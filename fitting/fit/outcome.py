@@ -14,7 +14,7 @@ from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
 from ..results import schema
 from ..results.upgrade import NINETY
-from ..support.choices import BEND, Bend, Weights
+from ..support.choices import EXPONENT, Exponent, Weights
 from . import error_metrics, plausible
 from .laplace import laplace_covariance
 from .largest_albedo import largest_albedo
@@ -43,7 +43,7 @@ class Fitted:
         solution: where it ended, with the cost of all bins and the normal equations of the last grid.
         costs: of all bins, by channel (C,). count: effective sample count of the residuals. errors: metrics.
         candidates: models and their variants that were compared on the coarse grid.
-        bend: of the weights that it was made with.
+        exponent: of the weights that it was made with.
     """
 
     layout: Layout
@@ -52,7 +52,7 @@ class Fitted:
     count: float
     errors: error_metrics.Errors
     candidates: list[schema.Candidate]
-    bend: Bend = BEND
+    exponent: Exponent = EXPONENT
 
     @property
     def material(self) -> Reflectance:

@@ -20,20 +20,21 @@ from ...merl_io.grid import MerlGrid, merl_grid
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Samples, fold
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples, scattered
-from ..support.choices import BEND, THETA_MAX, Bend
+from ..support.choices import EXPONENT, THETA_MAX, Exponent
 from ..support.threads import side_by_side
 
 TOLD, HALF_NORMAL = 5.0, 0.6745  # standard deviations of noise; the median of what is below zero, in one of them
 
 
-def compressive_weight(value: np.ndarray, median: np.ndarray, bend: float = BEND) -> np.ndarray:
-    """w_C of HP17 Eq. 57-58, dimensionless in (0, 1]: 1 for dark bins, falling as the power ``bend`` of bright ones.
+def compressive_weight(value: np.ndarray, median: np.ndarray, exponent: float = EXPONENT) -> np.ndarray:
+    """w_C of HP17 Eq. 57-58, dimensionless in (0, 1]: 1 for dark bins, of bright ones a power.
 
     Args:
-        value: measured BRDF >= 0. median: the cos-weighted median to compare with (broadcasts).
+        value: measured BRDF >= 0. median: the cos-weighted median to compare with (broadcasts). exponent: of the power
+            with which it falls.
     """
     x = np.maximum(value / median, 1e-12)
-    return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** bend
+    return (-np.expm1(-np.log(2.0) * x) / (np.log(2.0) * x)) ** exponent
 
 
 def noise_floor(value: np.ndarray) -> float:
@@ -64,29 +65,33 @@ def within(grid: MerlGrid, theta_max: float) -> np.ndarray:
 
 
 @overload
-def weighted_samples(measurement: Measurement, bend: Bend = BEND, theta_max: float = THETA_MAX) -> Samples: ...
+def weighted_samples(
+    measurement: Measurement, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX
+) -> Samples: ...
 
 
 @overload
 def weighted_samples(
-    measurement: Input, bend: Bend = BEND, theta_max: float = THETA_MAX
+    measurement: Input, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX
 ) -> Samples | ScatteredSamples: ...
 
 
-def weighted_samples(measurement: Input, bend: Bend = BEND, theta_max: float = THETA_MAX) -> Samples | ScatteredSamples:
+def weighted_samples(
+    measurement: Input, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX
+) -> Samples | ScatteredSamples:
     """Folded samples of a file, or those of scattered directions, with their weights.
 
     Each channel is compared with its own median, so that no channel is fitted at the expense of another.
 
     Args:
-        bend: exponent of the compressive weight, or ``log``. theta_max: of light and viewer (rad).
+        exponent: exponent of the compressive weight, or ``log``. theta_max: of light and viewer (rad).
     """
     if isinstance(measurement, ScatteredMeasurement):
-        return _scattered_samples(measurement, bend, theta_max)
+        return _scattered_samples(measurement, exponent, theta_max)
     grid = merl_grid(measurement.dims)
     used = measurement.valid & within(grid, theta_max) & (grid.weight > 0)
     bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
-    weigh = _logarithmic if bend == "log" else _compressive(float(bend))
+    weigh = _logarithmic if exponent == "log" else _compressive(float(exponent))
 
     def channel(plane: np.ndarray) -> Samples:
         weight = np.zeros((1, *plane.shape))
@@ -100,11 +105,11 @@ def weighted_samples(measurement: Input, bend: Bend = BEND, theta_max: float = T
     return replace(planes[0], value=value, weight=weight, scatter=scatter, bands=measurement.bands)
 
 
-def _scattered_samples(measurement: ScatteredMeasurement, bend: Bend, theta_max: float) -> ScatteredSamples:
+def _scattered_samples(measurement: ScatteredMeasurement, exponent: Exponent, theta_max: float) -> ScatteredSamples:
     """A sample weighs its share times the weight of its value."""
     low = np.maximum(measurement.theta_i, measurement.theta_o) > theta_max
     used = measurement.valid & ~low & (measurement.share > 0)
-    weigh = _logarithmic if bend == "log" else _compressive(float(bend))
+    weigh = _logarithmic if exponent == "log" else _compressive(float(exponent))
     weight = np.zeros(used.shape)
     for plane, counted, found in zip(measurement.values, used, weight, strict=True):
         if counted.any():
@@ -115,11 +120,11 @@ def _scattered_samples(measurement: ScatteredMeasurement, bend: Bend, theta_max:
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def _compressive(bend: float) -> Weigh:
+def _compressive(exponent: float) -> Weigh:
     def weigh(value: np.ndarray, cos_i: np.ndarray) -> np.ndarray:
         floor = noise_floor(value)
         scale = max(cos_weighted_median(value, cos_i), floor, 1e-9)  # where most values are negative, the median is
-        return compressive_weight(np.maximum(value, floor), np.asarray(scale), bend)
+        return compressive_weight(np.maximum(value, floor), np.asarray(scale), exponent)
 
     return weigh
 

@@ -23,7 +23,7 @@ from ..results.storage import finite, valid_result
 from ..settings.config import Config, ConfigError, parse
 from ..support.clock import Report, Stage, silent
 from ..support.numbers import counted
-from .run import fit_file, settled
+from .run import fit_file, settings_for_scattered
 
 KEYS = ("material", "model", "variant", "origin", "weights", "status", "numbers")
 FIT = "fit"
@@ -104,7 +104,7 @@ def compare_file(
     report("reading")
     measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, Path) else path
     if isinstance(measurement, ScatteredMeasurement):
-        settings, with_published = [settled(measurement.path, each) for each in settings], False
+        settings, with_published = [settings_for_scattered(measurement.path, each) for each in settings], False
     results: dict[str, Result] = {}
     for k, name in enumerate(names):
         report(Stage(f"{name} ({k + 1} of {counted(len(names), 'model')})", k / len(names)))
@@ -115,7 +115,7 @@ def compare_file(
     if with_published and (sources := sources_of(measurement.name)):
         report("published parameters")
         assert not isinstance(measurement, ScatteredMeasurement)
-        samples = weighted_samples(measurement, config.rungs[-1], config.fit.theta_max)  # the fits' last
+        samples = weighted_samples(measurement, config.exponents[-1], config.fit.theta_max)  # the fits' last
         for source in sources:
             errors, cost = assess_published(source, measurement, samples, config.fit.theta_max)
             rows.append(published_row(measurement.name, source, measurement.genuine is not None, errors, cost))

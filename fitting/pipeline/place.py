@@ -20,7 +20,7 @@ from ..support.terminal import note
 RESULT = ".json"  # as `is_ours` has it, whatever a result is named
 
 
-class Complete(IntEnum):
+class Completeness(IntEnum):
     """How much a result holds, least first."""
 
     NOTHING = 0
@@ -33,29 +33,29 @@ class Complete(IntEnum):
     def words(self) -> str:
         """For a message."""
         return {
-            Complete.NOTHING: "no fit that succeeded",
-            Complete.FIT: "a fit without a posterior",
-            Complete.CHAIN: "a fit and an unfinished chain",
-            Complete.POSTERIOR: "a fit and a posterior too short for intervals",
-            Complete.INTERVALS: "a fit and a posterior with intervals",
+            Completeness.NOTHING: "no fit that succeeded",
+            Completeness.FIT: "a fit without a posterior",
+            Completeness.CHAIN: "a fit and an unfinished chain",
+            Completeness.POSTERIOR: "a fit and a posterior too short for intervals",
+            Completeness.INTERVALS: "a fit and a posterior with intervals",
         }[self]
 
 
-def completeness(path: Path) -> Complete:
+def completeness(path: Path) -> Completeness:
     """How much is in the result of this name, whatever version wrote it."""
     try:
         found = json.loads(whole(path))
         posterior, succeeded = found["posterior"], found["fit"]["succeeded"]
         if posterior:
-            return Complete.INTERVALS if posterior["sufficient"] else Complete.POSTERIOR
+            return Completeness.INTERVALS if posterior["sufficient"] else Completeness.POSTERIOR
     except (ValueError, KeyError, TypeError, RecursionError):
-        return Complete.NOTHING
+        return Completeness.NOTHING
     if not succeeded:
-        return Complete.NOTHING
-    return Complete.CHAIN if chain_of(path).is_file() else Complete.FIT
+        return Completeness.NOTHING
+    return Completeness.CHAIN if chain_of(path).is_file() else Completeness.FIT
 
 
-class Taken(WriteError):
+class FolderBusy(WriteError):
     """A folder that another run writes to."""
 
 
@@ -69,7 +69,7 @@ def claimed(out: Path, alone: bool = True) -> Iterator[None]:
         alone: if not, others that are content with that may write there, too; then nothing is cleared away.
 
     Raises:
-        Taken: another run has it.
+        FolderBusy: another run has it.
     """
     with ExitStack() as stack:
         try:
@@ -79,7 +79,7 @@ def claimed(out: Path, alone: bool = True) -> Iterator[None]:
             stack.callback(os.close, folder)
             fcntl.flock(folder, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise Taken(f"{out}: another merlfit is writing there; wait for it, or name another folder") from None
+            raise FolderBusy(f"{out}: another merlfit is writing there; wait for it, or name another folder") from None
         except (ImportError, OSError) as error:  # a system, or a file system, without locks
             why = getattr(error, "strerror", None) or "this system has no locks"
             note(f"{out}: cannot be locked ({why}): take care that no other merlfit writes there")
@@ -94,8 +94,8 @@ def _clear(out: Path) -> None:
     for left in filter(is_unfinished, sorted(out.glob(f"{UNFINISHED}*"))):
         with suppress(OSError):
             for path in sorted(left.glob("*.json")):
-                if completeness(path) > Complete.NOTHING:
-                    place = _settled(Place(out, path.stem), Place(left, path.stem))
+                if completeness(path) > Completeness.NOTHING:
+                    place = _settled(ResultSlot(out, path.stem), ResultSlot(left, path.stem))
                     note(place.said or f"{place.path} is of a run that was killed before it had put it there")
             if left.is_dir():
                 shutil.rmtree(left)
@@ -103,7 +103,7 @@ def _clear(out: Path) -> None:
                 left.unlink()
 
 
-class Place:
+class ResultSlot:
     """Where a result is written: ``folder`` and, in it, ``path``; ``said`` at the end, if there is something to say."""
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -125,7 +125,7 @@ def _which(path: Path) -> tuple[int, int] | None:
 
 
 @contextmanager
-def place_of(out: Path, name: str, alone: bool = True) -> Iterator[Place]:
+def place_of(out: Path, name: str, alone: bool = True) -> Iterator[ResultSlot]:
     """Where to write the result ``name`` of ``out``.
 
     Where one stands already, or may come in the meantime, the new one is written into a folder beside it, and moved to
@@ -138,16 +138,16 @@ def place_of(out: Path, name: str, alone: bool = True) -> Iterator[Place]:
     Raises:
         WriteError: a file of that name is no result, or the system lets none be put there.
     """
-    target = Place(out, name)
+    target = ResultSlot(out, name)
     if os.path.exists(target.path) and not _is_result(target.path):
         raise WriteError(f"{target.path}: is there already, and no result of merlfit: move it, or name another folder")
-    if alone and completeness(target.path) == Complete.NOTHING:
+    if alone and completeness(target.path) == Completeness.NOTHING:
         yield target
         return
     beside = unfinished(out)
     with refused(target.path, "written"):
         beside.mkdir()
-    new = Place(beside, name)
+    new = ResultSlot(beside, name)
     try:
         yield new
     finally:
@@ -158,7 +158,7 @@ def place_of(out: Path, name: str, alone: bool = True) -> Iterator[Place]:
             beside.rmdir()
 
 
-def _settled(target: Place, new: Place) -> Place:
+def _settled(target: ResultSlot, new: ResultSlot) -> ResultSlot:
     """Where a result is in the end that was written beside that of its name: in its place, or in its own folder."""
     if not new.path.exists():
         return new
@@ -172,11 +172,11 @@ def _settled(target: Place, new: Place) -> Place:
     foreign = not _is_result(target.path)
     stays = f"{target.path} stays as it was, {'no result' if foreign else f'with {before.words}{words[0]}'}"
     if earlier := next((path for path in results_beside(target.path) if _takes_place(new.path, path)), None):
-        moved = Place(earlier.parent, earlier.stem)
+        moved = ResultSlot(earlier.parent, earlier.stem)
         _move(new.path, earlier)
     else:
         named = next(path for k in count(2) if not (path := target.folder / f"{target.path.stem}.{k}").exists())
-        moved = Place(new.folder.rename(named), target.path.stem)
+        moved = ResultSlot(new.folder.rename(named), target.path.stem)
     moved.said = f"{stays}; {moved.path} is the new one, {after.words}{words[1]}"
     return moved
 
@@ -190,19 +190,19 @@ def _takes_place(new: Path, old: Path) -> bool:
 
 def _is_result(path: Path) -> bool:
     """Whether a file is a result, also one whose keys some other program has put into another order."""
-    return is_ours(path, RESULT) or completeness(path) != Complete.NOTHING
+    return is_ours(path, RESULT) or completeness(path) != Completeness.NOTHING
 
 
 def _loses_a_chain(new: Path, old: Path) -> bool:
     """Whether the chain of an old result is worth more than the new one's: of unfinished ones nobody knows which is."""
-    if Complete.CHAIN == completeness(old) == completeness(new):
+    if Completeness.CHAIN == completeness(old) == completeness(new):
         return not filecmp.cmp(chain_of(new), chain_of(old), shallow=False)
     return _has_its_chain(old, old) and not _has_its_chain(new, new) and not _has_its_chain(new, old)
 
 
 def _is_other(new: Path, old: Path) -> bool:
     """Whether two results say other things, being of another file or model."""
-    return Complete.NOTHING not in (completeness(old), completeness(new)) and _of(old) != _of(new)
+    return Completeness.NOTHING not in (completeness(old), completeness(new)) and _of(old) != _of(new)
 
 
 def results_beside(path: Path) -> Iterator[Path]:

@@ -44,7 +44,9 @@ def resample(
     report("reading")
     measurement = result.source.read(file)
     samples = weighted_samples(
-        measurement, config.rungs[0] if (bend := result.fit.weights) is None else bend, config.fit.theta_max
+        measurement,
+        config.exponents[0] if (exponent := result.fit.weights) is None else exponent,
+        config.fit.theta_max,
     )
     assert isinstance(samples, Samples)
     # the result's model, and not the settings': it may have been carried on with other ones

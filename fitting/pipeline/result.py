@@ -60,8 +60,8 @@ def make_result(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=fitted.costs.tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=storage.finite(s.offset), bins=bins, candidates=fitted.candidates,
-        weights=fitted.bend, cautions=cautions(fitted, config.fit.weights) + unread(measurement) + told(measurement),
-        effective_bins=round(fitted.count, 2),
+        weights=fitted.exponent, effective_bins=round(fitted.count, 2),
+        cautions=cautions(fitted, config.fit.weights) + unread(measurement) + told(measurement),
     )  # fmt: skip
     errors = schema.Metrics(**{name: storage.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)

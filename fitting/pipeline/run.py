@@ -49,10 +49,10 @@ CANDIDATE_AZIMUTHS, CANDIDATE_ORDER = 2, 8
 SCATTERED, COLUMNS = {COARSE: 1536, CANDIDATES: 240}, 12
 SHARES_OF = {GRIDS["fine"]: 1, GRIDS["medium"]: 7}
 AnySamples = Samples | ScatteredSamples
-# The race on the coarse grid, steps and runners: most basins tell themselves apart within ten steps.
-RUNNERS_EACH, FIRST_LAP, SECOND_LAP = 3, 6, 14  # the first: runners for each of `fit.starts`, which run the second lap
-FAR = 1.6, 1.3  # times the lowest after the first and after the second lap: who is so much behind gives up
-APART = 0.3  # in standard deviations of the prior: runners nearer to each other are on the way to the same minimum
+# The successive_halving on the coarse grid, steps and points: most basins tell themselves apart within ten steps.
+FIRST_ROUND_EACH, FIRST_ROUND, SECOND_ROUND = 3, 6, 14  # the first: for each of `fit.starts`, which go two rounds
+MARGINS = 1.6, 1.3  # times the lowest after the first and after the second round: who is so much behind gives up
+APART = 0.3  # in standard deviations of the prior: points nearer to each other are on the way to the same minimum
 Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, schema.Accuracy | None]]
 
 
@@ -82,11 +82,11 @@ def fit_file(
             if config.posterior.enabled and "enabled" in config.posterior.model_fields_set:
                 said = "posterior.enabled is asked for, and of scattered directions no posterior is sampled"
                 measurement = replace(measurement, notes=(*measurement.notes, said))
-            config = settled(measurement.path, config, *(["--accuracy"] if finish else []))
-        samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+            config = settings_for_scattered(measurement.path, config, *(["--accuracy"] if finish else []))
+        samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
-    if fitted is not None and fitted.bend != config.rungs[0]:
-        samples = weighted_samples(measurement, fitted.bend, config.fit.theta_max)
+    if fitted is not None and fitted.exponent != config.exponents[0]:
+        samples = weighted_samples(measurement, fitted.exponent, config.fit.theta_max)
     if fitted is not None and finish is not None and isinstance(measurement, Measurement):
         assert isinstance(samples, Samples)
         with clock.stage("accuracy"):
@@ -155,21 +155,21 @@ def descend(
     """The last grid, with one weight after the other, each from where the one before it ended.
 
     Args:
-        samples: with the first of `Config.rungs`.
+        samples: with the first of `Config.exponents`.
 
     Returns:
         the fit with the last weights, or those with all of them, among which ``adaptive`` chooses.
     """
     settings, found = config.fit, []
-    for k, bend in enumerate(config.rungs):
+    for k, exponent in enumerate(config.exponents):
         with clock.stage("full"):
-            own = samples if k == 0 else weighted_samples(measurement, bend, settings.theta_max)
+            own = samples if k == 0 else weighted_samples(measurement, exponent, settings.theta_max)
             problem = make_problem(thinned(own, GRIDS[settings.grid]), settings.azimuths, settings.precision)
             solution = solve(Objective(layout, problem), z, settings.max_steps, backend=settings.backend)
             z = solution.z
-        if settings.weights == "adaptive" or k == len(config.rungs) - 1:
+        if settings.weights == "adaptive" or k == len(config.exponents) - 1:
             with clock.stage("metrics"):
-                found.append(replace(assess(layout, solution, measurement, own, settings.theta_max), bend=bend))
+                found.append(replace(assess(layout, solution, measurement, own, settings.theta_max), exponent=exponent))
     return found
 
 
@@ -181,7 +181,7 @@ UNGRIDDED = {  # what there is not without a grid, by the option that asks for i
 }
 
 
-def settled(path: Path, config: Config, *options: str) -> Config:
+def settings_for_scattered(path: Path, config: Config, *options: str) -> Config:
     """Settings for a file of scattered directions.
 
     Args:
@@ -206,7 +206,7 @@ def thinned(samples: AnySamples, runs: tuple[Runs, Runs, Runs]) -> AnySamples:
 
 
 def make_coarse(samples: AnySamples) -> tuple[Problem, Problem]:
-    """Problems of the race and of the candidates for its starting points."""
+    """Problems of the successive_halving and of the candidates for its starting points."""
     few, coarse = thinned(samples, CANDIDATES), thinned(samples, COARSE)
     return make_problem(coarse, COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS, columns=COLUMNS)
 
@@ -266,36 +266,36 @@ def fit_coarse(
     config: Config,
     first: Mapping[str, float] | None = None,
 ) -> list[Solution]:
-    """The lowest minima that a race from many starting points finds with every model, all cores at work.
+    """The lowest minima that a successive_halving from many starting points finds with every model, all cores at work.
 
     Args:
         data, first: where to start (`starts.starting_points`).
-        roughly: on which candidates for starting points are compared, and the first lap is run (`CANDIDATES`).
+        roughly: on which candidates for starting points are compared, and the first round is run (`CANDIDATES`).
     """
-    count = RUNNERS_EACH * config.fit.starts
+    count = FIRST_ROUND_EACH * config.fit.starts
     with ThreadPoolExecutor(max_workers=CORES) as pool:
         rough = [cheaper(layout, CANDIDATE_ORDER) for layout in layouts]
-        runners = starting_points(rough, data, roughly, count, pool.map, first)
+        points = starting_points(rough, data, roughly, count, pool.map, first)
 
-        def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+        def follow(points: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
             if first and config.fit.backend == "optimistix":
-                return follow_many(runners, steps)
+                return follow_many(points, steps)
             models, where = (rough, roughly) if first else (layouts, problem)
-            pairs = [(layout, z) for layout, each in zip(models, runners, strict=True) for z in each]
+            pairs = [(layout, z) for layout, each in zip(models, points, strict=True) for z in each]
             solved = pool.map(
                 lambda pair: solve(Objective(pair[0], where), pair[1], steps, backend=config.fit.backend), pairs
             )
-            return [list(islice(solved, len(each))) for each in runners]
+            return [list(islice(solved, len(each))) for each in points]
 
-        def follow_many(runners: list[np.ndarray], steps: int) -> list[list[Solution]]:
+        def follow_many(points: list[np.ndarray], steps: int) -> list[list[Solution]]:
             """Several by each call: on few bins it takes as long as what it computes."""
-            shares = [_shared_out(each) for each in runners]
+            shares = [_shared_out(each) for each in points]
             pairs = [(Objective(layout, roughly), z) for layout, each in zip(rough, shares, strict=True) for z in each]
             solved = pool.map(lambda pair: solve_many(pair[0].normal_equations_of_many, pair[1], steps), pairs)
             together = [list(chain.from_iterable(islice(solved, len(each)))) for each in shares]
-            return [found[: len(each)] for found, each in zip(together, runners, strict=True)]
+            return [found[: len(each)] for found, each in zip(together, points, strict=True)]
 
-        return race(runners, follow, config, rivals=True)
+        return successive_halving(points, follow, config, rivals=True)
 
 
 def _shared_out(points: np.ndarray) -> list[np.ndarray]:
@@ -306,27 +306,29 @@ def _shared_out(points: np.ndarray) -> list[np.ndarray]:
 Follow = Callable[[list[np.ndarray], int, bool], list[list[Solution]]]
 
 
-def race(runners: list[np.ndarray], follow: Follow, config: Config, rivals: bool = False) -> list[Solution]:
-    """The best of many runners: all go a few steps, the leaders further, the best of these to the end.
+def successive_halving(
+    points: list[np.ndarray], follow: Follow, config: Config, rivals: bool = False
+) -> list[Solution]:
+    """The best of many points: all go a few steps, the leaders further, the best of these to the end.
 
     Args:
-        runners: free coordinates of every team's starting points, (R, P) each: a team is a body, or a material.
-        follow: solutions, by team and runner, after so many steps at the most; whether it is the first lap.
+        points: free coordinates of every team's starting points, (R, P) each: a team is a body, or a material.
+        follow: solutions, by team and point, after so many steps at the most; whether it is the first round.
         rivals: whether the teams compete: then who is far behind the leader of all gives up, and a team that has but
-            such runners sends its best one into the second lap, and none into the last.
+            such points sends its best one into the second round, and none into the last.
     """
     settings = config.fit
-    laps = ((FIRST_LAP, settings.starts), (SECOND_LAP, -(-settings.starts // 2)), (settings.coarse_steps, 1))
-    leaders: list[list[Solution]] = [[] for _ in runners]
-    for lap, (steps, kept) in enumerate(laps):
-        found = follow(runners, min(steps, settings.coarse_steps), lap == 0)
+    rounds = ((FIRST_ROUND, settings.starts), (SECOND_ROUND, -(-settings.starts // 2)), (settings.coarse_steps, 1))
+    leaders: list[list[Solution]] = [[] for _ in points]
+    for number, (steps, kept) in enumerate(rounds):
+        found = follow(points, min(steps, settings.coarse_steps), number == 0)
         leaders = [_leaders(each, kept) if each else before for each, before in zip(found, leaders, strict=True)]
         going = leaders
-        if rivals and lap < len(FAR):
-            limit = FAR[lap] * min(_rank(each[0]) for each in leaders)
-            least = 1 if lap == 0 else 0
+        if rivals and number < len(MARGINS):
+            limit = MARGINS[number] * min(_rank(each[0]) for each in leaders)
+            least = 1 if number == 0 else 0
             going = [[s for k, s in enumerate(each) if k < least or _rank(s) <= limit] for each in leaders]
-        runners = [np.array([s.z for s in each]) for each in going]
+        points = [np.array([s.z for s in each]) for each in going]
     return [each[0] for each in leaders]
 
 

@@ -27,7 +27,7 @@ from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..settings.config import Config
 from ..support.threads import side_by_side
-from .run import CANDIDATE_ORDER, COARSE_ORDER, GRIDS, RUNNERS_EACH, cheaper, make_coarse, race
+from .run import CANDIDATE_ORDER, COARSE_ORDER, FIRST_ROUND_EACH, GRIDS, cheaper, make_coarse, successive_halving
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Prepared:
     """What a fit needs of one material.
 
     Attributes:
-        data: where to start. coarse, roughly: problems of the race and of the candidates for starting points.
+        data: where to start. coarse, roughly: problems of the search and of the candidates for starting points.
         problem: of the last steps.
     """
 
@@ -53,21 +53,21 @@ def prepare(samples: Samples, config: Config) -> Prepared:
 
 
 def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> list[Solution]:
-    """All materials with the same effects: a race on the coarse grid, then the last grid.
+    """All materials with the same effects: a successive_halving on the coarse grid, then the last grid.
 
     As `run.fit` does it one by one, without its choice of a body and its assessment on all bins.
     """
     cheap, settings = cheaper(layout, COARSE_ORDER), config.fit
-    count, rough = RUNNERS_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
-    runners = [starting_points([rough], m.data, m.roughly, count)[0] for m in materials]
+    count, rough = FIRST_ROUND_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
+    points = [starting_points([rough], m.data, m.roughly, count)[0] for m in materials]
 
-    def follow(runners: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+    def follow(points: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
         model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])
-        rows = [[each[min(k, len(each) - 1)] for each in runners] for k in range(max(map(len, runners)))]
+        rows = [[each[min(k, len(each) - 1)] for each in points] for k in range(max(map(len, points)))]
         found = [solve_batch(model, np.array(row), problems, steps) for row in rows]
-        return [list(each)[: len(own)] for each, own in zip(zip(*found, strict=True), runners, strict=True)]
+        return [list(each)[: len(own)] for each, own in zip(zip(*found, strict=True), points, strict=True)]
 
-    best = race(runners, follow, config)
+    best = successive_halving(points, follow, config)
     return solve_batch(layout, np.array([s.z for s in best]), [m.problem for m in materials], settings.max_steps)
 
 

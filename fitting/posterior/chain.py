@@ -19,22 +19,22 @@ from ...merl_io.source import opened
 from ..fit.transforms import Layout
 from .diagnosis import diagnose
 from .emulator import MOST_EVER, Emulator, log_posterior
-from .hamiltonian import LEAPS, Hamiltonian
+from .hamiltonian import STEP_SIZES, Hamiltonian
 from .likelihood import StandIn
 
 WALKERS = 32  # or two for each parameter, which differential evolution needs
 CHECK_EVERY = 100  # steps between looks at the chain
 FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of learning
-# Of the stand-in's likelihood, whose power is 1/heat, in each of these rounds; the first also before the emulator. The
-# last must be 1: there the chain begins. Where the emulator is too low walkers of the chain get stuck, or never come.
-HEATS = 4.0, 4.0, 3.0, 2.0, 1.0
+# Of the stand-in's likelihood, whose power is 1/temperature, in each of these rounds; the first also before the
+# emulator. The last must be 1: there the chain begins. Where the emulator is too low walkers get stuck, or never come.
+TEMPERATURES = 4.0, 4.0, 3.0, 2.0, 1.0
 # The emulator learns anew if it is too low by more than TOO_LOW (log posterior) at more than a share RARE of states.
 TOO_LOW, RARE = 1.0, 0.01
-LESSONS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
-TAUGHT, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
+RETRAININGS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
+TRAINING_POINTS, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
 EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not begin anew
-DEPTH = 25.0  # of (heated) log posterior below the highest: deeper points teach nothing that matters
-LED = 0.8  # share of moves that are led; the others are differential evolution
+DEPTH = 25.0  # of (tempered) log posterior below the highest: deeper points teach nothing that matters
+HMC_SHARE = 0.8  # share of moves that are led; the others are differential evolution
 KEYS = 624  # of a Mersenne twister
 STATE = (  # arrays of a chain
     "chain_free", "log_prob", "accepted", "root", "leap", "taught_free", "fit_free", "random_keys", "random_state",
@@ -141,10 +141,10 @@ EVOLUTION: Moves = [(emcee.moves.DEMove(), 0.6), (emcee.moves.DESnookerMove(), 0
 
 def _moves(lead: Hamiltonian) -> Moves:
     """Led moves and differential evolution, which crosses what divides two modes."""
-    return [(emcee.moves.MHMove(lead), LED), *((move, share * (1 - LED)) for move, share in EVOLUTION)]
+    return [(emcee.moves.MHMove(lead), HMC_SHARE), *((move, share * (1 - HMC_SHARE)) for move, share in EVOLUTION)]
 
 
-class _Way(NamedTuple):
+class _Walked(NamedTuple):
     """Where walkers went: states (steps, W, P), log_prob (steps, W), moves that were accepted, and where they are."""
 
     states: np.ndarray
@@ -155,7 +155,7 @@ class _Way(NamedTuple):
 
 def _advance(
     log_prob: LogProb, moves: Moves, now: emcee.State, steps: int, progress: Progress, done: int = 0, most: int = 0
-) -> _Way:
+) -> _Walked:
     """So many steps; ``done`` before them, of ``most``: for ``progress``."""
     walkers, size = now.coords.shape
     sampler = emcee.EnsembleSampler(walkers, size, log_prob, vectorize=True, moves=moves)
@@ -163,7 +163,7 @@ def _advance(
     for _ in sampler.sample(now, iterations=steps):
         progress(done + sampler.iteration, most)
     states, found = np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob())
-    return _Way(states, found, float(np.sum(sampler.acceptance_fraction)) * steps, sampler.get_last_sample())
+    return _Walked(states, found, float(np.sum(sampler.acceptance_fraction)) * steps, sampler.get_last_sample())
 
 
 def spread_over(total: int, count: int, begun: int = 0) -> np.ndarray:
@@ -172,10 +172,10 @@ def spread_over(total: int, count: int, begun: int = 0) -> np.ndarray:
 
 
 class _Recorder:
-    """The log posterior of a stand-in, its likelihood heated, which remembers what it was asked."""
+    """The log posterior of a stand-in, its likelihood tempered, which remembers what it was asked."""
 
-    def __init__(self, few: StandIn, heat: float) -> None:
-        self.few = replace(few, scale=few.scale / heat)
+    def __init__(self, few: StandIn, temperature: float) -> None:
+        self.few = replace(few, scale=few.scale / temperature)
         self.points: list[np.ndarray] = []
         self.found: list[np.ndarray] = []
 
@@ -199,39 +199,41 @@ def begin(
 
     From the Laplace approximation the walkers go by differential evolution, then in rounds led by an emulator, which
     learns from each: from moves that were refused, above all, for there it erred. They go farther than the posterior
-    does, and return to it (`HEATS`).
+    does, and return to it (`TEMPERATURES`).
     """
-    rng, recorder = np.random.default_rng(seed), _Recorder(few, HEATS[0])
+    rng, recorder = np.random.default_rng(seed), _Recorder(few, TEMPERATURES[0])
     walkers = max(WALKERS, 2 * len(fit))
     away = rng.multivariate_normal(np.zeros(len(fit)), covariance, size=walkers, method="eigh")
     now = emcee.State(fit + away, random_state=np.random.RandomState(seed).get_state())
-    way = _advance(recorder, EVOLUTION, now, FIRST, progress)
-    seen = way.states[FIRST // 2 :].reshape(-1, len(fit))
-    emulator = Emulator.of(few, layout, recorder.asked(TAUGHT))
-    leap = LEAPS[1]
-    for k, heat in enumerate(HEATS):
-        recorder, lead = _Recorder(few, heat), Hamiltonian(emulator, _root(seen), leap, heat)
-        now = emcee.State(way.now.coords, random_state=way.now.random_state)  # its log_prob is of another heat
-        way = _advance(recorder, _moves(lead), now, ROUND, progress, FIRST + k * ROUND)
-        seen = np.concatenate([seen[len(seen) // 3 :], way.states.reshape(-1, len(fit))])
-        leap = lead.fitting_leap(way.now.coords, seed)
+    walked = _advance(recorder, EVOLUTION, now, FIRST, progress)
+    seen = walked.states[FIRST // 2 :].reshape(-1, len(fit))
+    emulator = Emulator.of(few, layout, recorder.asked(TRAINING_POINTS))
+    leap = STEP_SIZES[1]
+    for k, temperature in enumerate(TEMPERATURES):
+        recorder, lead = _Recorder(few, temperature), Hamiltonian(emulator, _root(seen), leap, temperature)
+        now = emcee.State(
+            walked.now.coords, random_state=walked.now.random_state
+        )  # its log_prob is of another temperature
+        walked = _advance(recorder, _moves(lead), now, ROUND, progress, FIRST + k * ROUND)
+        seen = np.concatenate([seen[len(seen) // 3 :], walked.states.reshape(-1, len(fit))])
+        leap = lead.fitting_leap(walked.now.coords, seed)
         # also where walkers are: one where the emulator is too low would not be let go
-        emulator = emulator.with_points(few, np.concatenate([recorder.asked(MORE), way.now.coords]))
+        emulator = emulator.with_points(few, np.concatenate([recorder.asked(MORE), walked.now.coords]))
     chain = Chain(
-        way.states[-1:], way.log_prob[-1:], 0.0, _root(seen), leap, emulator.points, tuple(way.now.random_state[1:]),
-        fit, LESSONS,
+        walked.states[-1:], walked.log_prob[-1:], 0.0, _root(seen), leap, emulator.points,
+        tuple(walked.now.random_state[1:]), fit, RETRAININGS,
     )  # fmt: skip
     return chain, Emulator.of(few, layout, chain.taught)  # to the last bit what `extend` has from a file
 
 
-def _ignored(emulator: Emulator, way: _Way) -> tuple[float, np.ndarray]:
+def _ignored(emulator: Emulator, walked: _Walked) -> tuple[float, np.ndarray]:
     """By how much the emulated log posterior is too low where walkers went, but for the few where it is most so.
 
     And where that is, `MORE` points.
     """
-    states = way.states.reshape(-1, way.states.shape[-1])
+    states = walked.states.reshape(-1, walked.states.shape[-1])
     emulated = log_posterior(jnp.asarray(states), emulator.channels, emulator.scale)
-    excess = way.log_prob.ravel() - np.asarray(emulated)
+    excess = walked.log_prob.ravel() - np.asarray(emulated)
     worst = states[np.argsort(excess)[::-1]]
     _, first = np.unique(worst, axis=0, return_index=True)  # a walker that stayed counts once
     return float(np.quantile(excess - np.median(excess), 1 - RARE)), worst[np.sort(first)[:MORE]]
@@ -263,26 +265,26 @@ def extend(
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
         lead = Hamiltonian(emulator, chain.root, chain.leap)
         steps = min(CHECK_EVERY, max_steps - done)
-        way = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
-        random = tuple(way.now.random_state[1:])
+        walked = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
+        random = tuple(walked.now.random_state[1:])
         chain = replace(
             chain,
-            states=np.concatenate([chain.states, way.states]),
-            log_prob=np.concatenate([chain.log_prob, way.log_prob]),
-            accepted=chain.accepted + way.accepted,
+            states=np.concatenate([chain.states, walked.states]),
+            log_prob=np.concatenate([chain.log_prob, walked.log_prob]),
+            accepted=chain.accepted + walked.accepted,
             random=random,
         )
         found = diagnose(chain.states)
         may = chain.lessons and len(chain.states) <= EARLY * max_steps
-        low, where = _ignored(emulator, way) if may and found.slow else (-np.inf, now.coords)
+        low, where = _ignored(emulator, walked) if may and found.slow else (-np.inf, now.coords)
         if low > TOO_LOW:
             lessons = chain.lessons - 1
-            taught = emulator.with_points(few, np.concatenate([where, way.now.coords]), MOST_EVER).points
+            taught = emulator.with_points(few, np.concatenate([where, walked.now.coords]), MOST_EVER).points
             emulator = Emulator.of(few, layout, taught)
-            flat = way.states.reshape(-1, way.states.shape[-1])
+            flat = walked.states.reshape(-1, walked.states.shape[-1])
             chain = replace(
-                chain, states=way.states[-1:], log_prob=way.log_prob[-1:], accepted=0.0, root=_root(flat),
-                leap=lead.fitting_leap(way.now.coords, lessons), taught=taught, lessons=lessons,
+                chain, states=walked.states[-1:], log_prob=walked.log_prob[-1:], accepted=0.0, root=_root(flat),
+                leap=lead.fitting_leap(walked.now.coords, lessons), taught=taught, lessons=lessons,
             )  # fmt: skip
             found = diagnose(chain.states)
         keep(chain)

@@ -22,7 +22,7 @@ from ..support.threads import side_by_side
 
 ROWS = 18  # of theta_h that are kept
 COLUMNS, AZIMUTHS = 10, 2  # of theta_d: the length of a run; nodes of a row of azimuths
-FIRST = 0.5  # of what a row holds, the part that is not leverage
+UNIFORM_SHARE = 0.5  # of what a row holds, the part that is not leverage
 BATCH = 16  # points of one call
 STEP = 0.02  # of the differences that make a Jacobian, in standard deviations of the prior
 
@@ -88,7 +88,7 @@ def few_rows(layout: Layout, samples: Samples, z: np.ndarray, least: float) -> R
     by_row = leverage.sum((1, 3, 4)).ravel()
     # also without leverage rows near the mirror direction are kept: a lobe narrower than the first one is invisible
     otherwise = 1 / np.arange(1, len(by_row) + 1)
-    held = (1 - FIRST) * by_row / by_row.sum() + FIRST * otherwise / otherwise.sum()
+    held = (1 - UNIFORM_SHARE) * by_row / by_row.sum() + UNIFORM_SHARE * otherwise / otherwise.sum()
     return Rows.of(layout, samples, (runs(held, min(ROWS, len(held))), columns, 1))
 
 

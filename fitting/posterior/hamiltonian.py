@@ -15,16 +15,17 @@ from jax import Array
 
 from .emulator import Channels, Emulator, log_posterior
 
-WAYS = 3  # of a led move, one after the other
-WAY = 1.0, 2.5  # how far each goes, in standard deviations of the covariance behind `root`
-LEAPS, UNEVEN = (0.03, 0.15, 0.8), 0.5  # their length: least, to begin with, most; how much shorter some of them are
-RATE = 0.8  # share of ways that are to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
-SOFTENED = 1 / 0.9  # heat of the emulated likelihood: where the emulator is too low, walkers get away sooner
+TRAJECTORIES = 3  # of a led move, one after the other
+LENGTHS = 1.0, 2.5  # how far each goes, in standard deviations of the covariance behind `root`
+STEP_SIZES = 0.03, 0.15, 0.8  # of leaps: least, to begin with, most
+UNEVEN = 0.5  # how much shorter some of them are
+RATE = 0.8  # share of trajectories to be accepted: where fewer are, leaps are made shorter (Hoffman & Gelman 2014)
+SOFTENED = 1 / 0.9  # temperature of the emulated likelihood: where the emulator is too low, walkers get away sooner
 
 
 class Chances(NamedTuple):
-    """What is random of a led move: momenta (WAYS, W, P), logarithms of uniform numbers (WAYS, W), leaps and their
-    lengths (WAYS,).
+    """What is random of a led move of T trajectories: momenta (T, W, P), logarithms of uniform numbers (T, W), leaps
+    and their lengths (T,).
     """
 
     momenta: Array
@@ -54,11 +55,11 @@ def leapfrog(
 @jax.jit
 def _lead(points: Array, chances: Chances, root: Array, channels: Channels, scale: Array) -> tuple[Array, Array, Array]:
     """Where Hamiltonian Monte Carlo on the emulated log posterior leads, how much lower that is there, and the share of
-    ways that were accepted: (W, P), (W,) and ().
+    trajectories that were accepted: (W, P), (W,) and ().
     """
     log_density = partial(log_posterior, channels=channels, scale=scale)
 
-    def way(at: tuple[Array, Array], chance: Chances) -> tuple[tuple[Array, Array], Array]:
+    def trajectory(at: tuple[Array, Array], chance: Chances) -> tuple[tuple[Array, Array], Array]:
         z, held = at
         new, turned = leapfrog(log_density, root, z, chance.momenta, chance.leaps, chance.lengths)
         found = log_density(new)
@@ -68,7 +69,7 @@ def _lead(points: Array, chances: Chances, root: Array, channels: Channels, scal
         return (jnp.where(accepted[:, None], new, z), jnp.where(accepted, found, held)), jnp.mean(accepted)
 
     start = log_density(points)
-    (end, found), rates = jax.lax.scan(way, (points, start), chances)
+    (end, found), rates = jax.lax.scan(trajectory, (points, start), chances)
     return end, start - found, jnp.mean(rates)
 
 
@@ -83,13 +84,13 @@ class Hamiltonian:
 
     Attributes:
         emulator: of the posterior. root: of a covariance of walkers, (P, P), which takes the place of a mass.
-        leap: the longest, in standard deviations of that covariance. heat: of the stand-in's likelihood.
+        leap: the longest, in standard deviations of that covariance. temperature: of the stand-in's likelihood.
     """
 
     emulator: Emulator
     root: np.ndarray
     leap: float
-    heat: float = 1.0
+    temperature: float = 1.0
 
     def __call__(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         """New points, and the logarithm of the proposals' ratio; (W, P) and (W,)."""
@@ -97,16 +98,16 @@ class Hamiltonian:
         return new, np.where(np.isfinite(log_ratio), log_ratio, -np.inf)
 
     def _go(self, points: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray, float]:
-        momenta = rng.standard_normal((WAYS, *points.shape))
-        thresholds = np.log(rng.uniform(size=(WAYS, len(points))))
-        lengths = self.leap * rng.uniform(UNEVEN, 1, size=WAYS)
-        leaps = np.ceil(rng.uniform(*WAY, size=WAYS) / lengths).astype(int)
+        momenta = rng.standard_normal((TRAJECTORIES, *points.shape))
+        thresholds = np.log(rng.uniform(size=(TRAJECTORIES, len(points))))
+        lengths = self.leap * rng.uniform(UNEVEN, 1, size=TRAJECTORIES)
+        leaps = np.ceil(rng.uniform(*LENGTHS, size=TRAJECTORIES) / lengths).astype(int)
         chances = Chances(*(jnp.asarray(x) for x in (momenta, thresholds, leaps, lengths)))
-        scale = self.emulator.scale / (SOFTENED * self.heat)
+        scale = self.emulator.scale / (SOFTENED * self.temperature)
         found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), self.emulator.channels, scale)
         return np.asarray(found[0]), np.asarray(found[1]), float(found[2])
 
     def fitting_leap(self, points: np.ndarray, seed: int) -> float:
-        """Longer or shorter leaps, as more or fewer ways from ``points`` (W, P) are accepted than are to be."""
+        """Longer or shorter leaps, as more or fewer trajectories from ``points`` (W, P) are accepted than are to be."""
         rate = self._go(points, np.random.RandomState(seed))[2]
-        return float(np.clip(self.leap * np.exp(2 * (rate - RATE)), LEAPS[0], LEAPS[2]))
+        return float(np.clip(self.leap * np.exp(2 * (rate - RATE)), STEP_SIZES[0], STEP_SIZES[2]))

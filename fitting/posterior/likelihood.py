@@ -23,7 +23,7 @@ from ..fit.transforms import Layout
 from .coreset import few_rows
 
 ORDER = 12  # of the convolution
-FLATTER = 0.85  # power of the stand-in: where it errs in the tails, weights of all bins are not large for that
+LIKELIHOOD_POWER = 0.85  # power of the stand-in: where it errs in the tails, weights of all bins are not large for that
 
 
 def log_likelihood(layout: Layout, z: np.ndarray, problem: Problem, count: float, lowest: float) -> float:
@@ -63,7 +63,7 @@ class StandIn:
 def stand_in(layout: Layout, samples: Samples, solution: Solution, count: float) -> StandIn:
     """The likelihood on `coreset.few_rows`, in float32, with the gradient at the fit that all bins have.
 
-    It is that to the power `FLATTER`: a proposal that is wider than the target has weights that are bounded.
+    It is that to the power `LIKELIHOOD_POWER`: a proposal that is wider than the target has weights that are bounded.
 
     Its measurement is moved for that along the tangent space of the model, by no more than the posterior is wide:
     target + J a, a = (J^T J + S_0/N)^-1 (g - J^T r), g the gradient J^T r of all bins. So the noise of the few bins,
@@ -74,4 +74,4 @@ def stand_in(layout: Layout, samples: Samples, solution: Solution, count: float)
     at, jacobian = rows.tangent(solution.z)
     lacking = solution.normal.sum(0)[:-1, -1] - jacobian.T @ (rows.target - at)
     moved = np.linalg.solve(jacobian.T @ jacobian + least * np.eye(len(solution.z)), lacking)
-    return StandIn(rows.predicted, rows.target + jacobian @ moved, FLATTER * count / (2 * solution.cost))
+    return StandIn(rows.predicted, rows.target + jacobian @ moved, LIKELIHOOD_POWER * count / (2 * solution.cost))

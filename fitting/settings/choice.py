@@ -20,7 +20,7 @@ class Choice(BaseModel):
         grid: rows of theta_h and theta_d that the last steps use.
         azimuths: nodes in which a row of azimuths is gathered.
         precision: of the model.
-        starts: starting points that run the second lap of the race on the coarse grid.
+        starts: starting points that go the second round of the search on the coarse grid.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -17,7 +17,7 @@ from pydantic_core import ErrorDetails
 from ...merl_io.source import toml
 from ...model.effects import PRESETS, TWO_SCALE, idle
 from ...model.priors import Constraint
-from ..support.choices import RUNGS, Bend
+from ..support.choices import WEIGHT_SCHEDULES, Exponent
 from .sections import (
     AcquisitionSection,
     ApparatusSection,
@@ -91,9 +91,9 @@ class Config(Section):
         return {name: section.constraint for name, section in self.parameters.items()}
 
     @property
-    def rungs(self) -> tuple[Bend, ...]:
+    def exponents(self) -> tuple[Exponent, ...]:
         """Weights of the last grid, one after the other."""
-        return RUNGS[self.fit.weights]
+        return WEIGHT_SCHEDULES[self.fit.weights]
 
     @property
     def for_scattered(self) -> "Config":

@@ -217,10 +217,10 @@ class FitSection(Section):
     """[fit]: the solver, and what accuracy it works with.
 
     Attributes:
-        starts: of the coarse grid's race: three times as many starting points run its first lap, so many the second.
+        starts: starting points of the second round of the search on the coarse grid; the first has three times as many.
         coarse_steps, max_steps: evaluations at the most, a start on the coarse grid and on the last one.
         weights: of the bins: ``compressive`` (HP17 Eq. 57-58), ``log``, ``none``, or ``adaptive``, which tries several
-            exponents of the compressive weight and keeps the nearest picture (``choices.RUNGS``).
+            exponents of the compressive weight and keeps the nearest picture (``choices.WEIGHT_SCHEDULES``).
         theta_max: light or viewer past this angle (rad) are left out, of the objective and of all errors.
         grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 21st.
         azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).

@@ -7,12 +7,12 @@ Precision = Literal["float64", "float32"]
 Backend = Literal["optimistix", "scipy", "jaxopt"]
 """Solvers; others than optimistix are for cross-checks."""
 THETA_MAX = 1.4  # rad: HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
-BEND = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
-Bend = float | Literal["log"]
+EXPONENT = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
+Exponent = float | Literal["log"]
 Weights = Literal["compressive", "log", "none", "adaptive"]
-RUNGS: dict[Weights, tuple[Bend, ...]] = {
-    "compressive": (BEND,), "log": (BEND, "log"), "none": (0.0,),
-    "adaptive": (BEND, 1.0, 0.7, 0.4, 0.0),
+WEIGHT_SCHEDULES: dict[Weights, tuple[Exponent, ...]] = {
+    "compressive": (EXPONENT,), "log": (EXPONENT, "log"), "none": (0.0,),
+    "adaptive": (EXPONENT, 1.0, 0.7, 0.4, 0.0),
 }  # fmt: skip
 """Weights that a fit is made with, one after the other, each from where the one before it ended: the search for the
 lowest minimum and the choice of a body are those of the first. ``adaptive`` keeps the one with the nearest picture.

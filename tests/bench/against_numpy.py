@@ -12,11 +12,11 @@ from merlfit.fitting.pipeline.run import (
     CANDIDATE_ORDER,
     CANDIDATES,
     COARSE,
+    FIRST_ROUND_EACH,
     GRIDS,
-    RUNNERS_EACH,
     cheaper,
     make_coarse,
-    race,
+    successive_halving,
 )
 from merlfit.merl_io.samples import thin
 from scipy.optimize import least_squares
@@ -31,7 +31,7 @@ from .start import REPEATS, TOLERANCES, coarse_optimum, fine_stage
 TWO = ("nickel", "gold-metallic-paint2")
 SUBSETS = ((COARSE[0], 15, 1), COARSE, GRIDS["medium"])  # runs of rows (merl_io.samples.thin)
 COARSE_RUNS = (*COARSE[:2], 5)  # merlfit's coarse rows, every fifth azimuth: for NumPy's own coarse stage
-FIRST_RUNS = (*CANDIDATES[:2], 5)  # likewise, for the first lap of the race
+FIRST_RUNS = (*CANDIDATES[:2], 5)  # likewise, for the first round of successive halving
 
 
 class Plain:
@@ -62,18 +62,18 @@ class Plain:
 
 
 def coarse_stage(layout, samples, config):
-    """Seconds of the race that `run.fit_coarse` makes, from merlfit's starting points, which cost nothing here."""
+    """Seconds of the search that `run.fit_coarse` makes, from merlfit's starting points, which cost nothing here."""
     rough, (_, roughly) = cheaper(layout, CANDIDATE_ORDER), make_coarse(samples)
-    points = starting_points([rough], start_hints(samples), roughly, RUNNERS_EACH * config.fit.starts)[0]
+    points = starting_points([rough], start_hints(samples), roughly, FIRST_ROUND_EACH * config.fit.starts)[0]
     begun, plain = time.perf_counter(), Plain(layout, thin(samples, COARSE_RUNS))
     begin = Plain(layout, thin(samples, FIRST_RUNS))
 
-    def follow(runners, steps, first):
+    def follow(points, steps, first):
         model = begin if first else plain
-        ends = [[model.solve(z, steps) for z in each] for each in runners]
+        ends = [[model.solve(z, steps) for z in each] for each in points]
         return [[SimpleNamespace(z=end.x, objective=2 * end.cost) for end in each] for each in ends]
 
-    (best,) = race([points], follow, config)
+    (best,) = successive_halving([points], follow, config)
     return {"seconds": time.perf_counter() - begun, "calls": begin.calls + plain.calls, "cost": best.objective}
 
 
@@ -120,7 +120,7 @@ NOTES = [
     "**Scaled, not measured: NumPy's solve on all bins.** It is one call of the model on all bins (measured, median of "
     f"{REPEATS}) times the calls that the solve on the largest subset of rows took; how a call's time grows is shown.",
     "Fine stage: all bins from merlfit's coarse optimum, on both sides. Whole fit: merlfit from file to JSON; NumPy "
-    "the fine stage (scaled) and a coarse stage as merlfit does it (the same race from the same starting points), "
+    "the fine stage (scaled) and a coarse stage as merlfit does it (the same search from the same starting points), "
     "measured, on the same rows with every fifth azimuth; without reading, weights, metrics and the choice of starting "
     "points.",
 ]

@@ -55,7 +55,7 @@ def synthetic(seed, reach):
     clean = predict_samples(layout, truth, weighted_samples(blank, 0.0, np.pi / 2))
     whole = np.concatenate([clean, clean[..., ::-1]], -1)
     measurement = replace(blank, values=np.where(used, whole, 0.0))
-    samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     energy = np.sum(samples.weight * samples.value**2)
     share = np.exp(rng.uniform(*np.log(COST)))
     root = np.sqrt(np.where(samples.weight > 0, samples.weight, np.inf))

@@ -29,7 +29,10 @@ def measure(path, body, starts):
     config = load(body=body, posterior=False)
     measurement = read(path)
     (model,) = candidates(config)
-    samples, layout = weighted_samples(measurement, config.rungs[0], config.fit.theta_max), layout_for(config, model)
+    samples, layout = (
+        weighted_samples(measurement, config.exponents[0], config.fit.theta_max),
+        layout_for(config, model),
+    )
 
     def run(config, first=None):
         return told(fit(measurement, samples, config, first=first))

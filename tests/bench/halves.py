@@ -36,7 +36,7 @@ def half_of(samples, kept):
 def measure(path, body):
     """Of every half: intervals of its parameters, or why there are none."""
     config, measurement = load(body=body), read(path)
-    whole, found = weighted_samples(measurement, config.rungs[0], config.fit.theta_max), {}
+    whole, found = weighted_samples(measurement, config.exponents[0], config.fit.theta_max), {}
     for name, kept in HALVES.items():
         samples = half_of(whole, kept)
         fitted = fit(measurement, samples, config)

@@ -74,7 +74,7 @@ def lowest(layout, problem, fixed):
 def measure(path):
     """Rows of the table, and intervals by parameter."""
     config, measurement = load(body="none"), read(path)
-    samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted, problem = fit(measurement, samples, config), make_problem(samples)
     layout, least = fitted.layout, fitted.solution.cost
     rows = [("fit", least, layout.values(jnp.asarray(fitted.solution.z)))]

@@ -29,7 +29,7 @@ def measure(folder, *materials):
 def one(path, material):
     """The fit of a file and its posterior."""
     config, measurement = load(), read(path)
-    samples = weighted_samples(measurement, config.rungs[0], config.fit.theta_max)
+    samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted, reports = fit(measurement, samples, config), [("begin", time.perf_counter())]
     with tempfile.TemporaryDirectory() as scratch:
         sampled = sample(

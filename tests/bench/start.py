@@ -21,7 +21,10 @@ def coarse_optimum(path, body):
     """Config, layout, samples of all bins, and the coarse optimum from which `run.fit` goes on."""
     config = load(body=body, posterior=False)
     (model,) = candidates(config)
-    layout, samples = layout_for(config, model), weighted_samples(read(path), config.rungs[0], config.fit.theta_max)
+    layout, samples = (
+        layout_for(config, model),
+        weighted_samples(read(path), config.exponents[0], config.fit.theta_max),
+    )
     (found,) = fit_coarse([cheaper(layout, COARSE_ORDER)], start_hints(samples), *make_coarse(samples), config)
     return config, layout, samples, found.z
 

@@ -135,9 +135,9 @@ def test_the_command_line_replaces_index_and_weights(tmp_path):
     path.write_text('[effects]\nindex = "real"\n[fit]\nweights = "log"\ntheta_max = 1.3\n')
     found = load(path, index="complex", weights="none")
     assert found.effects.index == "complex"
-    assert (found.fit.weights, found.fit.theta_max, found.rungs[-1]) == ("none", 1.3, 0.0)
-    assert load(path).rungs[-1] == "log"
-    assert Config().rungs == (1.4,)
+    assert (found.fit.weights, found.fit.theta_max, found.exponents[-1]) == ("none", 1.3, 0.0)
+    assert load(path).exponents[-1] == "log"
+    assert Config().exponents == (1.4,)
 
 
 @pytest.mark.parametrize(

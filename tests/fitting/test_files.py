@@ -12,7 +12,7 @@ from merlfit.fitting.commands import compare as comparisons
 from merlfit.fitting.commands import fit as files
 from merlfit.fitting.pipeline import place as keeping
 from merlfit.fitting.pipeline.draws import chain_of
-from merlfit.fitting.pipeline.place import Complete, completeness, place_of
+from merlfit.fitting.pipeline.place import Completeness, completeness, place_of
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.results import manifest
 from merlfit.fitting.results.storage import read_result, write_result
@@ -48,11 +48,11 @@ def stand_in(monkeypatch):
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        ({"succeeded": False}, Complete.NOTHING),
-        ({}, Complete.FIT),
-        ({"chain": "some"}, Complete.CHAIN),
-        ({"posterior": False, "chain": "some"}, Complete.POSTERIOR),
-        ({"posterior": True, "chain": "some"}, Complete.INTERVALS),
+        ({"succeeded": False}, Completeness.NOTHING),
+        ({}, Completeness.FIT),
+        ({"chain": "some"}, Completeness.CHAIN),
+        ({"posterior": False, "chain": "some"}, Completeness.POSTERIOR),
+        ({"posterior": True, "chain": "some"}, Completeness.INTERVALS),
     ],
 )
 def test_how_complete_a_result_is(kind, expected, tmp_path):
@@ -64,7 +64,7 @@ def test_how_complete_a_result_is(kind, expected, tmp_path):
 def test_what_is_no_result_holds_nothing(text, tmp_path):
     if text is not None:
         (tmp_path / "nickel.json").write_text(text)
-    assert completeness(tmp_path / "nickel.json") == Complete.NOTHING
+    assert completeness(tmp_path / "nickel.json") == Completeness.NOTHING
 
 
 def test_fitting_again_without_a_posterior_keeps_the_finished_one(tmp_path, stand_in):
@@ -233,7 +233,7 @@ def test_python_may_write_to_a_folder_from_several_places_but_not_beside_a_comma
     half.touch()
     with keeping.claimed(tmp_path, alone=False), keeping.claimed(tmp_path, alone=False):
         assert half.exists()
-        with pytest.raises(keeping.Taken), keeping.claimed(tmp_path):
+        with pytest.raises(keeping.FolderBusy), keeping.claimed(tmp_path):
             pass
     with keeping.claimed(tmp_path):
         assert not half.exists()

@@ -73,7 +73,7 @@ def test_a_narrow_highlight_is_not_given_up(make_merl, tmp_path):
         result = run.fit_file(tmp_path / "white-marble.binary", tmp_path / weights, config)
         assert result.fit.succeeded
         assert 0.5 < result.metrics.highlight < 2.5
-        assert result.fit.weights == config.rungs[-1]
+        assert result.fit.weights == config.exponents[-1]
         found[weights] = result.metrics
     assert found["compressive"].rmse < 0.06
     assert found["compressive"].smape < 0.06

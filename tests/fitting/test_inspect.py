@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from merlfit.fitting.pipeline import place as keeping
-from merlfit.fitting.pipeline.place import Complete
+from merlfit.fitting.pipeline.place import Completeness
 from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.show.inspection import file_of
 from merlfit.fitting.support.terminal import BAD_INPUT
@@ -84,7 +84,7 @@ def test_a_symbol_that_is_no_formula_is_drawn_by_its_name(tmp_path):
     shown = call("inspect", tmp_path / "nickel.json", "-o", tmp_path, "--pictures", "corner")
     assert shown.exit_code == 0
     assert (tmp_path / "nickel.two-scale.corner.png").exists()
-    assert keeping.completeness(tmp_path / "nickel.json") == Complete.INTERVALS
+    assert keeping.completeness(tmp_path / "nickel.json") == Completeness.INTERVALS
 
 
 def test_the_file_of_a_fit_is_found_from_where_it_ran(tmp_path):

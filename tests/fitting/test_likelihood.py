@@ -12,7 +12,7 @@ from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.posterior.coreset import BATCH, STEP
-from merlfit.fitting.posterior.likelihood import FLATTER, log_likelihood, stand_in
+from merlfit.fitting.posterior.likelihood import LIKELIHOOD_POWER, log_likelihood, stand_in
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold
 from merlfit.model.two_scale import TwoScale
@@ -85,7 +85,7 @@ def test_its_slope_at_the_fit_is_that_of_all_bins(fitted):
     steps = STEP * np.eye(len(best.z))
     jacobian = (few.weighed(best.z + steps) - few.weighed(best.z - steps)).T / (2 * STEP)
     slope = 2 * few.scale * jacobian.T @ (few.target - few.weighed(best.z[None])[0])
-    expected = FLATTER * COUNT / best.cost * best.normal.sum(0)[:-1, -1]
+    expected = LIKELIHOOD_POWER * COUNT / best.cost * best.normal.sum(0)[:-1, -1]
     covariance = laplace_covariance(best.normal, best.cost, COUNT)
     assert np.all(np.abs(covariance @ (slope - expected)) < 0.05 * np.sqrt(np.diag(covariance)))
 
@@ -95,7 +95,7 @@ def test_near_the_fit_it_is_that_of_all_bins_a_little_flatter(fitted, count):
     samples, problem, best = fitted
     few, draws = stand_in(LAYOUT, samples, best, count), near(best, count, 40)
     whole = np.array([log_likelihood(LAYOUT, z, problem, count, best.cost) for z in draws])
-    assert np.std(few.log_likelihood(draws) - FLATTER * whole) < 0.5
+    assert np.std(few.log_likelihood(draws) - LIKELIHOOD_POWER * whole) < 0.5
     assert np.std(whole) > 1
     prior = few.log_posterior(draws) - few.log_likelihood(draws)
     np.testing.assert_allclose(prior, -np.sum(draws**2, 1) / 2)

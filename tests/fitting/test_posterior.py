@@ -69,9 +69,9 @@ def rough():
 ROOT = np.array([[0.8, 0.0], [0.3, 1.1]])
 
 
-def emulated(emulator, heat=1.0):
+def emulated(emulator, temperature=1.0):
     """Its log posterior."""
-    return lambda z: log_posterior(z, emulator.channels, emulator.scale / heat)
+    return lambda z: log_posterior(z, emulator.channels, emulator.scale / temperature)
 
 
 @pytest.mark.slow
@@ -130,8 +130,8 @@ def test_led_moves_of_a_good_emulator_are_accepted_and_go_far():
 def test_the_ratio_of_a_led_move_is_that_of_the_posterior_that_leads_it():
     emulator, rng = rough(), np.random.default_rng(9)
     points = rng.normal(size=(20, 2))
-    new, log_ratio = Hamiltonian(emulator, ROOT, 0.15, heat=2.0)(points, np.random.RandomState(10))
-    density = emulated(emulator, heat=2 * SOFTENED)
+    new, log_ratio = Hamiltonian(emulator, ROOT, 0.15, temperature=2.0)(points, np.random.RandomState(10))
+    density = emulated(emulator, temperature=2 * SOFTENED)
     np.testing.assert_allclose(log_ratio, density(jnp.asarray(points)) - density(jnp.asarray(new)), atol=1e-8)
     assert np.any(log_ratio != 0)
 
@@ -257,7 +257,7 @@ def test_the_emulator_learns_from_farther_than_the_posterior_goes():
     few, _, chain, emulator = begun()
     flat = extend(chain, few, LAYOUT, emulator, 501, silent, silent).states.reshape(-1, LAYOUT.size)
     wider = np.cov(emulator.points.T) @ np.linalg.inv(np.cov(flat.T))
-    assert np.linalg.det(wider) ** (1 / LAYOUT.size) > 2  # in the variance of a coordinate; without heat 1.18
+    assert np.linalg.det(wider) ** (1 / LAYOUT.size) > 2  # in the variance of a coordinate; without temperature 1.18
     held = few.log_posterior(flat) - np.asarray(emulated(emulator)(jnp.asarray(flat)))
     assert np.quantile(held - np.median(held), 0.999) < 0.3
 
@@ -306,7 +306,7 @@ def test_a_late_chain_does_not_begin_anew(monkeypatch):
     few, _, chain, emulator = begun()
     monkeypatch.setattr(sampler, "EARLY", LOOK / (1 + 2 * LOOK))
     done = extend(chain, few, LAYOUT, emulator, 1 + 2 * LOOK, silent, silent)
-    assert (len(done.states), done.lessons) == (1 + 2 * LOOK, sampler.LESSONS)
+    assert (len(done.states), done.lessons) == (1 + 2 * LOOK, sampler.RETRAININGS)
 
 
 def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_path, monkeypatch):
@@ -326,9 +326,9 @@ def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_p
 
     monkeypatch.setattr(sampler.Emulator, "of", sharp)
     done = go_on(chain, 1 + 3 * LOOK, kept.append)
-    assert [len(c.states) for c in kept] == [1] * sampler.LESSONS + [1 + LOOK, 1 + 2 * LOOK, 1 + 3 * LOOK]
+    assert [len(c.states) for c in kept] == [1] * sampler.RETRAININGS + [1 + LOOK, 1 + 2 * LOOK, 1 + 3 * LOOK]
     assert not set(map(tuple, emulator.points)) >= set(map(tuple, done.taught))
-    np.testing.assert_array_equal(done.taught, kept[sampler.LESSONS - 1].taught)
+    np.testing.assert_array_equal(done.taught, kept[sampler.RETRAININGS - 1].taught)
     write_chain(tmp_path / "x.npz", kept[1].arrays())  # interrupted between two lessons
     again = go_on(read_chain(tmp_path / "x.npz", fit), 1 + 3 * LOOK)
     np.testing.assert_array_equal(again.states, done.states)

@@ -13,14 +13,14 @@ from merlfit.fitting.fit.weights import (
     weighted_samples,
     within,
 )
-from merlfit.fitting.support.choices import RUNGS, THETA_MAX
+from merlfit.fitting.support.choices import THETA_MAX, WEIGHT_SCHEDULES
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold
 
 WIDTH = 0.02  # tan(theta_h) where the lobe has fallen to half
 BODY = np.array([0.3, 0.05, 0.002])  # 1/sr: the darker, the more the highlight counts for
-LADDER = RUNGS["adaptive"]
+LADDER = WEIGHT_SCHEDULES["adaptive"]
 EVERY_BEND = [1.4, 0.7, 0.0, "log"]
 
 
@@ -42,7 +42,7 @@ def glossy():
     return made(20.0)
 
 
-def plainly(measurement, bend=1.4, theta_max=1.4):
+def plainly(measurement, exponent=1.4, theta_max=1.4):
     """A bin's share of the measure times its weight, channel by channel, where neither light nor viewer is too low."""
     grid = merl_grid()
     lowest = np.arccos(np.clip(np.minimum(grid.cos_i, grid.cos_o), -1, 1))
@@ -50,13 +50,13 @@ def plainly(measurement, bend=1.4, theta_max=1.4):
     weight = np.zeros(measurement.values.shape)
     for plane, found in zip(measurement.values, weight, strict=True):
         value, cos_i = plane[used], np.maximum(grid.cos_i[used], 0)
-        if bend == "log":
+        if exponent == "log":
             found[used] = grid.weight[used] * (cos_i / (1 + value * cos_i)) ** 2
             continue
         order = np.argsort(value)
         middle = value[order][np.searchsorted(np.cumsum(cos_i[order]), cos_i.sum() / 2)]
         x = value / middle
-        found[used] = grid.weight[used] * ((1 - 2.0**-x) / (x * np.log(2))) ** bend
+        found[used] = grid.weight[used] * ((1 - 2.0**-x) / (x * np.log(2))) ** exponent
     return weight
 
 
@@ -72,7 +72,7 @@ def test_the_compressive_weight_is_that_of_the_paper():
 
 def test_the_exponent_bends_the_weight_of_what_is_bright():
     value = np.geomspace(1e-3, 1e3, 30)
-    weights = np.array([compressive_weight(value, np.asarray(1.0), bend) for bend in LADDER])
+    weights = np.array([compressive_weight(value, np.asarray(1.0), exponent) for exponent in LADDER])
     assert sorted(LADDER, reverse=True) == list(LADDER)
     assert np.all(np.diff(weights, axis=0) >= 0)
     assert np.all(np.diff(weights[:-1], axis=1) < 0)
@@ -87,10 +87,10 @@ def test_the_median_is_weighted_by_cosines():
 
 
 @pytest.mark.parametrize("theta_max", [1.0, 1.4, np.pi / 2])
-@pytest.mark.parametrize("bend", EVERY_BEND)
-def test_the_weights_are_those_of_the_definitions(glossy, bend, theta_max):
-    found = weighted_samples(glossy, bend, theta_max)
-    expected = fold(merl_grid(), np.nan_to_num(glossy.values), plainly(glossy, bend, theta_max))
+@pytest.mark.parametrize("exponent", EVERY_BEND)
+def test_the_weights_are_those_of_the_definitions(glossy, exponent, theta_max):
+    found = weighted_samples(glossy, exponent, theta_max)
+    expected = fold(merl_grid(), np.nan_to_num(glossy.values), plainly(glossy, exponent, theta_max))
     np.testing.assert_allclose(found.weight, expected.weight, rtol=1e-9)
     np.testing.assert_allclose(found.value, expected.value, rtol=1e-12)
     assert found.scatter == pytest.approx(expected.scatter, abs=1e-9)
@@ -100,22 +100,24 @@ def test_as_if_nothing_were_said_they_are_the_paper_s(glossy):
     found, printed = weighted_samples(glossy), weighted_samples(glossy, 1.4, 1.4)
     np.testing.assert_array_equal(found.weight, printed.weight)
     assert THETA_MAX == 1.4
-    assert {name: rungs[-1] for name, rungs in RUNGS.items()} == {
+    assert {name: exponents[-1] for name, exponents in WEIGHT_SCHEDULES.items()} == {
         "compressive": 1.4,
         "log": "log",
         "none": 0,
         "adaptive": 0,
     }
-    assert {name for name, rungs in RUNGS.items() if rungs[0] != 1.4} == {"none"}, "which searches for itself"
+    assert {name for name, exponents in WEIGHT_SCHEDULES.items() if exponents[0] != 1.4} == {"none"}, (
+        "which searches for itself"
+    )
     for other in (0.7, 0.0, "log"):
         assert np.max(np.abs(weighted_samples(glossy, other).weight - printed.weight)) > 0.1 * printed.weight.max()
 
 
-@pytest.mark.parametrize("bend", EVERY_BEND)
-def test_light_or_viewer_beyond_theta_max_count_for_nothing(glossy, bend):
+@pytest.mark.parametrize("exponent", EVERY_BEND)
+def test_light_or_viewer_beyond_theta_max_count_for_nothing(glossy, exponent):
     """Bins of either direction too low, and no others; whatever is measured there makes no difference."""
     grid = merl_grid()
-    samples, all_of_them = weighted_samples(glossy, bend), weighted_samples(glossy, bend, np.pi / 2)
+    samples, all_of_them = weighted_samples(glossy, exponent), weighted_samples(glossy, exponent, np.pi / 2)
     lowest = np.arccos(np.minimum(samples.cos_i, samples.cos_o))
     assert not np.any(samples.weight[:, lowest > 1.4])
     counted = all_of_them.weight > 0
@@ -123,8 +125,10 @@ def test_light_or_viewer_beyond_theta_max_count_for_nothing(glossy, bend):
     assert 0.05 < np.mean(lowest[counted[0]] > 1.4) < 0.5
     past = ~within(grid, 1.4)
     spoiled = replace(glossy, values=np.where(past, 1e3 * glossy.values, glossy.values))
-    np.testing.assert_array_equal(weighted_samples(spoiled, bend).weight, samples.weight)
-    assert not np.array_equal(weighted_samples(spoiled, bend, np.pi / 2).weight, all_of_them.weight) or bend == 0.0
+    np.testing.assert_array_equal(weighted_samples(spoiled, exponent).weight, samples.weight)
+    assert (
+        not np.array_equal(weighted_samples(spoiled, exponent, np.pi / 2).weight, all_of_them.weight) or exponent == 0.0
+    )
 
 
 def test_directions_are_within_as_both_are():
@@ -163,26 +167,26 @@ def test_the_log_weight_is_that_of_small_errors_of_the_logarithm():
 
 def test_pairs_that_differ_scatter_by_their_weights(glossy):
     uneven = replace(glossy, values=np.where(np.arange(180) < 90, 1.2, 1.0) * glossy.values)
-    for bend in EVERY_BEND:
-        found = weighted_samples(uneven, bend)
-        expected = fold(merl_grid(), np.nan_to_num(uneven.values), plainly(uneven, bend))
+    for exponent in EVERY_BEND:
+        found = weighted_samples(uneven, exponent)
+        expected = fold(merl_grid(), np.nan_to_num(uneven.values), plainly(uneven, exponent))
         assert found.scatter == pytest.approx(expected.scatter, rel=1e-9)
         assert found.scatter > 0
 
 
-@pytest.mark.parametrize("bend", EVERY_BEND)
-def test_a_file_without_bins_or_without_light_has_weights(bend):
+@pytest.mark.parametrize("exponent", EVERY_BEND)
+def test_a_file_without_bins_or_without_light_has_weights(exponent):
     grid = merl_grid()
     nothing = Measurement(
         Path("none"), np.full((3, *grid.above.shape), np.nan), np.zeros_like(grid.above), 0, 0, 0, "", ""
     )
-    assert not np.any(weighted_samples(nothing, bend).weight)
+    assert not np.any(weighted_samples(nothing, exponent).weight)
     black = replace(nothing, values=np.zeros((3, *grid.above.shape)), valid=grid.above)
-    assert np.all(np.isfinite(weighted_samples(black, bend).weight))
+    assert np.all(np.isfinite(weighted_samples(black, exponent).weight))
     away = grid.above & (grid.theta_h > 0.5)[:, None, None]
-    assert np.all(np.isfinite(weighted_samples(replace(made(20.0), valid=away), bend).weight))
+    assert np.all(np.isfinite(weighted_samples(replace(made(20.0), valid=away), exponent).weight))
     past = grid.above & ~within(grid, 1.4)
-    assert not np.any(weighted_samples(replace(made(20.0), valid=past), bend).weight)
+    assert not np.any(weighted_samples(replace(made(20.0), valid=past), exponent).weight)
 
 
 def test_noise_below_the_floor_does_not_weigh(tmp_path):
