@@ -30,15 +30,15 @@ class Counted(Cluster):
 
     sent = got = messages = 0
 
-    def _brought(self, k, back):
-        brought = super()._brought(k, back)
+    def _brought(self, k, future, came):
+        brought = super()._brought(k, future, came)
         if isinstance(brought, Brought):
             self.got += len(pickle.dumps(brought))
         return brought
 
-    def _reported(self, event):
-        self.messages += 1
-        super()._reported(event)
+    def _tell(self, said, tell):
+        self.messages += "stage" in said
+        super()._tell(said, tell)
 
 
 def cpu(process):

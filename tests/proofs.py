@@ -21,9 +21,7 @@ RIVALS = tuple(
     f"tests/rivals/test_{name}.py" for name in ("interfaced_lambertian", "microfacets", "oren_nayar", "rivals")
 )
 GROUPS: dict[str, tuple[str, ...]] = {
-    "clusters": tuple(
-        f"tests/fitting/test_{name}.py" for name in ("cluster", "cluster_faults", "cluster_fits", "slurm")
-    ),
+    "clusters": tuple(f"tests/fitting/test_{name}.py" for name in ("cluster", "cluster_fits", "slurm")),
     "fits": tuple(
         f"tests/fitting/test_{name}.py"
         for name in ["bands", "batch", "coreset", "fit", "hard_fits", "likelihood", "objective", "projection", "starts"]

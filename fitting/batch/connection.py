@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import re
+import logging
 import signal
 import threading
 import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 
 SCHEMES = {"dask": "tcp", "dask+tls": "tls"}
 SLURM = "dask-slurm"
-PORTS = range(1, 2**16)
 CONNECT = 5.0  # seconds for a scheduler to answer
+UNHEARD = logging.CRITICAL + 1  # level of what Dask logs: what matters is said in lines of ours
 
 
 class ClusterError(ValueError):
@@ -45,31 +46,15 @@ def address_of(where: str) -> str:
     """As Dask writes it.
 
     Raises:
-        ClusterError: it is none, or TLS lacks certificates.
+        ClusterError: it is none.
     """
-    scheme, _, rest = where.partition("://")
-    host, _, port = rest.rpartition(":")
-    if scheme not in SCHEMES or not host or not re.fullmatch(r"[0-9]{1,5}", port) or int(port) not in PORTS:
-        raise ClusterError(
-            f"--executor {where!r} should be dask://HOST:PORT, dask+tls://HOST:PORT or {SLURM}, "
-            f"with a port from {PORTS[0]} to {PORTS[-1]}"
-        )
-    if SCHEMES[scheme] == "tls":
-        _certified(where)
-    return f"{SCHEMES[scheme]}://{rest}"
-
-
-def _certified(where: str) -> None:
-    """Look for certificates now: a client that fails for want of them says something else, and late."""
-    from distributed.security import Security
-
-    needs = f"{where}: dask+tls needs certificates: distributed.comm.tls in Dask's configuration"
     try:
-        found: Any = Security().get_connection_args("client")
-    except (OSError, ValueError) as error:  # files that are not there, or hold something else
-        raise ClusterError(f"{needs} ({line(error)})") from None
-    if found["ssl_context"] is None:
-        raise ClusterError(f"{needs} (ca-file, client.cert and client.key)")
+        parts = urlsplit(where)
+        if parts.scheme in SCHEMES and parts.hostname and parts.port:
+            return f"{SCHEMES[parts.scheme]}://{parts.netloc}"
+    except ValueError:  # of the port
+        pass
+    raise ClusterError(f"--executor {where!r} should be dask://HOST:PORT, dask+tls://HOST:PORT or {SLURM}")
 
 
 def connected(where: str, address: str, security: Security | None = None) -> Client:
@@ -79,27 +64,28 @@ def connected(where: str, address: str, security: Security | None = None) -> Cli
         ClusterError: no scheduler answers, or it has no merlfit.
     """
     from distributed import Client
+    from distributed.security import Security
     from distributed.versions import VersionMismatchWarning
 
     from .slot import present
 
-    warnings.simplefilter("ignore", VersionMismatchWarning)  # a table; what matters is said in a line of ours
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(UNHEARD)
+    warnings.simplefilter("ignore", VersionMismatchWarning)  # a table
     warnings.filterwarnings("ignore", "Sending large graph")  # a file, where workers do not see it
+    client, security = None, security or Security()
     try:
+        certified: Any = security.get_connection_args("client")["ssl_context"]
+        if address.startswith("tls") and certified is None:  # a client that fails for want of them leaves a traceback
+            raise ValueError("distributed.comm.tls in Dask's configuration lacks ca-file, client.cert or client.key")
         client = Client(address, timeout=CONNECT, set_as_default=False, security=security)
-    except (OSError, TimeoutError, ImportError, ValueError, RuntimeError, TypeError) as error:
-        why = line(error) if isinstance(error, ImportError | ValueError | TypeError) else ""
-        raise ClusterError(
-            f"{where}: no scheduler answers there within {CONNECT:g} s{why and f' ({why})'}; start one with "
-            "`dask scheduler`, or check host, port, firewall and TLS"
-        ) from None
-    try:
         client.run_on_scheduler(present, callback_timeout=CONNECT)
-    except Exception as error:  # whatever it lacks
-        client.close(timeout=CONNECT)
+    except Exception as error:  # of whatever kind: no address, no answer, no certificates, no merlfit
+        if client is not None:
+            client.close(timeout=CONNECT)
         raise ClusterError(
-            f"{where}: the scheduler cannot take files ({type(error).__name__}: {line(error)}); "
-            "install there what is here"
+            f"{where}: no scheduler there takes files ({type(error).__name__}: {line(error)}); start one with `dask "
+            "scheduler`, install there what is here, or check host, port, firewall and TLS"
         ) from None
     return client
 

@@ -38,7 +38,7 @@ class Order:
     """A unit for a worker.
 
     Attributes:
-        run: name of the run. number: of the unit in it. path: of the file, absolute. sha1: that it must have.
+        run, number: names of the run, and of the unit in it. path: of the file, absolute. sha1: that it must have.
         origin: what the result says of how it was computed.
     """
 
@@ -83,9 +83,8 @@ def fit(order: bytes, data: bytes | None) -> Brought | None:
         None if the file is not here, or another of that name.
     """
     worker = get_worker()
-    given: Order = pickle.loads(order)
-    _say(worker, given, "")  # before anything that could wait for ever
     _begin(worker.state.nthreads)
+    given: Order = pickle.loads(order)
     with TemporaryDirectory(prefix="merlfit-", dir=worker.local_directory, ignore_cleanup_errors=True) as scratch:
         path, out = given.path, Path(scratch) / "out"
         if data is not None:
@@ -128,15 +127,10 @@ def _reports(worker: Worker, order: Order) -> Callable[[str], None]:
         begun, now = stage.split(":")[0], time.monotonic()
         if begun != last[0] or now > last[1] + PERIOD:
             last[:] = begun, now
-            _say(worker, order, stage)
+            said = {"unit": order.number, "stage": str(stage), "share": getattr(stage, "share", None)}
+            worker.log_event(TOPIC, {"by": order.run, **said})
 
     return report
-
-
-def _say(worker: Worker, order: Order, stage: str) -> None:
-    """To the client: what is being done with a unit, '' for nothing yet, and where."""
-    share, by = getattr(stage, "share", None), worker.address
-    worker.log_event(TOPIC, {"run": order.run, "unit": order.number, "stage": str(stage), "share": share, "worker": by})
 
 
 def _brought(order: Order, unit: Unit, ended: Ended) -> Brought:

@@ -5,30 +5,13 @@ What a job is comes from Dask's own files (docs/clusters.md). Those that end whi
 
 from __future__ import annotations
 
-import logging
 import shutil
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any
 
-from .connection import SLURM, ClusterError, library, line
+from .connection import SLURM, UNHEARD, ClusterError, library, line
 
-UNHEARD = logging.CRITICAL + 1  # level of what the scheduler logs: what matters is said in lines of ours
 PATIENCE = 20.0  # seconds for jobs to be cancelled
-
-
-@dataclass
-class _Answers:
-    """What ``sbatch`` answered.
-
-    Attributes:
-        open: jobs that it has not answered yet. taken: names of those in its queue, or at work.
-        refused: its last line about one that it did not take.
-    """
-
-    open: int = 0
-    taken: set[str] = field(default_factory=set)
-    refused: str = ""
 
 
 class Queue:
@@ -51,10 +34,8 @@ class Queue:
             raise ClusterError(
                 f"--executor {where} needs sbatch, which is not found: run merlfit where jobs are submitted"
             )
-        self._answers = _Answers()
-        job = _job(made.slurm.SLURMJob, self._answers)
         try:
-            self._cluster = made.SLURMCluster(job_cls=job, silence_logs=UNHEARD)
+            self._cluster = made.SLURMCluster(job_cls=_job(made.slurm.SLURMJob), silence_logs=UNHEARD)
         except (ValueError, TypeError, OSError, RuntimeError) as error:
             raise ClusterError(
                 f"--executor {where}: {line(error)}; see docs/clusters.md for ~/.config/dask/jobqueue.yaml"
@@ -62,13 +43,9 @@ class Queue:
         self.address, self.security = self._cluster.scheduler_address, self._cluster.security
         self._cluster.adapt(minimum=jobs, maximum=jobs)  # those that are lost are asked for again
 
-    def refused(self) -> str:
-        """What ``sbatch`` said of a job that it did not take, when it answered of all; '' if it took them."""
-        return "" if self._answers.open else self._answers.refused
-
-    def empty(self) -> bool:
-        """Whether it has taken none that is not over."""
-        return not self._answers.taken
+    def refusals(self) -> list[str]:
+        """Of each job that ``sbatch`` has answered: what it said if it did not take it, or ''."""
+        return [job.refusal for job in list(self._cluster.workers.values())]
 
     def close(self) -> None:
         """Cancel the jobs."""
@@ -76,26 +53,19 @@ class Queue:
             self._cluster.close(timeout=PATIENCE)
 
 
-def _job(base: Any, answers: _Answers) -> type:  # noqa: ANN401 - dask_jobqueue's SLURMJob, which has no types
-    """A job that writes down what ``sbatch`` answers; Dask would print an error's traceback and wait for ever."""
+def _job(base: Any) -> type:  # noqa: ANN401 - dask_jobqueue's SLURMJob, which has no types
+    """A job that keeps what ``sbatch`` refuses it with; Dask would print an error's traceback and wait for ever."""
     from distributed import Status
 
     class Job(base):
+        refusal = ""
+
         async def start(self) -> None:
-            answers.open += 1
             try:
                 await super().start()
-                answers.taken.add(self.name)
             except (RuntimeError, OSError, ValueError) as error:
                 said = [each.strip() for each in str(error).splitlines() if each.strip()]
-                answers.refused = said[-1] if said else type(error).__name__
+                self.refusal = said[-1] if said else type(error).__name__
                 self.status = Status.running  # not asked for again
-            finally:
-                answers.open -= 1
-
-        async def close(self) -> None:
-            await super().close()
-            answers.taken.discard(self.name)
-            self.status = Status.closed
 
     return Job

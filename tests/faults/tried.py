@@ -14,6 +14,7 @@ TITLES = {
     "commands": "Hostile command lines, scenes, draws, manifests and maps",
     "folders": "Folders that fail",
     "kills": "kill -9 at random moments",
+    "clusters": "Clusters that break",
 }
 TEXTS = {
     "loaders": "Each file is read whole and right, or refused with one line that names it. Watched for all: Python's "
@@ -37,6 +38,9 @@ TEXTS = {
     "its end. After every kill: no result or chain is torn, and nothing that the manifest calls finished is lost; at "
     "the end all values are those of an undisturbed run to the last bit, nothing unfinished is left in the folder and "
     "no process runs on.",
+    "clusters": "Schedulers and workers of Dask are processes of this machine, SLURM a stand-in for `sbatch` and "
+    "`scancel`, the fit one that writes a made-up result. A wrong outcome is a run that does not end in time, a "
+    "traceback, a line that is missing, a file that is lost, or one that is written although it was not fitted.",
 }
 
 

@@ -1,13 +1,15 @@
-"""A Dask cluster: a real scheduler, and workers that are processes of this machine."""
+"""A Dask cluster: a real scheduler, and workers that are processes of this machine; `make faults` breaks them."""
 
-import os
+import queue
 import re
 import signal
 import subprocess
-from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import psutil
 import pytest
+from merlfit.fitting.batch import cluster as module
+from merlfit.fitting.batch import connection
 from merlfit.fitting.batch.cluster import Cluster, ClusterError
 from merlfit.fitting.results.manifest import Ending
 from merlfit.fitting.results.storage import read_result
@@ -18,24 +20,15 @@ from tests.support.worker_tasks import task
 
 @pytest.fixture(scope="module")
 def where(tmp_path_factory):
-    """Address of a scheduler."""
-    with scheduler(tmp_path_factory.mktemp("scheduler")) as (_, address):
+    """Address of a scheduler with two workers."""
+    folder = tmp_path_factory.mktemp("scheduler")
+    with scheduler(folder) as (_, address), workers(address, folder, 2):
         yield address
 
 
 def test_all_are_fitted_told_and_written_here(where, tmp_path):
-    noted = []
-    with workers(where, tmp_path, 2):
-        found, told = ended(
-            Cluster(where, task=task, note=noted.append),
-            units(tmp_path / "out", "quick-a", "quick-b", "raises-c", "quick-d"),
-        )
-    assert {k: e.kind for k, e in found.items()} == {
-        0: Ending.FITTED,
-        1: Ending.FITTED,
-        2: Ending.FAILED,
-        3: Ending.FITTED,
-    }
+    found, told = ended(Cluster(where, task=task), units(tmp_path / "out", "quick-a", "quick-b", "raises-c", "quick-d"))
+    assert [found[k].kind for k in range(4)] == [Ending.FITTED, Ending.FITTED, Ending.FAILED, Ending.FITTED]
     assert found[2].error == f"{tmp_path / 'raises-c.binary'}: it raises"
     assert set(told) <= {(k, "reading") for k in range(4)}
     assert told
@@ -43,20 +36,8 @@ def test_all_are_fitted_told_and_written_here(where, tmp_path):
         result = read_result(tmp_path / "out" / f"{name}.json")
         assert result.source.material == name
         assert result.source.path == str(tmp_path / f"{name}.binary")
-    assert not list(tmp_path.glob("scratch/**/merlfit-*"))
-
-
-def test_a_lost_worker_takes_nothing_with_it_and_a_unit_that_kills_two_is_given_up(where, tmp_path):
-    noted = []
-    found = units(tmp_path / "out", "killed-a", "quick-b", "quick-c", "quick-d")
-    with workers(where, tmp_path, 2):
-        ended_as, _ = ended(Cluster(where, task=task, note=noted.append), found)
-    assert ended_as[0].kind is Ending.LOST
-    assert "its worker was lost" in ended_as[0].error
-    assert [ended_as[k].kind for k in (1, 2, 3)] == [Ending.FITTED] * 3
-    lost = [text for text in noted if "was lost while fitting killed-a" in text]
-    assert ["another worker starts it again" in text for text in lost] == [True, False]  # as the scheduler allows
-    assert not (tmp_path / "out/killed-a.json").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {f"{name}.binary" for name in (
+        "quick-a", "quick-b", "raises-c", "quick-d")} | {"out"}  # fmt: skip
 
 
 def test_a_worker_that_is_killed_in_mid_fit_is_survived(where, tmp_path):
@@ -67,32 +48,11 @@ def test_a_worker_that_is_killed_in_mid_fit_is_survived(where, tmp_path):
             at_work.append(psutil.Process(int(stage)))
             at_work[0].kill()
 
-    with workers(where, tmp_path):
-        [(_, came)] = Cluster(where, task=task, note=noted.append).ended(found, tell)
+    [(_, came)] = Cluster(where, task=task, note=noted.append).ended(found, tell)
     assert came.kind is Ending.FITTED
     assert at_work
     [text] = noted
     assert re.fullmatch(r"worker tcp://\S+ was lost while fitting waits-a; another worker starts it again", text)
-
-
-def test_a_worker_that_is_lost_while_it_is_idle_had_no_file(where, tmp_path):
-    noted = []
-    with workers(where, tmp_path, 2):
-        run = Cluster(where, task=task, note=noted.append)
-        until(lambda: run.room() >= 2, "not two workers")
-        [address, process], *_ = run._client.run(os.getpid).items()
-        psutil.Process(process).kill()
-        until(lambda: address not in run._watch.workers, "the worker is still there")
-        list(run.ended(units(tmp_path / "out", "quick-a"), lambda k, stage: None))
-    assert f"worker {address} was lost" in noted
-
-
-def test_two_runs_fit_no_two_files_in_one_worker_at_once(where, tmp_path):
-    """Its memory is for one."""
-    with workers(where, tmp_path, threads=2), ThreadPoolExecutor(2) as threads:
-        runs = [(Cluster(where, task=task), units(tmp_path / f"out-{k}", f"alone-{k}")) for k in range(2)]
-        found = [came[0] for came, _ in threads.map(ended, *zip(*runs, strict=True))]
-    assert [came.kind for came in found] == [Ending.FITTED] * 2, found
 
 
 def test_a_file_that_workers_do_not_see_is_sent(where, tmp_path, monkeypatch):
@@ -108,48 +68,100 @@ def test_a_file_that_workers_do_not_see_is_sent(where, tmp_path, monkeypatch):
         )
 
     monkeypatch.setattr(cluster_of._client, "submit", submitted)
-    with workers(where, tmp_path):
-        found, _ = ended(cluster_of, [unit])
+    found, _ = ended(cluster_of, [unit])
     assert found[0].kind is Ending.FITTED
     assert sent == [None, b"sees-a"]
 
 
-def test_a_stop_ends_what_goes_on_and_keeps_what_there_is(where, tmp_path):
-    found = units(tmp_path / "out", "patient-a", "quick-b")
-    cluster, told = Cluster(where, 1, task=task), []
-    with workers(where, tmp_path):
-        going = cluster.ended(found, lambda k, stage: told.append(k))
-
-        def stop(signal_number, frame):
-            raise KeyboardInterrupt
-
-        before = signal.signal(signal.SIGALRM, stop)
-        try:
-            signal.setitimer(signal.ITIMER_REAL, 12)
-            with pytest.raises(KeyboardInterrupt):
-                next(going)
-        finally:
-            signal.signal(signal.SIGALRM, before)
-        [(k, came)] = cluster.stop()
-    assert (k, came.kind) == (0, Ending.STOPPED)
-    assert came.result.source.material == "patient-a"
+def test_ctrl_c_ends_what_goes_on_and_keeps_what_there_is(where, tmp_path):
+    found = [str(unit.path) for unit in units(tmp_path / "out", "patient-a", "quick-b")]
+    command = [*PROGRAM, "fit", *found, "-o", str(tmp_path / "out"), "--jobs", "1", "--executor", where]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: "reading" in running.stdout.readline(), "no file was begun")
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=90)
+    assert running.returncode == 128 + signal.SIGINT
+    assert said.startswith(f"merlfit: stopped by Ctrl-C: {tmp_path}/out/patient-a.json holds a fit without a posterior")
+    assert said.endswith("not begun: 1 of 2 files; the same command with --resume goes on\n")
     assert read_result(tmp_path / "out/patient-a.json").source.material == "patient-a"
     assert not (tmp_path / "out/quick-b.json").exists()
 
 
 def test_a_worker_of_other_versions_gets_nothing(where, tmp_path, monkeypatch):
-    from merlfit.fitting.batch import cluster
+    ours = module.versions()
+    monkeypatch.setattr(module, "versions", lambda: ours | {"jax": "9.9"})
+    other = Cluster(where, task=task, note=lambda text: (_ for _ in ()).throw(LookupError(text)))
+    with pytest.raises(LookupError, match=rf"jax {ours['jax']} instead of 9\.9; it gets no files: install there"):
+        next(other.ended(units(tmp_path / "out", "quick-a"), lambda k, stage: None))
+    other.stop()
 
-    noted = []
-    ours = cluster.versions()
-    monkeypatch.setattr(cluster, "versions", lambda: ours | {"jax": "9.9"})
-    with workers(where, tmp_path):
-        other = Cluster(where, task=task, note=noted.append)
-        going = other.ended(units(tmp_path / "out", "quick-a"), lambda k, stage: None)
-        monkeypatch.setattr(other, "note", lambda text: (_ for _ in ()).throw(LookupError(text)))
-        with pytest.raises(LookupError, match=rf"jax {ours['jax']} instead of 9\.9; it gets no files: install there"):
-            next(going)
-        other.stop()
+
+def worker(admitted=True, status="running"):
+    """As a scheduler says it."""
+    resources = {"merlfit-1": 1} if admitted else {}
+    return {"resources": resources, "status": status, "metrics": {"memory": 2**30}, "memory_limit": 2**30}
+
+
+def run_on(*answers, status="running"):
+    """A run that is connected to nothing: what its scheduler says from one look to the next, or fails with."""
+    run, left = object.__new__(Cluster), list(answers)
+
+    def sync(question, callback_timeout):
+        found = left.pop(0)
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    run._client = SimpleNamespace(
+        status=status, scheduler=SimpleNamespace(identity=None), sync=sync, close=lambda timeout: None
+    )
+    run.where, run.jobs, run.note, run._admission = "dask://host:1", None, print, SimpleNamespace(name="merlfit-1")
+    run._scheduler, run._workers, run._next, run._queue = "", {}, 0.0, None
+    run._given, run._events, run._done = {}, queue.SimpleQueue(), SimpleNamespace(next_batch=lambda block: [])
+    return run
+
+
+def seen(*workers, scheduler="one"):
+    return {"id": scheduler, "workers": {f"tcp://{n}": each for n, each in enumerate(workers)}}
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (seen(), "no worker is there"),
+        (seen(worker(admitted=False)), "none of 1 workers has the versions of this process"),
+        (seen(worker(status="paused")), r"worker tcp://0 takes nothing, since 1\.0 of 1\.0 GiB are in use: give worke"),
+    ],
+    ids=["none", "refused", "full"],
+)
+def test_without_a_worker_that_could_do_anything_a_run_says_so_and_ends(answer, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(module, "CONNECT", 0.1)
+    monkeypatch.setattr(module, "WAIT", 0.6)
+    with pytest.raises(ClusterError, match=rf"{said}.* for 0.01 minutes; what came back is written"):
+        next(run_on(*[answer] * 9).ended(units(tmp_path / "out", "quick-a"), print))
+    assert re.search(f"{said}.*; waiting for another", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        run_on(status="connecting"),
+        run_on(TimeoutError()),
+        run_on(OSError()),
+        run_on(seen(), seen(scheduler="another")),
+    ],
+    ids=["gone", "silent", "lost", "another"],
+)
+def test_a_scheduler_that_is_gone_ends_the_run_with_a_line(run, tmp_path):
+    with pytest.raises(ClusterError, match="dask://host:1: the scheduler is gone; what came back is written"):
+        next(run.ended(units(tmp_path / "out", "quick-a"), print))
+
+
+def test_a_unit_has_a_worker_that_runs_and_that_has_our_versions():
+    run = run_on(seen(worker(), worker(False), worker(status="paused"), worker()))
+    assert run.room() == 2
+    run.jobs = 1
+    assert run.room() == 1  # without another look
 
 
 @pytest.mark.parametrize(
@@ -160,34 +172,35 @@ def test_an_address_that_is_none_is_refused(bad):
         Cluster(bad)
 
 
-def test_a_scheduler_that_is_not_there_is_told():
-    with pytest.raises(ClusterError, match="no scheduler answers there within 5 s; start one with `dask scheduler`"):
-        Cluster("dask://127.0.0.1:9")
-
-
-def test_tls_without_certificates_is_told_before_anything_is_asked():
-    with pytest.raises(
-        ClusterError, match=r"needs certificates: distributed\.comm\.tls in Dask's configuration \(ca-fi"
-    ):
-        Cluster("dask+tls://127.0.0.1:9")
+@pytest.mark.parametrize(
+    ("scheme", "said"),
+    [
+        ("dask", "OSError: Timed out"),
+        ("dask+tls", r"ValueError: distributed\.comm\.tls in Dask's configuration lacks ca-file"),
+    ],
+)
+def test_a_cluster_that_cannot_be_used_is_told(scheme, said, monkeypatch):
+    monkeypatch.setattr(connection, "CONNECT", 0.5)
+    said = rf"{re.escape(scheme)}://127\.0\.0\.1:9: no scheduler there takes files \({said}.*start one with `dask sche"
+    with pytest.raises(ClusterError, match=said):
+        Cluster(f"{scheme}://127.0.0.1:9")
 
 
 def test_certificates_that_are_not_there_are_told():
     import dask
 
     there = {"distributed.comm.tls.ca-file": "/nowhere.pem", "distributed.comm.tls.client.cert": "/nowhere.pem"}
-    with dask.config.set(there), pytest.raises(ClusterError, match=r"needs certificates: .* \(.*No such file"):
+    with dask.config.set(there), pytest.raises(ClusterError, match=r"\(FileNotFoundError: .*No such file"):
         Cluster("dask+tls://127.0.0.1:9")
 
 
-@pytest.mark.parametrize("scheme", ["dask", "dask+tls"])
-def test_a_cluster_that_cannot_be_used_is_one_line(scheme, tmp_path):
+def test_a_cluster_that_cannot_be_used_is_one_line(tmp_path):
     [unit] = units(tmp_path / "out", "quick-a")
-    command = [*PROGRAM, "fit", str(unit.path), "-o", str(unit.out), "--executor", f"{scheme}://127.0.0.1:9"]
+    command = [*PROGRAM, "fit", str(unit.path), "-o", str(unit.out), "--executor", "dask+tls://127.0.0.1:9"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2
-    [said] = done.stderr.splitlines()
-    assert said.startswith(f"merlfit: {scheme}://127.0.0.1:9: ")
+    [line] = done.stderr.splitlines()
+    assert line.startswith("merlfit: dask+tls://127.0.0.1:9: no scheduler there takes files (ValueError: ")
 
 
 def test_slurm_needs_to_be_there_and_told_how_many():

@@ -125,6 +125,15 @@ def slurm(folder, sbatch):
             os.killpg(job, signal.SIGKILL)
 
 
+def started(environment, out, *names, count=1):
+    """A run on SLURM with a stand-in for the fit, going on."""
+    command = [*PROGRAM, "fit", *(str(unit.path) for unit in units(out, *names)), "-o", str(out)]
+    return subprocess.Popen(
+        [*command, "--executor", "dask-slurm", "--jobs", str(count)],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
 def jobs(program):
     """Numbers of jobs that a stand-in wrote down."""
     with suppress(FileNotFoundError):
