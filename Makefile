@@ -85,7 +85,7 @@ cost: install
 	$(BIN)/merlfit cost -o results/bench/cost
 	mv results/bench/cost/frontier.json fitting/cost/frontier.json
 
-# An hour: damaged files, full and vanishing disks, clocks that jump, killed batches; results/faults.md.
+# An hour: damaged files, full and vanishing disks, clocks that jump, killed batches, broken clusters; results/faults.md.
 faults: install
 	$(BIN)/python -m tests.faults
 

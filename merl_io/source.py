@@ -95,6 +95,12 @@ def whole(path: Path, refusal: type[ValueError] = MerlError, most: int = LARGEST
         return file.read(size)
 
 
+def sha1_of(path: Path) -> str:
+    """SHA-1 of a file in hexadecimal digits; raises as :func:`opened` does."""
+    with opened(path) as (file, _):
+        return hashlib.file_digest(file, "sha1").hexdigest()  # pyright: ignore[reportArgumentType] - it is a file
+
+
 def toml(path: Path, what: str, refusal: type[ValueError]) -> dict[str, Any]:
     """What a file of TOML says.
 

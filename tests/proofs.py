@@ -21,7 +21,6 @@ RIVALS = tuple(
     f"tests/rivals/test_{name}.py" for name in ("interfaced_lambertian", "microfacets", "oren_nayar", "rivals")
 )
 GROUPS: dict[str, tuple[str, ...]] = {
-    "clusters": tuple(f"tests/fitting/test_{name}.py" for name in ("cluster", "cluster_fits", "slurm")),
     "fits": tuple(
         f"tests/fitting/test_{name}.py"
         for name in ["bands", "batch", "coreset", "fit", "hard_fits", "likelihood", "objective", "projection", "starts"]
@@ -36,15 +35,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """Files of tests, and folders with all tests that are in them."""
 EVERYWHERE = ("constraints.txt", "pyproject.toml", "tests/conftest.py", "tests/proofs.py")
-STARTED = {
-    "clusters": ("fitting/main/__main__.py", "fitting/commands/cli.py")
-}  # in other processes, which no import shows
 PACKAGES = {"merlfit": ROOT, "tests": ROOT / "tests"}
 
 
 def files(group: str) -> list[Path]:
     """All that a group looks at: its tests, what they import, directly or not, and data beside any of these."""
-    named = [ROOT / name for name in (*GROUPS[group], *EVERYWHERE, *STARTED.get(group, ()))]
+    named = [ROOT / name for name in (*GROUPS[group], *EVERYWHERE)]
     waiting = [path for each in named for path in (each.rglob("*.py") if each.is_dir() else [each])]
     found: set[Path] = set()
     while waiting:

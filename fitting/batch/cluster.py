@@ -21,7 +21,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from ...merl_io.atomic import WriteError, write_bytes
-from ...merl_io.source import MerlError, whole
+from ...merl_io.source import MerlError, sha1_of, whole
 from ..pipeline.draws import chain_of
 from ..pipeline.place import place_of
 from ..results.manifest import Ending
@@ -121,7 +121,7 @@ class Cluster:
             while waiting or self._given:
                 room = self.room()
                 while waiting and len(self._given) < room:
-                    yield from self._give(waiting.pop(), tell)
+                    yield from self._give(waiting.pop())
                 self._wait(room)
                 yield from self._heard(tell)
         except (OSError, ClosedClientError):  # how Dask says it
@@ -193,26 +193,23 @@ class Cluster:
         count = len(self._workers)
         return f"none of {count} workers has the versions of this process" if count else "no worker is there"
 
-    def _give(self, k: int, tell: Tell, send: bool = False) -> Iterator[tuple[int, Ended]]:
+    def _give(self, k: int, send: bool = False) -> Iterator[tuple[int, Ended]]:
         """Hand a unit to the scheduler; of a file that cannot be read, what came of that.
 
         Args:
             send: the file with it, since the worker does not see it.
         """
-        from .slot import Order, fit, sha1_of
+        from .slot import Order, fit
 
         unit = self._units[k]
         path = unit.path.absolute()
-        send, sha1 = send or path.parent in self._unseen, sha1_of(path)
-        if sha1 is None:  # said as it would be said without a cluster
-            yield k, self.task(unit, lambda stage: tell(k, stage))
-            return
+        send = send or path.parent in self._unseen
         try:
-            data = whole(path, most=LARGEST) if send else None
+            sha1, data = sha1_of(unit.path), whole(unit.path, most=LARGEST) if send else None
         except MerlError as error:
             yield k, Ended(Ending.BAD_INPUT, error=str(error))
             return
-        order = pickle.dumps(Order(unit, self.task, self._run, k, path, sha1, this_run()))
+        order = pickle.dumps(Order(unit, self.task, self._run, k, path, sha1))
         key = f"merlfit-{self._run}-{k}{'-sent' if send else ''}"
         future = self._client.submit(fit, order, data, key=key, resources={self._admission.name: 1}, pure=False)
         self._given[key] = k, future
@@ -230,7 +227,7 @@ class Cluster:
             brought = self._brought(k, future, came)
             if brought is None:
                 self._unseen.add(self._units[k].path.absolute().parent)
-                yield from self._give(k, tell, send=True)
+                yield from self._give(k, send=True)
             else:
                 yield k, written(self._units[k], brought)
 
@@ -292,6 +289,7 @@ def written(unit: Unit, brought: Brought) -> Ended:
         log(unit.log, ended.error)
     if ended.result is None:
         return ended
+    ended.result.source.path, ended.result.run = str(unit.path), this_run()
     try:
         with place_of(unit.out, unit.name) as place:
             if brought.chain is not None:

@@ -163,13 +163,11 @@ def _why(process: SpawnProcess) -> str:
     """Why a worker died, as far as that can be told."""
     process.join(PATIENCE)
     code = process.exitcode or 0
+    if code == -signal.SIGKILL:
+        return "its process was killed (SIGKILL, as the system does when memory runs out)"
     if code == TOLD:
         return "its process was told to stop (SIGTERM, as some systems do when memory is short)"
-    if code >= 0:
-        return f"its process ended (exit code {code})"
-    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-    memory = ", as the system does when memory runs out" if -code == signal.SIGKILL else ""
-    return f"its process was killed ({name}{memory})"
+    return f"its process ended ({signal.strsignal(-code) if code < 0 else f'exit code {code}'})"
 
 
 def _work(pipe: Connection, task: Task, cores: list[int]) -> None:

@@ -6,7 +6,6 @@ and JAX is imported when the first unit is there, on the worker's cores alone.
 
 from __future__ import annotations
 
-import hashlib
 import pickle
 import platform
 import time
@@ -20,13 +19,12 @@ from typing import TYPE_CHECKING
 
 from distributed import Worker, get_worker
 
-from ...merl_io.source import MerlError, opened, whole
+from ...merl_io.source import MerlError, sha1_of, whole
 from ..support.affinity import begun_on, cores_of
 from ..support.allocation import keep_freed_memory
 from .admission import TOPIC
 
 if TYPE_CHECKING:
-    from ..results.schema import Run
     from .unit import Ended, Task, Unit
 
 PERIOD = 2.0  # seconds between two steps of one stage that are reported: all of them pass through the scheduler
@@ -39,7 +37,6 @@ class Order:
 
     Attributes:
         run, number: names of the run, and of the unit in it. path: of the file, absolute. sha1: that it must have.
-        origin: what the result says of how it was computed.
     """
 
     unit: Unit
@@ -48,7 +45,6 @@ class Order:
     number: int
     path: Path
     sha1: str
-    origin: Run
 
 
 @dataclass(frozen=True)
@@ -91,18 +87,18 @@ def fit(order: bytes, data: bytes | None) -> Brought | None:
             path = Path(scratch) / "in" / given.path.name
             path.parent.mkdir()
             path.write_bytes(data)
-        elif sha1_of(path) != given.sha1:
+        elif not _is(path, given.sha1):
             return None
         out.mkdir()
         unit = replace(given.unit, path=path, out=out)
         return _brought(given, unit, given.task(unit, _reports(worker, given)))
 
 
-def sha1_of(path: Path) -> str | None:
-    """Of a file; None where there is none that can be read."""
-    with suppress(MerlError), opened(path) as (file, _):
-        return hashlib.file_digest(file, "sha1").hexdigest()  # pyright: ignore[reportArgumentType] - it is a file
-    return None
+def _is(path: Path, sha1: str) -> bool:
+    """Whether there is a file of this content."""
+    with suppress(MerlError):
+        return sha1_of(path) == sha1
+    return False
 
 
 @cache
@@ -134,7 +130,7 @@ def _reports(worker: Worker, order: Order) -> Callable[[str], None]:
 
 
 def _brought(order: Order, unit: Unit, ended: Ended) -> Brought:
-    """What a unit left in the worker's folder, with the client's names for files."""
+    """What a unit left in the worker's folder; messages have the client's names for files."""
     from ..pipeline.draws import chain_of
     from ..results.storage import ResultError, read_result
 
@@ -144,9 +140,6 @@ def _brought(order: Order, unit: Unit, ended: Ended) -> Brought:
     result, chain, log = ended.result, None, ""
     with suppress(ResultError, OSError):
         result = read_result(unit.target)
-    if result is not None:
-        result.source.path = str(order.unit.path)
-        result.run = order.origin.model_copy(update={"finished": result.run.finished} if result.run else {})
     with suppress(MerlError):
         chain = whole(chain_of(unit.target))
     with suppress(MerlError):

@@ -3,7 +3,7 @@
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...merl_io.atomic import WriteError
@@ -80,21 +80,21 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
             with programs_told(_logged(unit, report), of) as told:
                 result = fit_file(unit.path, place.folder, unit.settings, told, unit.finish)
         log(unit.log, f"{result.fit.status}, {result.seconds['total']:.1f} s")
-        return Ended(Ending.FITTED, result, said=place.said)
+        ended = Ended(Ending.FITTED, result)
     except (MerlError, ConfigError) as error:
-        return Ended(Ending.BAD_INPUT, error=str(error), said=place.said if place else "")
+        ended = Ended(Ending.BAD_INPUT, error=str(error))
     except WriteError as error:  # names the output, the input is not to blame
-        return Ended(Ending.FAILED, error=str(error), said=place.said if place else "")
+        ended = Ended(Ending.FAILED, error=str(error))
     except Stopped as stop:
-        kept = None
+        ended = Ended(Ending.STOPPED, code=stop.code)
         if place is not None and place.written:
             with suppress(ResultError):  # it may have been taken away
-                kept = read_result(place.path)
-        return Ended(Ending.STOPPED, kept, said=place.said if place else "", code=stop.code)
+                ended = replace(ended, result=read_result(place.path))
     except Exception as error:  # of any kind: said with its name, and the next file has its turn
         log(unit.log, traceback.format_exc())
         where = str(error) if place is None else str(error).replace(str(place.folder), str(place.path.parent))
-        return Ended(Ending.FAILED, error=unexpected(unit.path, error, where), said=place.said if place else "")
+        ended = Ended(Ending.FAILED, error=unexpected(unit.path, error, where))
+    return replace(ended, said=place.said) if place is not None else ended
 
 
 def _logged(unit: Unit, report: Report) -> Report:

@@ -1,6 +1,5 @@
 """Fits of files, as the commands `merlfit fit` and `merlfit demo` make them."""
 
-import hashlib
 import shlex
 import time
 from collections import Counter
@@ -14,7 +13,7 @@ from rich.progress import Progress, TaskID
 from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
 from ...merl_io.inputs import is_scattered
-from ...merl_io.source import opened
+from ...merl_io.source import sha1_of
 from ..batch.cluster import Cluster, ClusterError
 from ..batch.here import Here
 from ..batch.pool import Pool
@@ -188,8 +187,7 @@ def fit_files(
 def _done(unit: Unit) -> Result | None:
     """A whole result of the same file, settings and versions, in its place or beside another of its name."""
     try:
-        with opened(unit.path) as (file, _):
-            sha1 = hashlib.file_digest(file, "sha1").hexdigest()  # pyright: ignore[reportArgumentType] - it is a file
+        sha1 = sha1_of(unit.path)
     except MerlError:
         return None  # said when it is fitted
     settings = unit.settings.for_scattered if is_scattered(unit.path) else unit.settings

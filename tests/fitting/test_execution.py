@@ -15,7 +15,6 @@ import psutil
 import pytest
 from merlfit.fitting.batch import pool
 from merlfit.fitting.batch.pool import Pool
-from merlfit.fitting.batch.slot import sha1_of
 from merlfit.fitting.batch.unit import Unit, fit_unit
 from merlfit.fitting.commands.fit import _done
 from merlfit.fitting.results import manifest
@@ -27,6 +26,7 @@ from merlfit.fitting.support.outputs import log
 from merlfit.fitting.support.processes import jobs_for
 from merlfit.fitting.support.threads import CORES
 from merlfit.merl_io.binary import DIMS, write
+from merlfit.merl_io.source import MerlError, sha1_of
 
 from tests.support.made_results import made
 from tests.support.worker_tasks import task
@@ -269,9 +269,10 @@ def test_a_line_without_an_end_takes_no_memory_and_the_next_ones_are_read(tmp_pa
     assert [line.event for line in manifest.lines(tmp_path)] == ["ended", "file"]
 
 
-def test_a_pipe_in_the_place_of_a_workers_file_is_no_file(tmp_path):
+def test_a_pipe_in_the_place_of_a_file_is_no_file(tmp_path):
     os.mkfifo(tmp_path / "a.binary")
-    assert sha1_of(tmp_path / "a.binary") is None
+    with pytest.raises(MerlError, match="is not a regular file"):
+        sha1_of(tmp_path / "a.binary")
 
 
 def test_no_more_processes_than_files_cores_and_memory(monkeypatch):
