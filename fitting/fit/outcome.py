@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.binary import OUTLIER
@@ -62,12 +61,12 @@ class Fitted:
     @cached_property
     def values(self) -> np.ndarray:
         """Physical values, (P,)."""
-        return np.asarray(self.layout.flat(jnp.asarray(self.solution.z)))
+        return np.asarray(self.layout.flat(self.solution.z))
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """Of the physical values, by the Laplace approximation, (P, P)."""
-        slopes = np.asarray(self.layout.slopes(jnp.asarray(self.solution.z)))
+        slopes = np.asarray(self.layout.slopes(self.solution.z))
         return slopes @ laplace_covariance(self.solution.normal, self.solution.cost, self.count) @ slopes.T
 
     @cached_property
@@ -84,12 +83,12 @@ class Fitted:
         within the bounds and is as skew as the coordinate. The data decide where this is below `DECIDED` of what
         the prior alone, C = 1, leaves. What is fixed has none.
         """
-        z, slopes = np.asarray(self.solution.z), np.asarray(self.layout.slopes(jnp.asarray(self.solution.z)))
+        z, slopes = np.asarray(self.solution.z), np.asarray(self.layout.slopes(self.solution.z))
         source = self.layout.table.source
         own, prior = np.abs(slopes[np.arange(len(slopes)), source]), np.linalg.norm(slopes, axis=1)
 
         def end(k: int, steps: float) -> float:
-            return float(self.layout.flat(jnp.asarray(z).at[source[k]].add(steps / own[k]))[k])
+            return float(np.asarray(self.layout.flat(z + steps / own[k] * (np.arange(len(z)) == source[k])))[k])
 
         return [
             (end(k, -NINETY * error), end(k, NINETY * error)) if error < DECIDED * prior[k] and own[k] > 0 else None
@@ -178,7 +177,7 @@ def _near(fitted: Fitted, k: int) -> str:
 def excess(fitted: Fitted) -> list[str]:
     """A line where the material gives back more light than it receives."""
     material = fitted.material
-    brightest = largest_albedo(material, fitted.layout.values(jnp.asarray(fitted.solution.z)), fitted.layout.bands)
+    brightest = largest_albedo(material, fitted.layout.values(fitted.solution.z), fitted.layout.bands)
     if brightest is None or not brightest.excessive:
         return []
     mend = "--preset conserving" if isinstance(material, TwoScale) else f"--model {TwoScale.name} --preset conserving"

@@ -96,8 +96,10 @@ def make_problem(
     def split(x: np.ndarray) -> np.ndarray:
         return np.moveaxis(x.reshape(len(x), blocks, -1, *x.shape[2:]), 1, 0).astype(precision)
 
-    parts = shares(Part(where, jnp.asarray(split(rows.root)), jnp.asarray(split(rows.target))), where.log_base.size)
-    return Problem(tuple(parts), jnp.asarray(rows.rest), jnp.asarray(samples.scatter / unit))
+    parts = shares(
+        Part(where, jax.device_put(split(rows.root)), jax.device_put(split(rows.target))), where.log_base.size
+    )
+    return Problem(tuple(parts), jax.device_put(rows.rest), jax.device_put(samples.scatter / unit))
 
 
 def _of_scattered(samples: ScatteredSamples, unit: float, precision: Precision, columns: int) -> Problem:
@@ -108,11 +110,11 @@ def _of_scattered(samples: ScatteredSamples, unit: float, precision: Precision, 
     root = np.sqrt(samples.weight / unit)
 
     def split(x: np.ndarray) -> Array:
-        return jnp.asarray(arranged.split(x, 0.0).swapaxes(0, 1).astype(precision))
+        return jax.device_put(arranged.split(x, 0.0).swapaxes(0, 1).astype(precision))
 
     part = Part(where, split(root)[..., None], split(root * samples.value))
     nothing = jnp.zeros(len(samples.bands))
-    return Problem(tuple(shares(part, arranged.threads_for)), nothing, jnp.asarray(samples.scatter / unit))
+    return Problem(tuple(shares(part, arranged.threads_for)), nothing, jax.device_put(samples.scatter / unit))
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ def _stepped(count: int) -> int:
 
 def _scattered_directions(samples: ScatteredSamples, arranged: Arrangement, precision: Precision) -> Directions:
     angles = (samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
-    geometry = Geometry(*(jnp.asarray(arranged.split(x).astype(precision)) for x in angles))
+    geometry = Geometry(*(jax.device_put(arranged.split(x).astype(precision)) for x in angles))
     return Directions(geometry, jax.jit(grazing_log_base)(geometry), samples.bands, scattered=True)
 
 
@@ -182,7 +184,8 @@ def shares(blocks: T, size: int) -> list[T]:
     parts = next(n for n in range(min(_threads(size), count), 0, -1) if count % n == 0)
     each = count // parts
     return [
-        jax.tree.map(lambda x, k=k: jnp.asarray(np.asarray(x)[k * each : (k + 1) * each]), blocks) for k in range(parts)
+        jax.tree.map(lambda x, k=k: jax.device_put(np.asarray(x)[k * each : (k + 1) * each]), blocks)
+        for k in range(parts)
     ]
 
 
@@ -202,10 +205,10 @@ def directions(
     blocks = rows // height
 
     def split(x: np.ndarray) -> Array:
-        return jnp.asarray(x.reshape((blocks, height, *x.shape[1:])).astype(precision))
+        return jax.device_put(x.reshape((blocks, height, *x.shape[1:])).astype(precision))
 
     columns_ = np.broadcast_to(theta_d[None, None, :, None], (blocks, 1, columns, 1))
     geometry = Geometry(
-        split(theta_h[:, None, None]), jnp.asarray(columns_.astype(precision)), split(cos_i), split(cos_o)
+        split(theta_h[:, None, None]), jax.device_put(columns_.astype(precision)), split(cos_i), split(cos_o)
     )
     return Directions(geometry, jax.jit(grazing_log_base)(geometry), bands)

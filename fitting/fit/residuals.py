@@ -69,7 +69,7 @@ class Objective:
         """Per channel (C,), without the folding scatter, relative to the measurement's energy, of physical values."""
         return self._sum(lambda part: _cost(self.layout.model, values, part))
 
-    def costs_of_many(self, values: Mapping[str, Array]) -> Array:
+    def costs_of_many(self, values: Mapping[str, Numbers]) -> Array:
         """The same of N candidates, (N, C); values with a leading axis."""
         return self._sum(lambda part: _costs_of_many(self.layout.model, values, part))
 

@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from itertools import product
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtr, ndtri
 from scipy.stats.qmc import Sobol
@@ -193,7 +192,7 @@ def _by_channel(
     for q in own:  # alike in all channels, whatever the prior of their differences
         values[q.name] = np.repeat(values[q.name][:, layout.bands.middle, None], channels, 1)
     values = layout.held(values)
-    found = Objective(layout, problem).costs_of_many({name: jnp.asarray(x) for name, x in values.items()})
+    found = Objective(layout, problem).costs_of_many(values)
     costs = np.nan_to_num(np.asarray(found), nan=np.inf).reshape(len(points), each, channels)
     chosen = costs.argmin(1) + each * np.arange(len(points))[:, None]  # (N, C), of all rows
     given = {name: np.asarray(x) for name, x in values.items()}

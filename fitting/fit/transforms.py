@@ -242,7 +242,7 @@ class Layout:
         columns = [np.array(column) for column in zip(*rows, strict=True)]
         return Table(*columns, source, leader, fixed, value)  # pyright: ignore[reportCallIssue] - nine columns
 
-    def values(self, z: Array) -> dict[str, Array]:
+    def values(self, z: ArrayLike) -> dict[str, Array]:
         """Physical values by name: scalars, and ``(C,)`` for parameters per channel."""
         return _values(self.structure, self.table, z)
 
@@ -250,7 +250,7 @@ class Layout:
         """The same for many points (M, F), with a leading axis M."""
         return {name: np.asarray(x) for name, x in _values_of_many(self.structure, self.table, z).items()}
 
-    def flat(self, z: Array) -> Array:
+    def flat(self, z: ArrayLike) -> Array:
         """Physical values, shape (P,)."""
         return _flat_jitted(self.structure, self.table, z)
 
@@ -260,11 +260,11 @@ class Layout:
 
     def values_and_slopes(self, z: ArrayLike) -> tuple[dict[str, Array], Array]:
         """Both in one call."""
-        return _values_and_slopes(self.structure, self.table, jnp.asarray(z))
+        return _values_and_slopes(self.structure, self.table, z)
 
     def values_and_slopes_of_many(self, points: ArrayLike) -> tuple[dict[str, Array], Array]:
         """The same for many points (M, F), with a leading axis M."""
-        return _values_and_slopes_of_many(self.structure, self.table, jnp.asarray(points))
+        return _values_and_slopes_of_many(self.structure, self.table, points)
 
     def held(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Values by name, of one point or many, with those that are fixed as they are fixed."""

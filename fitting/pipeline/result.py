@@ -3,7 +3,6 @@
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.bands import ColourSpace
@@ -135,7 +134,7 @@ def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedRe
 
 def _model_part(layout: Layout, z: np.ndarray, colour_space: ColourSpace) -> schema.Model:
     measured = layout.model if isinstance(layout.model, Measured) else Measured(layout.model, "off")
-    return schema.Model.of(measured, layout.values(jnp.asarray(z)), layout.bands, colour_space)
+    return schema.Model.of(measured, layout.values(z), layout.bands, colour_space)
 
 
 def posterior_parts(

@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io import inputs, scattered
@@ -245,7 +244,7 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
 
 def valued(layout: Layout, z: np.ndarray) -> dict[str, np.ndarray]:
     """Physical values by name."""
-    return {name: np.asarray(x) for name, x in layout.values(jnp.asarray(z)).items()}
+    return {name: np.asarray(x) for name, x in layout.values(z).items()}
 
 
 def assess(
@@ -352,7 +351,7 @@ def cheaper(layout: Layout, order: int) -> Layout:
 
 def predict_samples(layout: Layout, z: np.ndarray, samples: AnySamples) -> np.ndarray:
     """Prediction with the acquisition's loss, 1/sr, of the shape of the values of ``samples``."""
-    return predicted_by(layout.model, layout.values(jnp.asarray(z)), samples)
+    return predicted_by(layout.model, layout.values(z), samples)
 
 
 def count_of(samples: AnySamples, predicted: np.ndarray) -> float:

@@ -1,10 +1,12 @@
 """`merlfit synth`: MERL files without a measurement, tabulated from published parameter sets or from a fit."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import numpy as np
+from jax import Array
 
 from ...merl_io.binary import DIMS, Dims, MerlError, write
 from ...merl_io.grid import merl_grid
@@ -39,15 +41,14 @@ def synthesise(material: str, out: Path, source: str | None, loss: bool, force: 
     console.print(f"{out}: {said}")
 
 
-def tabulate(evaluate: object, dims: Dims = DIMS) -> np.ndarray:
+def tabulate(evaluate: Callable[[Geometry], Array], dims: Dims = DIMS) -> np.ndarray:
     """BRDF on MERL's grid (3, 90, 90, 180), or on one of other dims, 1/sr; NaN below the horizon."""
     grid = merl_grid(dims)
-    compiled = jax.jit(evaluate)  # type: ignore[arg-type]
+    compiled = jax.jit(lambda *angles: evaluate(Geometry.from_half_difference(*angles)))
     parts = [
-        np.asarray(compiled(Geometry.from_half_difference(
-            grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])))
+        np.asarray(compiled(grid.theta_h[rows, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :]))
         for rows in np.array_split(np.arange(len(grid.theta_h)), -(-len(grid.theta_h) // ROWS))
-    ]  # fmt: skip
+    ]
     return np.where(grid.above, np.concatenate(parts, 1), np.nan)
 
 

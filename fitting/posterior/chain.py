@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import emcee
-import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.archive import arrays
@@ -232,7 +231,7 @@ def _ignored(emulator: Emulator, walked: _Walked) -> tuple[float, np.ndarray]:
     And where that is, `MORE` points.
     """
     states = walked.states.reshape(-1, walked.states.shape[-1])
-    emulated = log_posterior(jnp.asarray(states), emulator.channels, emulator.scale)
+    emulated = log_posterior(states, emulator.channels, emulator.scale)
     excess = walked.log_prob.ravel() - np.asarray(emulated)
     worst = states[np.argsort(excess)[::-1]]
     _, first = np.unique(worst, axis=0, return_index=True)  # a walker that stayed counts once

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -64,7 +63,7 @@ class Rows:
         """Weighted predictions (N, M) at points (N, P)."""
         padded = np.concatenate([points, np.repeat(points[:1], -len(points) % BATCH, 0)])
         batches = np.split(padded, len(padded) // BATCH)
-        found = side_by_side(lambda z: np.asarray(_predicted(self.layout, jnp.asarray(z), self.part), float), batches)
+        found = side_by_side(lambda z: np.asarray(_predicted(self.layout, z, self.part), float), batches)
         return self.unit * np.concatenate(found)[: len(points)]
 
     def tangent(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

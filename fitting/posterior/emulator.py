@@ -7,7 +7,7 @@ the cost. Walkers are led by its gradient (`hamiltonian.Hamiltonian`) and the st
 emulator's accuracy only decides how often a step is accepted.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
@@ -31,7 +31,7 @@ STRAIGHT, NO_CURVE = 0.1, 1e-6
 
 def coordinates_of(layout: Layout, z: np.ndarray) -> list[np.ndarray]:
     """For every channel the free coordinates that its prediction depends on."""
-    depends = np.abs(np.asarray(layout.slopes(jnp.asarray(z)))) > 0
+    depends = np.abs(np.asarray(layout.slopes(z))) > 0
     found = []
     for k in range(len(layout.channels)):
         where = zip(layout.parameters, layout.slices.values(), strict=True)
@@ -47,6 +47,12 @@ def _tail(x: Array) -> Array:
     return jnp.stack([jnp.ones(len(x)), *x.T, *pairs], 1)
 
 
+def _rounded(compute: Callable[..., Array], *points: np.ndarray) -> np.ndarray:
+    """What a function says of points, which are filled up for it: one program for about as many."""
+    more = -len(points[0]) % ROUNDED[0]
+    return np.asarray(compute(*(np.pad(x, ((0, more), (0, 0))) for x in points)))[: len(points[0])]
+
+
 def _stretched(x: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Axes, (d, d), along which points (N, d) lie as far apart as what is known there (N, R) is curved.
 
@@ -54,7 +60,7 @@ def _stretched(x: np.ndarray, known: np.ndarray) -> np.ndarray:
     length is its share of the greatest curvature, plus `STRAIGHT`.
     """
     d = x.shape[1]
-    terms = np.asarray(_tail(jnp.asarray(x)))
+    terms = _rounded(_tail, x)
     ridge = np.diag(np.where(np.arange(terms.shape[1]) > d, RIDGE * len(x), 0.0))
     fitted = np.linalg.solve(terms.T @ terms + ridge, terms.T @ known)[d + 1 :]
     hessians = np.zeros((known.shape[1], d, d))
@@ -140,7 +146,7 @@ class Emulator:
             parts = left[:, :rank] * size[:rank]
             stretch = _stretched(x, parts)
             whiten, x = whiten @ stretch, x @ stretch
-            tail, kernel = np.asarray(_tail(jnp.asarray(x))), np.asarray(_kernel(jnp.asarray(x), jnp.asarray(x)))
+            tail, kernel = _rounded(_tail, x), _rounded(_kernel, x, x)[:, : len(x)]
             system = np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
             system[np.diag_indices(len(x))] += NUGGET * kernel.max()
             known = np.concatenate([parts, np.zeros((tail.shape[1], rank))])
@@ -152,4 +158,4 @@ class Emulator:
                 "polynomial": np.pad(solved[len(x) :], ((0, 0), (0, wider))),
                 "mean": np.pad(basis[:rank] @ mean, (0, wider)), "constant": mean @ mean,
             })  # fmt: skip
-        return jax.tree.map(jnp.asarray, found)
+        return jax.device_put(found)

@@ -102,9 +102,9 @@ class Hamiltonian:
         thresholds = np.log(rng.uniform(size=(TRAJECTORIES, len(points))))
         lengths = self.leap * rng.uniform(UNEVEN, 1, size=TRAJECTORIES)
         leaps = np.ceil(rng.uniform(*LENGTHS, size=TRAJECTORIES) / lengths).astype(int)
-        chances = Chances(*(jnp.asarray(x) for x in (momenta, thresholds, leaps, lengths)))
+        chances = Chances(*jax.device_put((momenta, thresholds, leaps, lengths)))
         scale = self.emulator.scale / (SOFTENED * self.temperature)
-        found = _lead(jnp.asarray(points), chances, jnp.asarray(self.root), self.emulator.channels, scale)
+        found = _lead(points, chances, self.root, self.emulator.channels, scale)
         return np.asarray(found[0]), np.asarray(found[1]), float(found[2])
 
     def fitting_leap(self, points: np.ndarray, seed: int) -> float:

@@ -32,7 +32,7 @@ def log_likelihood(layout: Layout, z: np.ndarray, problem: Problem, count: float
     Args:
         count: effective sample count N. lowest: S at the fit.
     """
-    costs = Objective(layout, problem).costs(layout.values(jnp.asarray(z)))
+    costs = Objective(layout, problem).costs(layout.values(z))
     found = -count / 2 * float(jnp.sum(costs)) / lowest
     return found if np.isfinite(found) else -np.inf
 

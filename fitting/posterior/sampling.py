@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -57,7 +56,7 @@ def physical(layout: Layout, draws: np.ndarray) -> tuple[np.ndarray, dict[str, n
     """Physical values (n, P) and derived quantities of draws (n, P) in free coordinates."""
     count = -(-len(draws) // SHARES)
     padded = np.concatenate([draws, np.repeat(draws[:1], count * SHARES - len(draws), 0)])
-    shares = side_by_side(lambda few: jax.device_get(_physical(layout, jnp.asarray(few))), np.split(padded, SHARES))
+    shares = side_by_side(lambda few: jax.device_get(_physical(layout, few)), np.split(padded, SHARES))
     values, found = jax.tree.map(lambda *x: np.concatenate(x)[: len(draws)], *shares)
     return values, found
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -90,12 +89,12 @@ class Fitted:
         general = general_of(model.measured)
         return cls(model, _prepared(general.model, general.values(values), tuple(model.wavelengths_um)))
 
-    def seen_as(self, seen: Reflectance) -> tuple[Reflectance, dict[str, ArrayLike], Array]:
+    def seen_as(self, seen: Reflectance) -> tuple[Reflectance, dict[str, ArrayLike], np.ndarray]:
         """The general model of it, seen by the apparatus or not, and what it takes."""
         general = general_of(seen).model
         taken = {*(q.name for q in general.parameters), *general.tables(scattered=True), *general.switches}
         kept = {name: x for name, x in self.values.items() if name in taken}
-        return general, kept, jnp.asarray(self.model.wavelengths_um)
+        return general, kept, np.asarray(self.model.wavelengths_um)
 
 
 def predicted_lobe(fitted: Fitted, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
@@ -129,7 +128,7 @@ def draws_of(result: Result, chain: Mapping[str, np.ndarray]) -> Fitted:
     drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
     general = general_of(result.model.measured)
     every = [general.values(result.values(chain["values"][k])) for k in drawn]
-    stacked = {name: jnp.asarray([each[name] for each in every]) for name in every[0]}
+    stacked = {name: np.asarray([each[name] for each in every]) for name in every[0]}
     wavelengths = tuple(result.model.wavelengths_um)
     return Fitted(result.model, _prepared_of_many(general.model, stacked, wavelengths))
 
@@ -160,7 +159,7 @@ def _rows(dims: Dims) -> tuple[Geometry, Nodes]:
     half = dims[2] // 2
     nodes = nodes_of(grid.theta_h, grid.theta_d, grid.phi_d[:half], min(AZIMUTHS, half))
     angles = grid.theta_h[:, None, None], grid.theta_d[:, None], nodes.cos_i, nodes.cos_o
-    return Geometry(*map(jnp.asarray, angles)), nodes
+    return Geometry(*map(jax.device_put, angles)), nodes
 
 
 def _at_bins(nodes: Nodes, values: np.ndarray, dims: Dims) -> np.ndarray:
