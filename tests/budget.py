@@ -23,6 +23,7 @@ MORE = {
     "tests/fitting/test_cases.py": 300,
     "tests/fitting/test_cluster_fits.py": 300,
     "tests/fitting/test_constraints.py": 80,
+    "tests/fitting/test_coreset.py": 26,
     "tests/fitting/test_cost.py": 30,
     "tests/fitting/test_dims.py": 75,
     "tests/fitting/test_emulator.py": 24,
