@@ -3,14 +3,16 @@ PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
+UV := $(shell command -v uv)
 
 .PHONY: report demo quick test proofs test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults endurance cluster-cost spectral measured hard-cases tables lint types install schema docs docs-links clean
 
 install: $(READY)
 
 $(READY): pyproject.toml constraints.txt
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	test -x $(BIN)/python || $(if $(UV),$(UV) venv --quiet --seed --python $(PYTHON),$(PYTHON) -m venv) $(VENV)
+	$(if $(UV),$(UV) pip install --python $(BIN)/python,$(BIN)/python -m pip install --disable-pip-version-check) \
+		--quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
 demo: install

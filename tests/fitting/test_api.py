@@ -27,6 +27,13 @@ QUICK = {
 PICTURES = "lobes", "spheres", "errors", "isolines", "corner", "trace"
 
 
+@pytest.fixture(autouse=True)
+def few_draws(monkeypatch):
+    """Of a posterior: a thirtieth of a second each."""
+    monkeypatch.setattr(importance, "DRAWS", 40)
+    monkeypatch.setattr(importance, "MOST_DRAWS", 60)
+
+
 WITHOUT_JAX = f"""
 import sys
 seen = lambda *names: [name for name in names if name in sys.modules]
@@ -76,9 +83,7 @@ def test_an_unknown_name_is_named():
         merlfit.fitt  # noqa: B018
 
 
-def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path, monkeypatch):
-    monkeypatch.setattr(importance, "DRAWS", 40)
-    monkeypatch.setattr(importance, "MOST_DRAWS", 60)
+def test_from_a_file_to_everything_that_is_known_of_it(file, tmp_path):
     told = []
     fit = merlfit.fit(merlfit.read(file), settings=QUICK, seed=5, report=told.append)
     assert fit.succeeded
