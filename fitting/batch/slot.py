@@ -87,18 +87,17 @@ def fit(order: bytes, data: bytes | None) -> Brought | None:
             path = Path(scratch) / "in" / given.path.name
             path.parent.mkdir()
             path.write_bytes(data)
-        elif not _is(path, given.sha1):
+        elif _sha1(path) != given.sha1:
             return None
         out.mkdir()
         unit = replace(given.unit, path=path, out=out)
         return _brought(given, unit, given.task(unit, _reports(worker, given)))
 
 
-def _is(path: Path, sha1: str) -> bool:
-    """Whether there is a file of this content."""
+def _sha1(path: Path) -> str | None:
+    """None where there is no file that can be read."""
     with suppress(MerlError):
-        return sha1_of(path) == sha1
-    return False
+        return sha1_of(path)
 
 
 @cache
