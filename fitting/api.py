@@ -60,9 +60,9 @@ def fit(
             lambert, plastic or subsurface. preset: of effects, such as default or conserving (docs/effects.md).
         weights: compressive, log, none or adaptive (docs/fitting.md).
         posterior: whether to sample it; :meth:`Fit.sample` does so later. seed: of the sampler.
-        fix: parameters by name that are not fitted, with their value, or one for each channel; models without them are
-            left out, so that a fixed ``eta`` leaves dielectrics. bounds: lower and upper ones within the model's, None
-            for its own. start: values where the first fit starts. tie: parameters with one value for all channels.
+        fix: parameters by name that are not fitted, with their value, or one for each channel; variants without them
+            are left out, so that a fixed ``eta`` leaves dielectrics. bounds: lower and upper ones within the model's,
+            None for its own. start: values where the first fit starts. tie: parameters with one value for all channels.
             ``settings`` know priors of single parameters as well (docs/fitting.md).
         dims: allow other sizes of a MERL file's grid. origin: what data these are, in words that outputs repeat.
             All of these replace what ``settings`` say, and are the options of `merlfit fit`.

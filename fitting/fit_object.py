@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports] - where it is installed
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
 
+ROWS = ["name", "value", "low", "high", *Quantiles.model_fields, "unit", "fitted", "at_bound", "meaning"]
 WIDTH = 118  # columns of a fit that is printed, at the most
 
 
@@ -113,7 +114,7 @@ class Fit:
             import pandas
         except ImportError:
             return self._rows()
-        return pandas.DataFrame(self._rows()).set_index("name")
+        return pandas.DataFrame(self._rows(), columns=ROWS).set_index("name")
 
     def to_latex(self, path: str | os.PathLike[str] | None = None) -> str:
         """The parameters as a table of LaTeX (booktabs): symbol, value, 90 % interval, unit; ``path``: a file, too."""

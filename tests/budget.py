@@ -14,11 +14,13 @@ import pytest
 from tests.times import COMPILED, READ, SPENT
 
 PROGRAMS = 20
+SLACK = 2  # times as many fail: how many are new to a process depends on what it ran before, and on its cache
 MORE = {
     # A fit through the command line or the interface is 50 to 90 programs; pictures, tables and exports of it the rest
     "tests/fitting/test_api.py": 200,
     "tests/fitting/test_bands.py": 24,
     "tests/fitting/test_cases.py": 60,
+    "tests/fitting/test_comparison.py": 90,
     "tests/fitting/test_constraints.py": 60,
     "tests/fitting/test_fit.py": 65,
     "tests/fitting/test_hard_fits.py": 80,
@@ -72,7 +74,7 @@ class Budget:
         """The test itself, when its fixtures are there."""
         before = self.programs
         try:
-            with self.at_most(MORE.get(pyfuncitem.nodeid.split("::")[0], PROGRAMS)):
+            with self.at_most(SLACK * MORE.get(pyfuncitem.nodeid.split("::")[0], PROGRAMS)):
                 return (yield)
         finally:
             pyfuncitem.stash[SPENT] = self.programs - before

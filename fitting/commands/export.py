@@ -157,7 +157,7 @@ def parameters_of(result: Result) -> dict[str, Any]:
 
 
 def nearest_of(path: Path, result: Result, to: str) -> dict[str, Any]:
-    """What metallic-roughness materials can say of a fit, and how far off they are: `output.formats.nearest`.
+    """What metallic-roughness materials can say of a fit, and how far off they are: `nearest_ggx.nearest`.
 
     A fit with a conductor's index is a metal there, too; of the others it is whichever is nearer.
     """

@@ -102,7 +102,7 @@ def executor_of(
     """What fits so many units, and how many at once; a single one needs no process of its own.
 
     Args:
-        where: of a cluster, as `execution.cluster.Cluster` takes it; None for this machine.
+        where: of a cluster, as `batch.cluster.Cluster` takes it; None for this machine.
 
     Raises:
         merlfit.fitting.batch.cluster.ClusterError: the cluster cannot be used.

@@ -85,7 +85,7 @@ def _scattered(
 
 
 def samples_by_incidence(samples: ScatteredSamples, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """RMSE (1/sr) of the samples of intervals of theta_i, weighted as over all (`assess.scattered.errors`).
+    """RMSE (1/sr) of the samples of intervals of theta_i, weighted as over all (`scattered_errors.errors`).
 
     Returns:
         the mean theta_i (rad) of each interval that has samples, and the RMSE there.

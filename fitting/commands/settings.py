@@ -25,11 +25,16 @@ def parameters_given(fix: Options, bounds: Options, start: Options, tie: Options
     for name, said in _named("--bounds", bounds):
         if said.count(":") != 1:
             raise fail(f"--bounds {name}={said}: should be {name}=LOWER:UPPER, either of which may be left out")
+        if said.strip() == ":":
+            raise fail(f"--bounds {name}=: bounds nothing: give LOWER, UPPER or both")
         bounded[name] = tuple(_numbers("--bounds", said, [end])[0] if end else None for end in said.split(":"))
     for name, said in _named("--start", start):
         started[name] = _numbers("--start", said, [said])[0]
+    for name in _once("--tie", tie or ()):
+        if "=" in name:
+            raise fail(f"--tie {name}: should be a parameter's name")
     single = {name: values[0] if len(values) == 1 else values for name, values in fixed.items()}
-    return parameters_of(single, bounded, started, tie or ())
+    return parameters_of(single, bounded, started, [name.strip() for name in tie or ()])
 
 
 def _named(option: str, given: Options) -> list[tuple[str, str]]:
@@ -38,7 +43,15 @@ def _named(option: str, given: Options) -> list[tuple[str, str]]:
     for name, equals, value in found:
         if not (name and equals and value):
             raise fail(f"{option} {name}{equals}{value}: should be a parameter's name, = and what is said of it")
+    _once(option, [name for name, _, _ in found])
     return [(name.strip(), value.strip()) for name, _, value in found]
+
+
+def _once(option: str, names: Sequence[str]) -> Sequence[str]:
+    """Names, none of which is given twice."""
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise fail(f"{option} {twice[0]}: is given twice")
+    return names
 
 
 def _numbers(option: str, said: str, words: Sequence[str]) -> list[float]:

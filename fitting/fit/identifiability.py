@@ -71,11 +71,12 @@ def in_words(found: schema.Identifiability) -> list[str]:
         together = ", ".join(f"{name} {value:+.1f}" for name, value in direction.components.items())
         how_much = f"the data constrain it {direction.curvature:.2g} times as much as the prior does"
         said.append(f"not determined by the data ({how_much}): {together}")
+    own = range(size) if found.priors is None else [found.names.index(prior.parameter) for prior in found.priors]
     pairs = [
         (found.correlation[i][j], found.names[i], found.names[j])
-        for i in range(size)
-        for j in range(i)
-        if abs(found.correlation[i][j]) > STRONG
+        for i in own
+        for j in own
+        if j < i and abs(found.correlation[i][j]) > STRONG
     ]
     if pairs:
         strongest = sorted(pairs, key=lambda pair: -abs(pair[0]))

@@ -93,16 +93,20 @@ def project(
 
 
 def _linear(layout: Layout) -> LinearParameters:
-    """What separates the channels; constants that are fixed for all of them are the only ones that are tried."""
+    """What separates the channels; of constants those are tried that are neither fixed elsewhere nor out of bounds."""
     found = hints_of(layout.model).linear
     if found is None:
         raise ValueError(f"the channels of {layout.model} are not separated")
-    fixed = {name: np.array(each.fixed) for name, each in layout.constraints if each.fixed and len(each.fixed) == 1}
-    return (
-        found._replace(constants={name: fixed[name] for name in found.constants})
-        if (found.constants.keys() <= fixed.keys())
-        else found
-    )
+    constants = {name: np.array(x) for name, x in found.constants.items()}
+    declared = {q.name: q for q in layout.parameters}
+    for name, each in layout.constraints:
+        if name in constants:
+            constants[name] = np.clip(constants[name], declared[name].lower, declared[name].upper)
+            if each.fixed is not None and len(each.fixed) == 1:
+                constants[name] = np.full(len(constants[name]), each.fixed[0])
+    kept = np.unique(np.array(list(constants.values())), axis=1)
+    same = kept.shape[1] == len(next(iter(constants.values())))
+    return found if same else found._replace(constants=dict(zip(constants, kept, strict=True)))
 
 
 def _body_of(parted: LinearParameters) -> BodyTried | None:

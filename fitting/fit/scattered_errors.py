@@ -53,7 +53,7 @@ def _highlight(samples: ScatteredSamples, predicted: np.ndarray) -> float:
 
 
 def effective_count(samples: ScatteredSamples, predicted: np.ndarray) -> float:
-    """As `metrics.effective_count`: participation over the correlation length among neighbours and over channels.
+    """As `error_metrics.effective_count`: participation over the correlation length among neighbours and over channels.
 
     Along no grid, that of neighbours is found by blocking (Flyvbjerg & Petersen 1989): the mean over a box of n samples
     scatters as that of n / length independent ones; of boxes of all sizes (`merl_io.scattered.order`) the largest.

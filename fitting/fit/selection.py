@@ -14,7 +14,7 @@ first among the candidates, which are sorted by their number of parameters. One 
 receives comes after all others of these.
 
 **Matter.** A complex index rises towards grazing incidence in ways that no dielectric's does, so that constants of no
-matter (`merlfit.model.plausible`: a bright body under a conductor, a conductor that hardly absorbs) describe a felt or
+matter (`plausible`: a bright body under a conductor, a conductor that hardly absorbs) describe a felt or
 paper a little better. Where they have the lowest score, a dielectric is taken, unless the J or E of every dielectric is
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).

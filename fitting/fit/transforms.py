@@ -39,6 +39,7 @@ ODDS = "odds"  # quantity of what lies between 0 and 1 and may be a few thousand
 TINY_ODDS = 1e-6  # least albedo that a start may have
 Kind = Literal["free", "fixed", "tied"]
 Numbers = np.ndarray | Array
+FARTHEST = 30.0  # standard deviations of a prior from its bounds: nothing of it is left there
 ENDLESS = 1e4  # stands for the logarithm of odds at a bound of 0 or 1
 
 
@@ -327,10 +328,12 @@ def _log_odds(share: float) -> float:
 def _log_normal(z: Array, t: Table, median: ArrayLike) -> Array:
     """Logarithms at free coordinates z of log-normal priors that are cut at the bounds."""
     low, high = (t.low - median) / t.deviation, (t.high - median) / t.deviation
-    inside = ndtr(high) - ndtr(low)
-    below, above = ndtr(low) + ndtr(z) * inside, ndtr(-high) + ndtr(-z) * inside
+    side = jnp.where(low > 0, -1.0, 1.0)  # of the median: all is computed below it, where probabilities are exact
+    near, far = jnp.where(low > 0, -high, low), jnp.where(low > 0, -low, high)
+    inside = ndtr(far) - ndtr(near)
+    below, above = ndtr(near) + ndtr(side * z) * inside, ndtr(-far) + ndtr(-side * z) * inside
     left = below < above  # each from its own end, where it is exact
-    normal = jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
+    normal = side * jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
     endless = (t.low <= -ENDLESS) & (t.high >= ENDLESS)
     return jnp.asarray(median) + t.deviation * jnp.where(endless, z, jnp.clip(normal, low, high))
 
@@ -339,11 +342,14 @@ def _standard_normal(logarithm: Array, t: Table, median: Array) -> Array:
     """Inverse of :func:`_log_normal`."""
     low, high = (t.low - median) / t.deviation, (t.high - median) / t.deviation
     plain = (logarithm - median) / t.deviation
-    normal = jnp.clip(plain, low + INSIDE, high - INSIDE)
-    inside = ndtr(high) - ndtr(low)
-    below, above = (ndtr(normal) - ndtr(low)) / inside, (ndtr(-normal) - ndtr(-high)) / inside
+    side = jnp.where(low > 0, -1.0, 1.0)
+    near, far = jnp.where(low > 0, -high, low), jnp.where(low > 0, -low, high)
+    normal = side * jnp.clip(plain, low + INSIDE, high - INSIDE)
+    inside = ndtr(far) - ndtr(near)
+    beyond = jnp.where(far < 0, ndtr(far) - ndtr(normal), ndtr(-normal) - ndtr(-far))
+    below, above = (ndtr(normal) - ndtr(near)) / inside, beyond / inside
     left = below < above
-    found = jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
+    found = side * jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
     return jnp.where((t.low <= -ENDLESS) & (t.high >= ENDLESS), plain, found)
 
 
@@ -461,6 +467,15 @@ def layout_of(
     found = Layout(model, priors, bands, constraints)
     if not found.size:
         raise ValueError(f"{model}: all of its parameters are fixed, and nothing is left to fit")
+    t = found.table
+    away = np.maximum(t.low - t.median, t.median - t.high) / t.deviation
+    for k in np.flatnonzero((away > FARTHEST) & (t.odds | t.logarithmic) & ~t.fixed):
+        q = found.entries[k]
+        prior = f"{np.exp(t.median[k]):g} times or over {np.exp(t.deviation[k]):g}"
+        raise ValueError(
+            f"{q.name} has a prior of {prior}, of which nothing is between its bounds, {q.lower:g} and {q.upper:g}: "
+            "set others, or another prior"
+        )
     return found
 
 

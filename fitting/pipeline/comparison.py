@@ -23,6 +23,7 @@ from ..results.storage import finite, valid_result
 from ..settings.config import Config, ConfigError, parse
 from ..support.clock import Report, Stage, silent
 from ..support.numbers import counted
+from .models import candidates
 from .run import fit_file, settings_for_scattered
 
 KEYS = ("material", "model", "variant", "origin", "weights", "status", "numbers")
@@ -38,7 +39,7 @@ class Row:
         material: name of the file. genuine: whether it is MERL's own, by SHA-1.
         model: name of the model. variant: which of its variants was chosen. origin: ``fit``, or a published table.
         weights: exponent of the compressive weight that it was fitted with, or ``log``; None for published parameters.
-        status: how the fit ended. numbers: of its parameters, over all channels.
+        status: how the fit ended. numbers: that were fitted, over all channels.
         errors: over all bins within theta_max. cost: of Eq. 56. bic: Bayesian information criterion, with one count of
             effective bins for all rows of a material. seconds: of the fit without reading the file, compilation
             included; None for published parameters.
@@ -101,6 +102,8 @@ def compare_file(
             that several models cannot be compared with (`config_of`).
     """
     settings = [config_of(config, name) for name in names]
+    for each in settings:
+        candidates(each)  # before any is fitted: what is said of parameters that a model lacks is refused
     report("reading")
     measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, Path) else path
     if isinstance(measurement, ScatteredMeasurement):
@@ -149,8 +152,9 @@ def row_of(result: Result) -> Row:
     source, fit, material = result.source, result.fit, result.model.material
     known = result.metrics.model_dump().items()
     errors = error_metrics.Errors(**{name: float("nan") if x is None else x for name, x in known})
+    free = sum(q.fitted == "free" for q in result.parameters)
     return Row(
         source.material, source.genuine_merl is not None, material.name, material.variant, FIT, fit.weights, fit.status,
-        len(result.parameters), errors, float("nan") if fit.cost is None else fit.cost, float("nan"),
+        free, errors, float("nan") if fit.cost is None else fit.cost, float("nan"),
         result.seconds["total"], {q.name: q.value for q in result.parameters},
     )  # fmt: skip

@@ -104,7 +104,8 @@ def parameter_results(fitted: Fitted) -> list[schema.ParameterResult]:
 def with_quantiles(parameters: list[schema.ParameterResult], sampled: "Sampled") -> list[schema.ParameterResult]:
     """The fit's parameters, to the last digit, with their posterior quantiles."""
     found = _intervals(sampled, sampled.values)
-    return [q.model_copy(update={"quantiles": each}) for q, each in zip(parameters, found, strict=True)]
+    given = zip(parameters, found, strict=True)
+    return [q.model_copy(update={"quantiles": None if q.fitted == "fixed" else each}) for q, each in given]
 
 
 def _intervals(sampled: "Sampled", values: np.ndarray) -> list[schema.Quantiles | None]:

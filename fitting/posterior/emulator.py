@@ -136,7 +136,7 @@ class Emulator:
         found = []
         for k, own in enumerate(self.own):
             given = self.points[:, own]
-            middle, spread = given.mean(0), np.cov(given.T)
+            middle, spread = given.mean(0), np.atleast_2d(np.cov(given.T))
             whiten = np.linalg.inv(np.linalg.cholesky(spread + 1e-9 * np.diag(np.diag(spread)))).T
             x = (given - middle) @ whiten
             mean = self.residuals[:, k].mean(0)

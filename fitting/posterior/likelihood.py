@@ -1,7 +1,7 @@
 """The likelihood of the posterior, on all bins and on a few (docs/statistics.md derives it).
 
 Residuals of a measured material are mostly model error, smooth over the grid, not independent noise. All of them are
-worth N independent ones (`metrics.effective_count`) of the size that they have at the fit, z_0:
+worth N independent ones (`error_metrics.effective_count`) of the size that they have at the fit, z_0:
 
     log L(z) = - N/2 S(z) / S(z_0),    S the cost of Eq. 56.
 

@@ -20,6 +20,7 @@ from ..fit.laplace import laplace_covariance
 from ..fit.outcome import Fitted
 from ..fit.problem import make_problem
 from ..fit.transforms import Layout
+from ..results.upgrade import DROPPED
 from ..support.clock import Report, Stage, silent
 from ..support.threads import SHARES, one_core_a_call, side_by_side
 from .chain import Chain, ChainError, begin, extend, read_chain, write_chain
@@ -151,7 +152,7 @@ def refuse_other_model(path: Path, layout: Layout) -> None:
     try:
         with opened(path, ChainError) as (file, _):
             found = arrays(file, "model".__eq__, texts=("model",))
-        other = bool(found) and json.loads(str(found["model"])) != json.loads(_model(layout))
+        other = bool(found) and _without_dropped(json.loads(str(found["model"]))) != json.loads(_model(layout))
     except ChainError:
         raise
     except (ValueError, RecursionError):
@@ -160,6 +161,15 @@ def refuse_other_model(path: Path, layout: Layout) -> None:
         raise ChainError(
             f"{path}: is the chain of a fit with other settings or wavelengths: fit again, into another folder"
         )
+
+
+def _without_dropped(told: Any) -> Any:  # noqa: ANN401 - plain data of JSON
+    """What an earlier version kept, without the setting that the two-scale model has no more."""
+    if isinstance(told, list):
+        return [_without_dropped(each) for each in told]
+    if isinstance(told, dict):
+        return {key: _without_dropped(each) for key, each in told.items() if key != DROPPED}
+    return told
 
 
 def _model(layout: Layout) -> str:

@@ -5,6 +5,7 @@
 
 import difflib
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, Unpack
@@ -155,8 +156,15 @@ def load(
     if (seed := replaced.get("seed")) is not None:
         data["seed"] = seed
     if (given := replaced.get("parameters")) and isinstance(own := data.setdefault("parameters", {}), dict):
-        data["parameters"] = {**own, **given}
+        data["parameters"] = own | {name: _merged(own.get(name, {}), said) for name, said in given.items()}
     return parse(data, "command line" if path is None else "settings" if isinstance(path, Mapping) else str(path))
+
+
+def _merged(own: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """What a file of settings says of a parameter, and what is given beside it: a value takes the place of all else."""
+    if "fixed" in given:
+        return dict(given)
+    return {**{key: x for key, x in own.items() if key != "fixed"}, **given}
 
 
 def parameters_of(
@@ -196,12 +204,22 @@ def parse(data: dict[str, Any], where: str) -> Config:
         for union, wanted in UNIONS.items():  # each alternative complains apart
             if key.startswith(f"{union}."):
                 raise ConfigError(f"{where}: {union}: should be {wanted}, not {first.get('input')!r}") from None
+        if re.fullmatch(r"parameters\.[^.]+\.fixed\..*", key):
+            place = key.rsplit(".fixed", 1)[0]
+            said = f"should be a number, or a list with one for each channel, not {first.get('input')!r}"
+            raise ConfigError(f"{where}: {place}.fixed: {said}") from None
         if first["type"] == "value_error":  # raised here, complete
             said = first["msg"].removeprefix("Value error, ")
             raise ConfigError(f"{where}: {said}" if not key else f"{where}: {key}: {said}") from None
         if first["type"] == "extra_forbidden":
             if key in MOVED:
                 raise ConfigError(f"{where}: {key!r} is called {MOVED[key]!r} now") from None
+            if key.startswith("parameters.") and key.count(".") == 2:
+                of, wrong = key.rsplit(".", 1)
+                (near,) = difflib.get_close_matches(wrong, ParameterSection.model_fields, n=1, cutoff=0.0)
+                raise ConfigError(
+                    f"{where}: unknown key {key!r}; the nearest known one is {f'{of}.{near}'!r}"
+                ) from None
             near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.3) or difflib.get_close_matches(
                 str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0
             )

@@ -183,7 +183,8 @@ class PriorsSection(Section):
 class ParameterSection(Section):
     """[parameters.NAME]: what is known, or wanted, of one parameter of the models to fit.
 
-    Models that have no such parameter are not fitted: a fixed ``eta`` leaves dielectrics. `merlfit models` names them.
+    Of a model only variants that have the parameter are fitted: a fixed ``eta`` leaves dielectrics. `merlfit models`
+    lists the names.
 
     Attributes:
         fixed: its value, or a list with one for each channel; it is not fitted then.
@@ -199,10 +200,17 @@ class ParameterSection(Section):
     prior: LogNormalSection | None = None
     tied: bool = False
 
+    @field_validator("fixed", mode="before")
+    @classmethod
+    def _listed(cls, fixed: object) -> object:
+        """Several values may come as a tuple."""
+        return list(fixed) if isinstance(fixed, tuple) else fixed
+
     @model_validator(mode="after")
     def _refuse_idle(self) -> "ParameterSection":
-        if self.fixed is not None and (idle := self.model_fields_set - {"fixed"}):
-            raise ValueError(f"{', '.join(sorted(idle))} would have no effect on what is fixed: leave it out")
+        idle = [key for key, field in type(self).model_fields.items() if getattr(self, key) != field.default]
+        if self.fixed is not None and (idle := [key for key in idle if key != "fixed"]):
+            raise ValueError(f"{', '.join(idle)} would have no effect on what is fixed: leave it out")
         return self
 
     @property

@@ -92,7 +92,6 @@ def parameter_table(result: Result) -> Table:
         bounds = {"free": bounds, "fixed": "fixed", "tied": f"{bounds}, tied"}[q.fitted]
         unit = "-" if q.unit == "1" else q.unit
         found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
-        found = ["-"] * len(found) if q.fitted == "fixed" else found
         table.add_row(q.name, number(q.value), *found, unit, bounds, q.meaning)
     return table
 
@@ -102,13 +101,19 @@ def parameters_as_latex(result: Result) -> str:
     rows = []
     for q in result.parameters:
         found = q.quantiles or q.laplace
-        ends = "--" if found is None or q.fitted == "fixed" else f"{number(found.q05)} \\dots {number(found.q95)}"
+        ends = "--" if found is None else f"{_latex(found.q05)} \\dots {_latex(found.q95)}"
         name = q.symbol if q.channel is None else f"{q.symbol}^{{\\mathrm{{{q.channel}}}}}"
         interval = q.fitted if q.fitted == "fixed" else f"${ends}$" if found else ends
-        rows.append(f"${name}$ & ${number(q.value)}$ & {interval} & {LATEX_UNITS.get(q.unit, q.unit)} \\\\")
+        rows.append(f"${name}$ & ${_latex(q.value)}$ & {interval} & {LATEX_UNITS.get(q.unit, q.unit)} \\\\")
     head = "parameter & value & 90\\,\\% interval & unit \\\\"
     lines = ["\\begin{tabular}{lrrl}", "\\toprule", head, "\\midrule", *rows, "\\bottomrule", "\\end{tabular}"]
     return "\n".join(lines) + "\n"
+
+
+def _latex(x: float) -> str:
+    """A number as formulas have it."""
+    digits, _, power = number(x).partition("e")
+    return f"{digits} \\times 10^{{{int(power)}}}" if power else digits
 
 
 def fitted_line(m: Model) -> str:

@@ -8,8 +8,9 @@ import typer
 from merlfit.fitting.commands.settings import parameters_given
 from merlfit.fitting.fit.projection import _linear
 from merlfit.fitting.fit.transforms import layout_of
+from merlfit.fitting.pipeline.comparison import row_of
 from merlfit.fitting.pipeline.models import candidates, layout_for
-from merlfit.fitting.settings.config import ConfigError, load, parameters_of
+from merlfit.fitting.settings.config import ConfigError, load, parameters_of, parse
 from merlfit.model.measured import Measured
 from merlfit.model.priors import Constraint, LogNormal
 from merlfit.model.rivals.ggx import GGX
@@ -18,6 +19,7 @@ from scipy.special import ndtr
 from scipy.stats import truncnorm
 
 from tests.support.compiled import evaluate
+from tests.support.made_results import put_result
 from tests.support.scattered_arrays import directions
 
 PLASTIC = Measured(TwoScale("plastic"))
@@ -144,7 +146,9 @@ def test_what_cannot_be_kept_is_refused_in_a_line(said, line):
 def test_priors_and_idle_keys_that_make_no_sense_are_refused():
     with pytest.raises(ConfigError, match=r"parameters\.eta: start would have no effect on what is fixed"):
         load({"parameters": {"eta": {"fixed": 1.5, "start": 1.4}}})
-    with pytest.raises(ConfigError, match=r"unknown key .*; the nearest known one is"):
+    with pytest.raises(
+        ConfigError, match=r"unknown key 'parameters\.p\.uper'; the nearest known one is 'parameters\.p\.upper'"
+    ):
         load({"parameters": {"p": {"uper": 1.5}}})
     prior = {"median": 0.1, "factor": 2.0}
     config = load({"parameters": {"albedo": {"prior": prior}}})
@@ -161,7 +165,15 @@ def test_options_of_the_command_are_the_same_settings(capsys):
     said = {"eta": 1.5, "n": [0.2, 0.9, 1.1]}, {"p": (0.5, 2.0), "b": (1.0, None)}, {"beta": 0.1}, ["albedo"]
     assert given == parameters_of(*said)
     assert load(parameters=given) == load({"parameters": given})
-    for wrong in ((["eta"], None), (["eta=x"], None), (None, ["p=3"]), (None, ["=1:2"])):
+    twice = ["eta=1.5", "eta=1.6"]
+    for wrong in (
+        (["eta"], None),
+        (["eta=x"], None),
+        (twice, None),
+        (None, ["p=3"]),
+        (None, ["=1:2"]),
+        (None, ["p=:"]),
+    ):
         with pytest.raises(typer.Exit):
             parameters_given(*wrong, None, None)
         assert capsys.readouterr().err.count("\n") == 1
@@ -190,3 +202,48 @@ def test_arrays_with_a_fixed_index_and_bounds_give_the_rest():
     assert np.nanmax(np.abs(fit.residuals())) < 1e-5
     assert fit.result.identifiability.coordinates == ["alpha", "odds_645nm", "odds_526nm", "odds_444nm"]
     assert "fixed" in str(fit)
+
+
+def test_settings_of_a_result_are_read_again_with_what_is_fixed():
+    """As a result keeps them, every key written out."""
+    config = load(parameters=parameters_of({"eta": (1.5, 1.51, 1.52)}, {"p": (0.5, None)}, {"b": 1.0}, ["albedo"]))
+    assert parse(config.model_dump(mode="json"), "here") == config
+    assert (
+        load({"parameters": {"eta": {"fixed": (1.5, 1.51, 1.52)}}}).constraints
+        == load(parameters=parameters_of({"eta": [1.5, 1.51, 1.52]})).constraints
+    )
+    with pytest.raises(ConfigError, match=r"parameters\.eta\.fixed: should be a number, or a list"):
+        load({"parameters": {"eta": {"fixed": "glass"}}})
+
+
+def test_what_is_given_beside_a_file_of_settings_replaces_only_that():
+    own = {"parameters": {"p": {"upper": 2.0, "prior": {"median": 0.8, "factor": 1.5}}, "eta": {"fixed": 1.5}}}
+    found = load(own, parameters=parameters_of(start={"p": 1.0}, bounds={"eta": (1.3, None)})).constraints
+    assert found["p"] == Constraint(upper=2.0, start=1.0, prior=LogNormal(0.8, 1.5))
+    assert found["eta"] == Constraint(lower=1.3)
+    assert load(own, parameters=parameters_of({"p": 1.0})).constraints["p"] == Constraint(fixed=(1.0,))
+
+
+@pytest.mark.parametrize(("median", "lower", "upper"), [(0.25, 0.5, 5.0), (0.05, 0.21, 0.3), (4.0, 0.2, 1.0)])
+def test_a_prior_beyond_the_bounds_leaves_what_is_nearest_to_it(median, lower, upper):
+    """Ten and more standard deviations away, where the mass above them is no number."""
+    factor = 1.1 if lower > median else 1.15
+    layout = constrained(p=Constraint(lower=lower, upper=upper, prior=LogNormal(median, factor)))
+    z = np.array([-2.0, -0.5, 0.0, 0.5, 2.0])
+    found = layout.values_of_many(np.tile(z[:, None], layout.size))["p"]
+    near = lower if lower > median else upper
+    assert np.all(np.abs(np.log(found / near)) < 0.06)
+    assert np.all(np.diff(found) > 0)
+    for k in range(len(z)):
+        values = layout.values(jnp.full(layout.size, z[k]))
+        assert layout.free(values)[layout.leads.tolist().index(1)] == pytest.approx(z[k], abs=1e-6)
+    with pytest.raises(ValueError, match=r"p has a prior of 0\.25 times or over 1\.01, of which nothing is between"):
+        constrained(p=Constraint(lower=0.5, prior=LogNormal(0.25, 1.01)))
+
+
+def test_numbers_of_a_model_are_those_that_were_fitted(tmp_path):
+    """Where models are ranked by them, and where a sentence says what depends on what."""
+    result = put_result(tmp_path)
+    free = len(result.parameters)
+    fixed = [q.model_copy(update={"fitted": "fixed"}) if k < 3 else q for k, q in enumerate(result.parameters)]
+    assert row_of(result.model_copy(update={"parameters": fixed})).numbers == row_of(result).numbers - 3 == free - 3
