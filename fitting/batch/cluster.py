@@ -96,9 +96,11 @@ class Cluster:
         import cloudpickle
 
         from . import admission
+        from .slot import listen
 
         def register() -> None:
             with suppress(OSError):  # of a connection that is lost, as is seen by who waits
+                self._client.run_on_scheduler(listen, admission.TOPIC, self._client.id)
                 self._client.register_plugin(made)
 
         cloudpickle.register_pickle_by_value(admission)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from distributed import Worker, get_worker
 
@@ -62,6 +62,11 @@ class Brought:
 
 def present() -> None:
     """In a scheduler: this file is there."""
+
+
+def listen(topic: str, client: str, dask_scheduler: Any = None) -> None:  # noqa: ANN401 - a scheduler
+    """In a scheduler: a client hears of this topic from now on; its own request may come after what it asks about."""
+    dask_scheduler.subscribe_topic(topic, client)
 
 
 def halt(run: str) -> None:
