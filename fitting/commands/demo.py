@@ -16,7 +16,8 @@ from ..pipeline.synthesis import tabulate
 from ..results.schema import Result
 from ..settings.config import Config, parse
 from ..show.terminal_tables import interval
-from ..support.numbers import number
+from ..support.numbers import number, unit
+from ..support.tables import table
 
 NAME = "synthetic-red-plastic"  # none of MERL's names: no measurement of that name is in the way
 EFFECTS = TwoScale("lambert", index="real")
@@ -79,12 +80,11 @@ def make(folder: Path, force: bool = False) -> Path:
 
 def truth_table(result: Result) -> Table:
     """What the parameters are and what the fit found."""
-    table = Table(title="the demo's material: true and fitted parameters")
-    for head in ("parameter", "true", "fitted", "5 .. 95 %", "unit"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit") else "right")
-    for q, x in zip(result.parameters, _true(result), strict=True):
-        table.add_row(q.name, number(x), number(q.value), interval(q.quantiles), "-" if q.unit == "1" else q.unit)
-    return table
+    heads = ("parameter", "true", "fitted", "5 .. 95 %", "unit")
+    return table("the demo's material: true and fitted parameters", heads, ("parameter", "unit"), (
+        (q.name, number(x), number(q.value), interval(q.quantiles), unit(q.unit))
+        for q, x in zip(result.parameters, _true(result), strict=True)
+    ))  # fmt: skip
 
 
 def verdict(result: Result) -> str:

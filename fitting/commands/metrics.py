@@ -28,7 +28,7 @@ from ..results.storage import ResultError
 from ..show.comparison_table import FIGURES, LIT, WHAT, named, shown
 from ..show.style import own_style, plain, save
 from ..support.choices import THETA_MAX
-from ..support.outputs import as_csv
+from ..support.tables import as_csv, table
 
 
 class Assessed(NamedTuple):
@@ -101,16 +101,13 @@ def samples_by_incidence(samples: ScatteredSamples, predicted: np.ndarray) -> tu
 def metrics_table(found: Sequence[Assessed], against: Path) -> Table:
     """What `merlfit metrics` prints."""
     where = f"its {'samples' if is_scattered(against) else 'bins of (theta_h, theta_d, phi_d)'}"
-    table = Table(
-        title=f"errors against {against} over {where}, both directions at theta < {THETA_MAX:g} rad",
-        caption=WHAT,
-    )  # fmt: skip
-    for head in ("result", "model", *FIGURES.values(), *LIT.values()):
-        table.add_column(head.replace(" ", "\n"), justify="left" if head in ("result", "model") else "right")
-    for each in found:
-        figures = (shown(name, getattr(each.row.errors, name)) for name in (*FIGURES, *LIT))
-        table.add_row(str(each.path), named(each.row), *figures)
-    return table
+    title = f"errors against {against} over {where}, both directions at theta < {THETA_MAX:g} rad"
+    left, figures = ("result", "model"), FIGURES | LIT
+    rows = (
+        (str(each.path), named(each.row), *(shown(name, getattr(each.row.errors, name)) for name in figures))
+        for each in found
+    )
+    return table(title, (*left, *(head.replace(" ", "\n") for head in figures.values())), left, rows, caption=WHAT)
 
 
 def metrics_in(folder: Path) -> list[Path]:
@@ -126,8 +123,8 @@ def write_metrics(found: Sequence[Assessed], folder: Path) -> list[Path]:
     curves = [{"theta_i_deg": round(float(np.degrees(x)), 3), **{str(f.path): f.rmse[k] for f in found}}
               for k, x in enumerate(found[0].incidence)]  # fmt: skip
     written = metrics_in(folder)
-    for path, table in zip(written, (lines, curves), strict=False):
-        write_text(path, as_csv(list(table[0]), table))
+    for path, rows in zip(written, (lines, curves), strict=False):
+        write_text(path, as_csv(list(rows[0]), rows))
         if not curves:
             return written[:1]
     save(_by_incidence(found), written[2])

@@ -29,6 +29,7 @@ from ..support.clock import Stage
 from ..support.compilation import make_room, use_persistent_cache
 from ..support.numbers import counted
 from ..support.outputs import refuse_others
+from ..support.tables import table
 from ..support.terminal import (
     FAILED_FIT,
     console,
@@ -151,20 +152,17 @@ def plan_tables(plans: Sequence[Plan], scene: Scene) -> list[Table]:
         off = "measured, as it is" if each.reference is None else f"off by {each.off_by:.3g}"
         looked = "all" if each.pixels == each.of else f"{each.pixels} of"
         slow, fast = each.nanoseconds
-        table = Table(title=(
+        title = (
             f"{each.name}: {off} (allowed {allowed(scene.tolerance):g}, {kind}, worst of {looked} "
             f"{counted(each.of, 'pixel')}); {slow:.0f} -> {fast:.0f} ns a direction"
-        ))  # fmt: skip
-        for heading in ("effect", "", "alone", "with those\nbefore", "saves\n(ns)", "instead"):
-            table.add_column(heading, justify="left" if heading in ("effect", "", "instead") else "right")
-        for row in each.rows:
-            moot = row.together is None
-            table.add_row(
-                row.effect.name, "kept" if row.kept else "moot" if moot else "dropped", f"{row.alone:.3g}",
-                "-" if moot else f"{row.together:.3g}", f"{row.nanoseconds:.0f}",
-                "" if row.kept else row.effect.instead,
-            )  # fmt: skip
-        found.append(table)
+        )
+        heads = ("effect", "", "alone", "with those\nbefore", "saves\n(ns)", "instead")
+        found.append(table(title, heads, ("effect", "", "instead"), (
+            (row.effect.name, "kept" if row.kept else "moot" if row.together is None else "dropped",
+             f"{row.alone:.3g}", "-" if row.together is None else f"{row.together:.3g}", f"{row.nanoseconds:.0f}",
+             "" if row.kept else row.effect.instead)
+            for row in each.rows
+        )))  # fmt: skip
     return found
 
 

@@ -1,7 +1,6 @@
 """What ``merlfit cost`` measured: a table, a paragraph, and a picture of errors against time."""
 
 import textwrap
-from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -9,13 +8,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from ...merl_io.atomic import write_text
 from ..settings.choice import default_choice
 from ..show.style import FAINT, MARKS, OKABE_ITO, own_style, plain
+from ..support import tables
 from ..support.numbers import number
 from .frontier import Frontier, Point, pareto
 
@@ -29,19 +27,23 @@ HEADS = (
 
 def table(frontier: Frontier) -> Table:
     """Errors, times and memory of fits."""
-    found = Table(
-        title=f"Fits of {frontier.data}: distance from the reference fit; promised: the larger of it and its estimate"
-    )
-    for head in HEADS:
-        found.add_column(head, justify="left" if head == HEADS[0] else "right")
-    for q in frontier.points:
-        found.add_row(
+    return tables.table(_title(frontier), HEADS, HEADS[:1], _rows(frontier))
+
+
+def _title(frontier: Frontier) -> str:
+    return f"Fits of {frontier.data}: distance from the reference fit; promised: the larger of it and its estimate"
+
+
+def _rows(frontier: Frontier) -> list[tuple[str, ...]]:
+    return [
+        (
             f"{q.choice}{MARK * (q.choice == default_choice())}", number(q.error.median, 2), number(q.error.p95, 2),
             number(q.error.worst, 2), number(q.promised.p95, 2), f"{q.failed:.0%}", f"{q.other_body:.0%}",
             number(q.parameters and q.parameters.median, 2), number(q.rmse.median, 3), number(q.seconds.median, 3),
             number(q.seconds.p95, 3), number(q.estimate_seconds.median, 2), number(q.megabytes, 4),
-        )  # fmt: skip
-    return found
+        )
+        for q in frontier.points
+    ]  # fmt: skip
 
 
 def front(frontier: Frontier) -> list[Point]:
@@ -77,16 +79,13 @@ def gains(frontier: Frontier) -> str:
 
 def write_markdown(frontier: Frontier, path: Path) -> None:
     """Table and paragraph as Markdown."""
-    text, found = StringIO(), table(frontier)
-    title, found.title, found.box = found.title, None, box.MARKDOWN
-    Console(file=text, width=300).print(found)
-    rows = [line.rstrip() for line in text.getvalue().strip().splitlines()]
     measured = (
         f"Measured by `merlfit cost` on {frontier.machine}, {frontier.taken}; seconds are those of one file from "
         "reading to the metrics, all five kinds of material, once compiled and without posterior; the estimate of the "
         "error, for `--accuracy` and `--time`, comes on top."
     )
-    said = [f"**{title}**", "", *rows, "", f"{MARK} the defaults. {gains(frontier)}", "", measured]
+    rows = tables.as_markdown(HEADS, _rows(frontier))
+    said = [f"**{_title(frontier)}**", "", rows, "", f"{MARK} the defaults. {gains(frontier)}", "", measured]
     write_text(path, "\n".join(["# What accuracy costs in time", "", *said]) + "\n")
 
 

@@ -19,7 +19,7 @@ from ..fit.outcome import POOR
 from ..fit.selection import ALIKE, SEEN, VISIBLE, least, lost
 from ..pipeline.comparison import FIT, Row
 from ..support.numbers import distance, number
-from ..support.outputs import as_csv
+from ..support.tables import as_csv, as_markdown, table
 from .style import own_style, plain, save
 
 LIT = {"lamp": "dE lamp", "environment": "dE room"}
@@ -103,37 +103,26 @@ def winners(rows: Sequence[Row], name: str) -> dict[str, tuple[str, float]]:
 def table_of(rows: Sequence[Row]) -> Table:
     """What `merlfit compare` prints: medians by model, and on how many materials each is the best."""
     several = len({row.material for row in rows}) > 1
-    table = Table(
-        title=f"{'medians over the materials' if several else rows[0].material} (dE: CIELAB distance of spheres, of "
-        "all pixels, and of lit ones by lamp and room; peak: fitted over measured highlight"
-        f"{'; best: materials with the lowest RMSE, dE' if several else ''})",
-    )  # fmt: skip
-    for head in (
-        "model",
-        "numbers",
-        "RMSE",
-        "sMAPE",
-        "dE",
-        "lamp",
-        "room",
-        "peak",
-        "BIC",
-        "s",
-        *(["best"] if several else []),
-    ):
-        table.add_column(head, justify="left" if head == "model" else "right")
+    title = (
+        f"{'medians over the materials' if several else rows[0].material} (dE: CIELAB distance of spheres, of "
+        f"all pixels, and of lit ones by lamp and room; peak: fitted over measured highlight"
+        f"{'; best: materials with the lowest RMSE, dE' if several else ''})"
+    )
+    more = ["best"] if several else []
+    heads = ("model", "numbers", "RMSE", "sMAPE", "dE", "lamp", "room", "peak", "BIC", "s", *more)
+    found = table(title, heads, heads[:1])
     best = [winners(rows, name) for name in ("rmse", "picture")]
     for name, own in by_label(rows).items():
         middle = partial(_median, own)
         count = " ".join(str(sum(winner == name for winner, _ in each.values())) for each in best)
-        bic = middle(lambda r: r.bic)
-        table.add_row(
+        found.add_row(
             name if several or own[0].variant == own[0].model or own[0].origin != FIT else f"{name} ({own[0].variant})",
             number(middle(lambda r: float(r.numbers))), *(shown(f, middle(lambda r, f=f: getattr(r.errors, f)))
-            for f in ("rmse", "smape", "picture", *LIT, "highlight")), number(bic),
-            number(middle(lambda r: r.seconds or float("nan")), 3), *([count] if several else []),
+            for f in ("rmse", "smape", "picture", *LIT, "highlight")),
+            number(middle(lambda r: r.bic)), number(middle(lambda r: r.seconds or float("nan")), 3),
+            *([count] if several else []),
         )  # fmt: skip
-    return table
+    return found
 
 
 def shown(name: str, x: float) -> str:
@@ -266,7 +255,7 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
     ]
 
     def section(title: str, said: str, heads: Sequence[str], table: Iterable[Sequence[object]]) -> None:
-        lines.extend(["", f"## {title}", *(["", said] if said else []), "", *_rows_of(heads, table)])
+        lines.extend(["", f"## {title}", *(["", said] if said else []), "", as_markdown(heads, table)])
 
     def middle(own: Sequence[Row], value: Callable[[Row], float], digits: int = 4) -> str:
         return number(_median(own, value), digits)
@@ -319,14 +308,6 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
         ([m, *_lowest_bold([found.get((name, m)) for name in labels])] for m in materials),
     )  # fmt: skip
     return "\n".join(lines) + "\n"
-
-
-def _rows_of(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    return [
-        f"| {' | '.join(heads)} |",
-        "|---" * len(heads) + "|",
-        *(f"| {' | '.join(map(str, row))} |" for row in rows),
-    ]
 
 
 def _bold(rows: list[list]) -> list[list[str]]:

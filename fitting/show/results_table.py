@@ -12,7 +12,8 @@ from ..results.manifest import NAME as MANIFEST
 from ..results.manifest import Ending, FileEnded, lines
 from ..results.schema import Metrics, Result
 from ..results.storage import ResultError, read_result
-from ..support.outputs import as_csv, refuse_others
+from ..support.outputs import refuse_others
+from ..support.tables import as_csv
 from ..support.terminal import BAD_INPUT, console, fail, note, unexpected
 
 UNREADABLE = "unreadable"

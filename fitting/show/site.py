@@ -27,7 +27,7 @@ from ..results.storage import read_result
 from ..show.results_table import UNREADABLE, Row, write_csv
 from ..support.clock import Report, silent
 from ..support.compilation import use_persistent_cache
-from ..support.numbers import counted
+from ..support.numbers import counted, number, unit
 from ..support.outputs import is_ours, refuse_others
 from ..support.processes import end_with_parent, jobs_for
 from ..support.terminal import unexpected
@@ -38,7 +38,7 @@ from .inspection import file_of
 from .prediction import PEAK_DIFFERENCE_DEG
 from .simulated import left_out, reproducing, simulated
 from .subject import Subject, subject_of
-from .terminal_tables import accuracy_line, fitted_line, interval, median, number
+from .terminal_tables import accuracy_line, fitted_line, interval, median
 
 FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "picture": "CIELAB distance of spheres",
@@ -202,7 +202,8 @@ def _page_of(job: Job, result: Result) -> Page:
     return {
         "result": result, "name": job.name, "before": job.before, "after": job.after, "json": json_file,
         "json_link": quote(os.fsencode(json_file)), "fitted": None if m is None else fitted_line(m), "number": number,
-        "interval": interval, "median": median, "symbol": _symbol, "spec": {}, "svg": {}, "pictures": {}, "widths": [],
+        "interval": interval, "median": median, "unit": unit, "symbol": _symbol,
+        "spec": {}, "svg": {}, "pictures": {}, "widths": [],
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
         "at_bound": [q.name for q in result.parameters if q.at_bound != "no"], "command": command,

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from ..fit.identifiability import in_words
 from ..fit.outcome import explains
 from ..results.schema import Accuracy, Model, ParameterResult, Quantiles, Result
-from ..support.numbers import counted, distance, number
+from ..support.numbers import counted, distance, number, unit
+from ..support.tables import table
 
 LAPLACE = "by the Laplace approximation"
 LATEX_UNITS = {"1": "", "um": "\\textmu m", "1/sr": "sr$^{-1}$", "deg": "$^\\circ$"}
@@ -28,25 +29,21 @@ class Outcome:
 
 def summary_table(outcomes: Sequence[Outcome]) -> Table:
     """One row a file of a batch."""
-    table = Table(
-        title="Fits (RMSE in 1/sr; lamp, env: CIELAB distance of spheres there; peak: fitted over measured)",
+    title = "Fits (RMSE in 1/sr; lamp, env: CIELAB distance of spheres there; peak: fitted over measured)"
+    left = ("material", "model", "status", "chain")
+    heads = (*left[:3], "RMSE", "sMAPE", "lamp", "env", "peak", "chain", "s")
+    return table(title, heads, left, map(_summary_row, outcomes))
 
+
+def _summary_row(o: Outcome) -> Sequence[str]:
+    if (r := o.result) is None:
+        return o.path.stem, "-", "bad input" if o.bad_input else "failed", *"-------"  # why: on stderr
+    chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
+    return (
+        r.source.material, r.model.material.variant if r.model else "-", r.fit.status,
+        number(r.metrics.rmse, 3), number(r.metrics.smape, 3), distance(r.metrics.lamp),
+        distance(r.metrics.environment), number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
     )  # fmt: skip
-    numbers = ("RMSE", "sMAPE", "lamp", "env", "peak", "s")
-    for head in ("material", "model", "status", *numbers[:-1], "chain", "s"):
-        table.add_column(head, justify="right" if head in numbers else "left")
-    for o in outcomes:
-        if o.result is None:
-            table.add_row(o.path.stem, "-", "bad input" if o.bad_input else "failed", *"-------")  # why: on stderr
-            continue
-        r = o.result
-        chain = "-" if r.posterior is None else "ok" if r.posterior.sufficient else r.posterior.message.split(":")[0]
-        table.add_row(
-            r.source.material, r.model.material.variant if r.model else "-", r.fit.status,
-            number(r.metrics.rmse, 3), number(r.metrics.smape, 3), distance(r.metrics.lamp),
-            distance(r.metrics.environment), number(r.metrics.highlight, 2), chain, f"{r.seconds['total']:.1f}",
-        )  # fmt: skip
-    return table
 
 
 def _not_the_lowest(result: Result) -> str:
@@ -82,18 +79,16 @@ def parameter_table(result: Result) -> Table:
     """
     sampled = any(q.quantiles for q in result.parameters)
     said = f"fitted parameters; 90 % intervals {'of the posterior' if sampled else LAPLACE}"
-    table = Table(title=f"{result.source.material}: {said}")
-    middle = ["median"] if sampled else []
-    for head in ("parameter", "value", *middle, "5 .. 95 %", "unit", "bounds", "meaning"):
-        table.add_column(head, justify="left" if head in ("parameter", "unit", "meaning") else "right")
+    middle, left = ["median"] if sampled else [], ("parameter", "unit", "meaning")
+    heads = ("parameter", "value", *middle, "5 .. 95 %", "unit", "bounds", "meaning")
+    drawn = table(f"{result.source.material}: {said}", heads, left)
     for q in result.parameters:
         at = "" if q.at_bound == "no" else f"{q.at_bound} {number(q.lower if q.at_bound == 'lower' else q.upper)}"
         bounds = f"[{number(q.lower)}, {number(q.upper)}]{f' at {at}' if at else ''}"
         bounds = {"free": bounds, "fixed": "fixed", "tied": f"{bounds}, tied"}[q.fitted]
-        unit = "-" if q.unit == "1" else q.unit
         found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
-        table.add_row(q.name, number(q.value), *found, unit, bounds, q.meaning)
-    return table
+        drawn.add_row(q.name, number(q.value), *found, unit(q.unit), bounds, q.meaning)
+    return drawn
 
 
 def parameters_as_latex(result: Result) -> str:
@@ -185,22 +180,21 @@ def print_result(console: Console, result: Result) -> None:
 def pictures_table(written: Mapping[Path, str]) -> Table:
     """Files of pictures in a folder, and what each shows."""
     folder = next(iter(written)).parent
-    table = Table(title=f"pictures in {folder}, as wide as a column of a paper (8.5 cm)")
-    table.add_column("wrote")
-    table.add_column("what it shows", max_width=48)
+    found = Table(
+        "wrote", Column("what it shows", max_width=48),
+        title=f"pictures in {folder}, as wide as a column of a paper (8.5 cm)",
+    )  # fmt: skip
     for path, words in written.items():
-        table.add_row(path.name, words)
-    return table
+        found.add_row(path.name, words)
+    return found
 
 
 def derived_table(result: Result) -> Table:
     """Derived quantities with intervals."""
-    table = Table(title="derived quantities of the material (without the loss of the apparatus)")
-    for head in ("quantity", "value", "5 .. 95 %", "unit", "meaning"):
-        table.add_column(head, justify="right" if head in ("value", "5 .. 95 %") else "left")
-    for q in result.derived:
-        table.add_row(q.name, number(q.value), interval(q.quantiles), "-" if q.unit == "1" else q.unit, q.meaning)
-    return table
+    title = "derived quantities of the material (without the loss of the apparatus)"
+    return table(title, ("quantity", "value", "5 .. 95 %", "unit", "meaning"), ("quantity", "unit", "meaning"), (
+        (q.name, number(q.value), interval(q.quantiles), unit(q.unit), q.meaning) for q in result.derived
+    ))  # fmt: skip
 
 
 def accuracy_line(found: Accuracy) -> str:

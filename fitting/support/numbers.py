@@ -10,6 +10,11 @@ def number(x: float | None, digits: int = 4) -> str:
     return f"{x:.{digits}g}"
 
 
+def unit(name: str) -> str:
+    """Of a quantity; a dash for none."""
+    return "-" if name == "1" else name
+
+
 def counted(count: int, thing: str) -> str:
     """How many there are, in words: one file, and two files."""
     return f"{count} {thing}" if count == 1 else f"{count} {thing}s"

@@ -1,11 +1,9 @@
-"""Files that a command writes: what it may write over, and what spreadsheets make of their cells."""
+"""Files that a command writes: what it may write over."""
 
-import csv
-import io
 import os
 import re
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import IO
@@ -43,7 +41,6 @@ MARKS = {
 }  # fmt: skip
 """What outputs of commands are known by, by the end of their names, the first that fits: a key or a head at its place
 in the first lines; of binary files where their format says who made them."""
-FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet would compute a cell that begins so
 
 
 def log_of(out: Path, name: str) -> Path:
@@ -106,22 +103,3 @@ def is_ours(path: Path, kind: str | None = None) -> bool:
 def _mark(name: str) -> bytes:
     """What a file of this name is known by; nothing is, where no command writes such files."""
     return next((mark for ending, mark in MARKS.items() if name.endswith(ending)), rb"(?!)")
-
-
-def as_csv(heads: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:
-    """Rows by their heads: commas, a decimal point, numbers of six digits, nothing where there is no value."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(map(_cell, heads))
-    writer.writerows([_cell(row.get(head)) for head in heads] for row in rows)
-    return out.getvalue()
-
-
-def _cell(value: object) -> str:
-    """Text of a cell; what a spreadsheet would take for a formula is quoted."""
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    text = str(value)
-    return f"'{text}" if isinstance(value, str) and text.startswith(FORMULA) else text

@@ -14,7 +14,8 @@ from merlfit.fitting.results.storage import versions, write_result
 from merlfit.fitting.show import style
 from merlfit.fitting.show.results_table import HEADS
 from merlfit.fitting.show.site import FIRST, _page_names
-from merlfit.fitting.support.outputs import MARKS, as_csv, is_ours, refuse_others
+from merlfit.fitting.support.outputs import MARKS, is_ours, refuse_others
+from merlfit.fitting.support.tables import as_csv
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.atomic import WriteError
 from merlfit.scene import images
