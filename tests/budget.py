@@ -22,6 +22,7 @@ MORE = {
     "tests/fitting/test_cases.py": 60,
     "tests/fitting/test_comparison.py": 90,
     "tests/fitting/test_constraints.py": 60,
+    "tests/fitting/test_demo.py": 65,
     "tests/fitting/test_fit.py": 65,
     "tests/fitting/test_hard_fits.py": 80,
     "tests/fitting/test_rival_commands.py": 120,
