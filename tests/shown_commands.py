@@ -38,6 +38,7 @@ max_steps = 20
 """
 INSTEAD = {  # what GGX has
     "two-scale,ggx": "smooth,ggx",
+    "--fix eta=1.5 --bounds p=0.5:2": "--fix F0=0.04 --bounds alpha=0.01:0.5",
     r"\bbeta\b": "alpha",
     r"\bsigma_s\b": "F0",
     r"\bb=": "albedo=",
