@@ -167,7 +167,8 @@ main()
 
 
 def test_without_a_folder_for_programs_a_line_says_so():
-    environment = {k: v for k, v in os.environ.items() if k != "MERLFIT_CACHE_DIR"} | {"HOME": "/dev/null"}
+    elsewhere = ("MERLFIT_CACHE_DIR", "XDG_CACHE_HOME")
+    environment = {k: v for k, v in os.environ.items() if k not in elsewhere} | {"HOME": "/dev/null"}
     program = "import matplotlib.pyplot, jax; from merlfit.fitting.support.compilation import use_persistent_cache"
     program += "; use_persistent_cache(); jax.jit(lambda x: x + 1)(1.0); jax.jit(lambda x: x - 1)(1.0)"
     program = f"import logging; logging.getLogger('matplotlib').setLevel(logging.ERROR); {program}"
