@@ -65,13 +65,13 @@ def priors(layout: Layout) -> list[schema.Prior]:
 
 def in_words(found: schema.Identifiability) -> list[str]:
     """Sentences of it."""
-    size, free = len(found.names), len(found.coordinates)
+    free = len(found.coordinates)
     said = [f"the data determine {found.determined} of {free} independent combinations of the parameters"]
     for direction in found.undetermined:
         together = ", ".join(f"{name} {value:+.1f}" for name, value in direction.components.items())
         how_much = f"the data constrain it {direction.curvature:.2g} times as much as the prior does"
         said.append(f"not determined by the data ({how_much}): {together}")
-    own = range(size) if found.priors is None else [found.names.index(prior.parameter) for prior in found.priors]
+    own = [found.names.index(prior.parameter) for prior in found.priors]
     pairs = [
         (found.correlation[i][j], found.names[i], found.names[j])
         for i in own

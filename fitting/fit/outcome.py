@@ -12,7 +12,6 @@ from ...model.parameters import Parameter
 from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
 from ..results import schema
-from ..results.upgrade import NINETY
 from ..support.choices import EXPONENT, Exponent, Weights
 from . import error_metrics, plausible
 from .laplace import laplace_covariance
@@ -25,6 +24,7 @@ EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter 
 DECIDED = np.sqrt(0.5)  # of the prior's standard deviation: data leave as much that say as much as the prior
 POOR = 0.05  # of the measurement's energy: what a fit leaves of a file that the model does not describe well
 RESOLVED = 2.0  # standard errors from a bound: further away a parameter is not at it, however near
+NINETY = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
 UNREAL = ", but no matter is like that"
 OUTLIERS = (
     "{count} bins of the file are outliers, over {times:g} times brighter than what is beside them: they dominate the "

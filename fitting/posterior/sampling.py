@@ -20,7 +20,6 @@ from ..fit.laplace import laplace_covariance
 from ..fit.outcome import Fitted
 from ..fit.problem import make_problem
 from ..fit.transforms import Layout
-from ..results.upgrade import DROPPED
 from ..support.clock import Report, Stage, silent
 from ..support.threads import SHARES, one_core_a_call, side_by_side
 from .chain import Chain, ChainError, begin, extend, read_chain, write_chain
@@ -144,7 +143,7 @@ def _drawn(path: Path) -> dict[str, np.ndarray]:
 def refuse_other_model(path: Path, layout: Layout) -> None:
     """Refuse the chain of a model with other settings, or other wavelengths: its coordinates may be the same.
 
-    A chain of an earlier version does not say what it is of.
+    One that does not say what it is of is taken.
 
     Raises:
         merlfit.fitting.posterior.chain.ChainError: it is.
@@ -152,7 +151,7 @@ def refuse_other_model(path: Path, layout: Layout) -> None:
     try:
         with opened(path, ChainError) as (file, _):
             found = arrays(file, "model".__eq__, texts=("model",))
-        other = bool(found) and _without_dropped(json.loads(str(found["model"]))) != json.loads(_model(layout))
+        other = bool(found) and json.loads(str(found["model"])) != json.loads(_model(layout))
     except ChainError:
         raise
     except (ValueError, RecursionError):
@@ -161,15 +160,6 @@ def refuse_other_model(path: Path, layout: Layout) -> None:
         raise ChainError(
             f"{path}: is the chain of a fit with other settings or wavelengths: fit again, into another folder"
         )
-
-
-def _without_dropped(told: Any) -> Any:  # noqa: ANN401 - plain data of JSON
-    """What an earlier version kept, without the setting that the two-scale model has no more."""
-    if isinstance(told, list):
-        return [_without_dropped(each) for each in told]
-    if isinstance(told, dict):
-        return {key: _without_dropped(each) for key, each in told.items() if key != DROPPED}
-    return told
 
 
 def _model(layout: Layout) -> str:

@@ -14,15 +14,13 @@ from .schema_parameters import ROUNDING, DerivedResult, Direction, Identifiabili
 from .schema_posterior import PosteriorResult
 from .schema_run import Run, this_run
 from .strict import Many, Strict
-from .upgrade import before_2_4
 
 __all__ = [
-    "EDITED", "OLDER", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
+    "EDITED", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
     "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result",
     "Run", "Source", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
-SCHEMA_VERSION = "2.4"
-OLDER = ("1.0", "1.1", "1.2", "1.3", "1.4", "2.0", "2.1", "2.2", "2.3")  # are read, too: `upgraded` makes them this one
+SCHEMA_VERSION = "2.5"
 EDITED = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
 UNSAID_SCATTERED = "a file of scattered directions, whose origin is not stated"
@@ -31,15 +29,10 @@ UNSAID_SCATTERED = "a file of scattered directions, whose origin is not stated"
 class Result(Strict):
     """What merlfit found out about one material."""
 
-    schema_version: Literal["2.4"] = SCHEMA_VERSION
-    """Version of this format. Older ones are read as this one: 1.0 had no `accuracy`; 1.1 no `identifiability` and no
-    `derived`; 1.2 no errors of pictures; 1.3 no `run`, `identifiability.covariance` and `identifiability.priors`; 1.4
-    and before no other model than the two-scale one, its acquisition among its effects; 2.0 no `fit.effective_bins`;
-    2.1 no `source.dims` and `source.format`; 2.2 no `posterior.draws_sha1` and `numbers_sha1`, and standard errors for
-    `laplace`; 2.3 no `parameters.fitted`, and one setting more of the two-scale
-    model."""
-    run: Run | None = Field(default_factory=this_run)
-    """When and how it was computed; null before version 1.4."""
+    schema_version: Literal["2.5"] = SCHEMA_VERSION
+    """Version of this format."""
+    run: Run = Field(default_factory=this_run)
+    """When and how it was computed."""
     source: Source
     """The file that was fitted, and what it holds."""
     model: Model | None
@@ -68,7 +61,7 @@ class Result(Strict):
     """All settings (``configs/default.toml``)."""
     numbers_sha1: str | None = None
     """SHA-1 of the parameters' values, of what they are the parameters of, and of what they were fitted to, by which a
-    change by hand is told; null before version 2.3."""
+    change by hand is told; null without a fit."""
 
     @model_validator(mode="after")
     def _parameters_are_the_models(self) -> Self:
@@ -111,22 +104,15 @@ class Result(Strict):
     @property
     def digest(self) -> str:
         """What `numbers_sha1` is of a result that nobody has changed."""
-        return self._digest(self._fitted)
-
-    @property
-    def _fitted(self) -> dict[str, Any] | None:
         include = {"name", "settings", "acquisition", "wavelengths_um"}
-        return self.model and self.model.model_dump(mode="json", include=include)
-
-    def _digest(self, *of: object) -> str:
+        fitted = self.model and self.model.model_dump(mode="json", include=include)
         numbers = [[q.name, q.value] for q in self.parameters]
-        return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers, *of]).encode()).hexdigest()
+        return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers, fitted]).encode()).hexdigest()
 
     @property
     def edited(self) -> bool:
         """Whether numbers were changed since the fit, as far as that is known: then its errors are not theirs."""
-        older = self._digest(), self._digest(before_2_4(self._fitted))  # the first of the numbers alone
-        return self.numbers_sha1 not in (None, self.digest, *older)
+        return self.numbers_sha1 not in (None, self.digest)
 
     @property
     def data_words(self) -> str:

@@ -16,8 +16,6 @@ class Candidate(Strict):
     the model's name where it has no variants."""
     cost: float | None
     """Cost on the coarse grid, as in `fit.cost`."""
-    bic: float | None = None
-    """What results before version 1.3 chose by."""
     objective: float | None = None
     """Cost with the prior."""
     cube_root: float | None = None
@@ -27,7 +25,7 @@ class Candidate(Strict):
     (``fitting/fit/selection.py``)."""
     of_matter: bool = True
     """False of constants that no matter has, such as those of a metal over a bright body: it is taken only if it is far
-    better than all others. True before this was looked at."""
+    better than all others."""
     converged: bool = True
     """False of a kind that was too far behind to be followed to the end, or was still creeping on the coarse grid."""
 
@@ -54,7 +52,7 @@ class Fit(Strict):
     bins: int
     """Bins with a weight."""
     effective_bins: float | None = None
-    """How many independent residuals those of the fit count as (docs/statistics.md). Null before version 2.1."""
+    """How many independent residuals those of the fit count as (docs/statistics.md)."""
     candidates: Many[Candidate]
     """Models and their variants that were compared."""
     weights: float | Literal["log"] | None = None
@@ -80,9 +78,9 @@ class Metrics(Strict):
     """Mean CIELAB distance of rendered spheres over all pixels, black ones too, under a lamp and an environment alike;
     weights and models are chosen by it."""
     lamp: float | None = None
-    """Mean CIELAB distance of the spheres' lit pixels under a lamp, highlights as they are. Null before version 2.3."""
+    """Mean CIELAB distance of the spheres' lit pixels under a lamp, highlights as they are."""
     environment: float | None = None
-    """The same under an environment. Null before version 2.3."""
+    """The same under an environment."""
 
 
 class Tried(Strict):

@@ -11,7 +11,6 @@ from ...merl_io import inputs
 from ...merl_io.bands import Bands, ColourSpace
 from ...merl_io.columns import PLAUSIBLE_UM
 from ...model.apparatus import APPARATUS, Apparatus, GrazingLoss
-from ...model.effects import TWO_SCALE, refuse_gone
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance, Values
 from ...model.registry import made
@@ -58,9 +57,8 @@ class Acquisition(Strict):
     lobes, or the exponent itself."""
     apparatus: Apparatus | None = None
     """Sphere, pixel and lamp that a derived loss assumes; null otherwise."""
-    exponents: dict[str, float | None]
-    """Exponent of the loss by sharp lobe, ``specular`` or ``diffracted`` (HP17 Eq. 60); 0 where no light is lost. Null
-    of diffracted light in results of schema 1.2 and older, which had one exponent for all light."""
+    exponents: dict[str, float]
+    """Exponent of the loss by sharp lobe, ``specular`` or ``diffracted`` (HP17 Eq. 60); 0 where no light is lost."""
 
 
 class Model(Strict):
@@ -82,8 +80,6 @@ class Model(Strict):
     @model_validator(mode="after")
     def _of_a_fit(self) -> Self:
         low, high = PLAUSIBLE_UM
-        if self.name == TWO_SCALE:
-            refuse_gone(self.settings)
         if self.material.objection is not None:
             raise ValueError(self.material.objection)
         if self.acquisition.exponents.keys() != {*self.material.lobes}:

@@ -39,7 +39,7 @@ class ParameterResult(Strict):
     """Fitted value."""
     laplace: Quantiles | None
     """By the Laplace approximation in free coordinates, around the fitted value and within the bounds
-    (docs/statistics.md); null at a bound and where the prior says more than the data. Before version 2.3, symmetric."""
+    (docs/statistics.md); null at a bound and where the prior says more than the data."""
     quantiles: Quantiles | None
     """Of the posterior; null without a posterior that is good enough."""
     lower: float
@@ -49,8 +49,7 @@ class ParameterResult(Strict):
     at_bound: Literal["no", "lower", "upper"]
     """At which bound the value is."""
     fitted: Literal["free", "fixed", "tied"] = "free"
-    """Whether it was fitted by itself, given by the user, or has the value of the middle channel. ``free`` before
-    version 2.4."""
+    """Whether it was fitted by itself, given by the user, or has the value of the middle channel."""
     prior: str
     """Prior in words; `identifiability.priors` has it for programs."""
     source: str
@@ -120,15 +119,15 @@ class Identifiability(Strict):
 
     names: Many[str]
     """Parameters, in the order of `parameters`."""
-    covariance: Many[Many[float]] | None = None
+    covariance: Many[Many[float]]
     """Covariance of the parameters, in units of theirs; from the normal equations of the fit with the prior. Of a
-    parameter at a bound it is that of the approximation, which does not hold there. Null before version 1.4."""
+    parameter at a bound it is that of the approximation, which does not hold there."""
     correlation: Many[Many[float]]
     """The same as correlations."""
     coordinates: Many[str]
     """Free coordinates, in which the prior is standard normal: the quantity that each prior is of."""
-    priors: Many[Prior] | None = None
-    """Prior of each coordinate. Null before version 1.4."""
+    priors: Many[Prior]
+    """Prior of each coordinate."""
     contraction: Many[float]
     """By coordinate: one minus the standard deviation that the data leave, of which the prior's is one."""
     determined: int
@@ -139,9 +138,8 @@ class Identifiability(Strict):
     @model_validator(mode="after")
     def _lists_agree(self) -> Self:
         size = len(self.names)
-        same_length("names", size, correlation=self.correlation, covariance=self.covariance or self.names)
-        for row in [*self.correlation, *(self.covariance or [])]:
+        same_length("names", size, correlation=self.correlation, covariance=self.covariance)
+        for row in [*self.correlation, *self.covariance]:
             same_length("names", size, covariance_or_correlation=row)
-        same_length("coordinates", len(self.coordinates), contraction=self.contraction)
-        same_length("coordinates", len(self.coordinates), priors=self.priors or self.coordinates)
+        same_length("coordinates", len(self.coordinates), contraction=self.contraction, priors=self.priors)
         return self

@@ -45,7 +45,7 @@ class PosteriorResult(Strict):
     chain_file: FileName
     """File beside this one with the chain and the draws (docs/result.md)."""
     draws_sha1: str | None = None
-    """SHA-1 of the draws in it and their weights, by which a chain of another fit is told; null before version 2.3."""
+    """SHA-1 of the draws in it and their weights, by which a chain of another fit is told; null if it was not kept."""
 
     @model_validator(mode="after")
     def _lists_agree(self) -> Self:

@@ -16,7 +16,7 @@ class Run(Strict):
     command: Many[Text]
     """Command line; empty where Python called merlfit as a library."""
     folder: Text | None = None
-    """Folder that it ran in, from which a relative `source.path` is seen; null before version 2.0."""
+    """Folder that it ran in, from which a relative `source.path` is seen; null if it was gone."""
 
 
 def this_run() -> Run:

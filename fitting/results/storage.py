@@ -12,12 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, get_origin, get_type_hints
 
-from pydantic import (
-    BaseModel,
-    TypeAdapter,
-    ValidationError,
-)
-from pydantic_core import from_json
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from ...merl_io.atomic import write_text
 from ...merl_io.source import whole
@@ -27,8 +22,7 @@ from ...model.registry import models
 from ...model.two_scale import TwoScale
 from ..settings.choice import Choice
 from ..settings.config import Config
-from .schema import EDITED, OLDER, SCHEMA_VERSION, Model, Result
-from .upgrade import upgraded
+from .schema import EDITED, SCHEMA_VERSION, Model, Result
 
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
@@ -84,34 +78,27 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     path = Path(path)
     try:
         text = whole(path, ResultError, LARGEST).removeprefix(codecs.BOM_UTF8)
-        version = _Versioned.model_validate_json(text).schema_version
-        _check_version(path, version)
-        result = (
-            Result.model_validate(upgraded(from_json(text))) if version in OLDER else Result.model_validate_json(text)
-        )
+        _check_version(path, _Versioned.model_validate_json(text).schema_version)
+        result = Result.model_validate_json(text)
     except ValidationError as error:
         if path.suffix.lower() in MEASURED:
             raise ResultError(f"{path}: is a measured file, not a result: fit it first, merlfit fit {path}") from None
         raise ResultError(f"{path}: is not a merlfit result: {_in_words(error)}") from None
     if result.edited and EDITED not in result.fit.cautions:
         result.fit.cautions.append(EDITED)
-    if "run" not in result.model_fields_set:  # of an older version: it is not known, and not that of this process
-        result.run = None
     return result
 
 
 def _check_version(path: Path, version: str) -> None:
-    known = (*OLDER, SCHEMA_VERSION)
-    if version in known:
+    if version == SCHEMA_VERSION:
         return
-    numbers = [version.split("."), known[-1].split(".")]
-    ranks = [[(len(x.lstrip("0")), x.lstrip("0")) for x in parts] for parts in numbers]  # of any number of digits
-    if all(part.isdecimal() and part.isascii() for part in numbers[0]) and ranks[0] > ranks[1]:
-        raise ResultError(
-            f"{path}: was written by a newer merlfit (schema {version}, this one knows {known[-1]} at the most): "
-            "update merlfit"
-        )
-    raise ResultError(f"{path}: is not a merlfit result: schema_version {version!r} is none of {', '.join(known)}")
+    if not re.fullmatch(r"\d{1,9}\.\d{1,9}", version, re.ASCII):
+        raise ResultError(f"{path}: is not a merlfit result: schema_version {version[:40]!r} is not {SCHEMA_VERSION}")
+    its, ours = ([int(part) for part in each.split(".")] for each in (version, SCHEMA_VERSION))
+    age, mend = ("a newer", "update merlfit") if its > ours else ("an older", "fit the file again")
+    raise ResultError(
+        f"{path}: was written by {age} merlfit (schema {version}, this one reads {SCHEMA_VERSION}): {mend}"
+    )
 
 
 SAID = {

@@ -54,7 +54,7 @@ def file_of(path: Path, result: Result) -> Path:
     """
     named = Path(result.source.path)
     places = [named, *(folder / named for folder in path.absolute().parents), path.parent / named.name]
-    if result.run is not None and result.run.folder is not None:
+    if result.run.folder is not None:
         places.append(Path(result.run.folder) / named)
     return next((place for place in places if is_regular(place)), named)
 

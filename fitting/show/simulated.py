@@ -81,7 +81,7 @@ def _chose(result: Result) -> bool:
 
 def reproducing(result: Result) -> list[str]:
     """The words of the command that fitted this file, of a batch without its other files."""
-    words = [] if result.run is None else [str(word) for word in result.run.command]
+    words = [str(word) for word in result.run.command]
     own = result.source.path
     if own not in words:
         return words

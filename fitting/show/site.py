@@ -196,8 +196,8 @@ def _page(job: Job) -> list[str]:
 
 def _page_of(job: Job, result: Result) -> Page:
     """What is said of a result."""
-    m, f, run = result.model, result.fit, result.run
-    command = " ".join(_quoted(word) for word in reproducing(result)) if run is not None else ""
+    m, f = result.model, result.fit
+    command = " ".join(_quoted(word) for word in reproducing(result))
     json_file = os.path.relpath(job.path, job.out / "materials")
     return {
         "result": result, "name": job.name, "before": job.before, "after": job.after, "json": json_file,

@@ -11,7 +11,6 @@ from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse
-from merlfit.fitting.pipeline.stacked import fit_batch, prepare, solve_batch
 from merlfit.fitting.pipeline.synthesis import from_published
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.support.compilation import use_persistent_cache
@@ -19,6 +18,7 @@ from merlfit.merl_io.binary import read, write
 from merlfit.model.published import SOURCES, materials
 
 from .record import Record, Target, exponent
+from .stacked import fit_batch, prepare, solve_batch
 
 COUNTS, COUNTS_ON_CPU = (1, 4, 16, 64), (1, 2)
 BODY, SOURCE = "plastic", "sgd"
@@ -78,7 +78,7 @@ def run(folder, out, every, on_cpu=False):
     record = Record(
         "gpu", "Fits batched over materials",
         f"synthetic: published parameters on MERL's grid ({SOURCES[SOURCE].citation})",
-        [f"Device: {device.device_kind} ({device.platform}). `fitting/pipeline/stacked.py`, body {BODY}, all bins, "
+        [f"Device: {device.device_kind} ({device.platform}). `tests/bench/stacked.py`, body {BODY}, all bins, "
          "float64: a successive_halving on the coarse grid, then all bins; after compilation, one repeat. One by "
          f"one: the same fits without a batch, on the same device. Reading and gathering a file, {preparing:.2g} s "
          "each on the CPU, is not in it. Steps: of the fine stage, of the slowest material and of the mean one."],

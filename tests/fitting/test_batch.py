@@ -14,13 +14,14 @@ from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
-from merlfit.fitting.pipeline.stacked import fit_batch, prepare, solve_batch
 from merlfit.fitting.settings.config import parse
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
+
+from tests.bench.stacked import fit_batch, prepare, solve_batch
 
 pytestmark = pytest.mark.usefixtures("compiled_quickly")
 LAYOUT = layout_of(Measured(TwoScale("lambert", "off")))

@@ -1,7 +1,5 @@
 """Files with other numbers of bins than MERL's: asked for by `--dims`, and then fitted, found again and drawn."""
 
-import json
-
 import numpy as np
 import pytest
 from merlfit.fitting.fit import picture_distance as picture
@@ -62,15 +60,6 @@ def test_they_are_fitted_found_again_and_drawn(file, fit, tmp_path):
     assert compared.exit_code == 0, compared.stderr
     shown = call("metrics", folder / "coarse.json", "--against", file)
     assert shown.exit_code == 0, shown.stderr
-
-
-def test_results_before_2_2_are_of_merls_dims(fit, tmp_path):
-    path = tmp_path / "coarse.json"
-    older = json.loads((fit[1] / "coarse.json").read_text())
-    older["schema_version"] = "2.1"
-    del older["source"]["dims"]
-    path.write_text(json.dumps(older))
-    assert read_result(path).source.dims == (90, 90, 180)
 
 
 def test_spheres_of_coarser_bins_look_alike():

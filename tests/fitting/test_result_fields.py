@@ -3,7 +3,6 @@
 import json
 import re
 import sys
-from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
 import jax.numpy as jnp
@@ -12,18 +11,15 @@ import pytest
 from merlfit.fitting.fit.identifiability import identifiability, priors
 from merlfit.fitting.fit.laplace import laplace_covariance
 from merlfit.fitting.fit.transforms import layout_of
-from merlfit.fitting.pipeline.models import candidates, layout_for, two_scale
+from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.results import schema
 from merlfit.fitting.results import storage as export
-from merlfit.fitting.settings.config import Config, parse
+from merlfit.fitting.settings.config import Config
 from merlfit.merl_io.binary import DIMS, write
-from merlfit.model.apparatus import Apparatus
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from scipy.stats import norm
-
-from tests.support.made_results import made
 
 
 def test_every_field_of_the_schema_is_described():
@@ -61,11 +57,6 @@ def test_a_covariance_of_the_wrong_size_is_refused(found):
         schema.Identifiability.model_validate({**data, "covariance": data["covariance"][:-1]})
     with pytest.raises(ValueError, match="entries, coordinates"):
         schema.Identifiability.model_validate({**data, "priors": data["priors"][:-1]})
-
-
-def test_results_before_covariances_can_be_read(found):
-    data = found[1].model_dump(exclude={"covariance", "priors"})
-    assert schema.Identifiability.model_validate(data).priors is None
 
 
 @pytest.mark.parametrize("effects", [Measured(TwoScale("lambert")), TwoScale("none")], ids=str)
@@ -118,68 +109,6 @@ def test_when_and_how_a_result_was_computed(words, command, monkeypatch):
     at = datetime.fromisoformat(told.finished)
     assert at.utcoffset() == timedelta(0)
     assert abs(datetime.now(UTC) - at) < timedelta(minutes=1)
-
-
-def test_of_an_older_result_nobody_knows_when_it_was_computed(tmp_path):
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps(older(made(), "1.3")))
-    assert export.read_result(path).run is None
-    assert export.read_result(path).model.colour_space == "linear RGB of MERL, as stored"
-
-
-def older(result, version):
-    """A result as schema 1.x had it."""
-    data = json.loads(result.model_dump_json(exclude={"run"}))
-    model, acquisition = data["model"], data["model"].pop("acquisition")
-    model["effects"] = {
-        **model.pop("settings"), "acquisition": acquisition["grazing_loss"],
-        "apparatus": acquisition["apparatus"] or asdict(Apparatus()),
-    }  # fmt: skip
-    model |= {"grazing_exponent": acquisition["exponents"]["specular"]}
-    if version != "1.2":
-        model |= {"grazing_exponent_diffracted": acquisition["exponents"].get("diffracted", 0.0)}
-    del model["colour_space"]
-    config = data["config"]
-    config["effects"]["acquisition"] = config.pop("acquisition")["grazing_loss"]
-    del config["model"]
-    kinds = [("complex", "none"), ("real", "plastic")]
-    data["fit"]["candidates"] = [
-        {**({} if version == "1.2" else {"index": index}), "body": body, "cost": 0.1} for index, body in kinds
-    ]
-    return {**data, "schema_version": version}
-
-
-@pytest.mark.parametrize("version", ["1.2", "1.3", "1.4"])
-@pytest.mark.parametrize(
-    "model", [Measured(TwoScale("lambert")), Measured(TwoScale("none", "off"), "derived"), Measured(TwoScale(), 0.3)]
-)
-def test_results_of_older_versions_are_read_as_this_one(version, model, tmp_path):
-    new = made(model=model)
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps(older(new, version)))
-    found = export.read_result(path)
-    assert found.schema_version == schema.SCHEMA_VERSION
-    assert found.model.measured == model
-    assert [(c.model, c.variant) for c in found.fit.candidates] == [
-        ("two-scale", "complex none"), ("two-scale", "real plastic"),
-    ]  # fmt: skip
-    assert candidates(parse(found.config, "old")) == candidates(Config())
-    assert found.values().keys() == new.values().keys()
-    exponents = dict(new.model.acquisition.exponents)
-    if version == "1.2" and "diffracted" in exponents:
-        exponents["diffracted"] = None
-    assert found.model.acquisition.exponents == exponents
-    export.write_result(path, found)
-    assert export.read_result(path) == found
-
-
-@pytest.mark.parametrize("version", schema.OLDER)
-def test_an_older_result_without_sense_is_refused_in_one_line(version, tmp_path):
-    path = tmp_path / "old.json"
-    for wrong in ({}, {"model": 3, "fit": [], "config": None}, {"model": {"effects": {}}, "fit": {"candidates": [1]}}):
-        path.write_text(json.dumps({**wrong, "schema_version": version}))
-        with pytest.raises(export.ResultError, match="is not a merlfit result: "):
-            export.read_result(path)
 
 
 def test_equal_runs_differ_in_nothing_but_time(tmp_path):

@@ -6,28 +6,30 @@ are those of `residuals` and `levenberg_marquardt`, so each material goes the wa
 summed on: a batch takes as long as its slowest. On a CPU, files one by one are faster.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
 from operator import add
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-
-from ...merl_io.samples import Samples, thin
-from ..fit.hints import StartHints
-from ..fit.levenberg_marquardt import Solution, solve_many
-from ..fit.problem import Part, Problem, make_problem
-from ..fit.residuals import compact_normal_equations, spread_out
-from ..fit.starts import start_hints, starting_points
-from ..fit.transforms import Layout
-from ..settings.config import Config
-from ..support.threads import side_by_side
-from .run import CANDIDATE_ORDER, COARSE_ORDER, FIRST_ROUND_EACH, GRIDS, cheaper, make_coarse, successive_halving
+from merlfit.fitting.fit.hints import StartHints
+from merlfit.fitting.fit.levenberg_marquardt import solve_many
+from merlfit.fitting.fit.problem import Part, Problem, make_problem
+from merlfit.fitting.fit.residuals import compact_normal_equations, spread_out
+from merlfit.fitting.fit.starts import start_hints, starting_points
+from merlfit.fitting.pipeline.run import (
+    CANDIDATE_ORDER,
+    COARSE_ORDER,
+    FIRST_ROUND_EACH,
+    GRIDS,
+    cheaper,
+    make_coarse,
+    successive_halving,
+)
+from merlfit.fitting.support.threads import side_by_side
+from merlfit.merl_io.samples import thin
 
 
 @dataclass(frozen=True)
@@ -45,14 +47,14 @@ class Prepared:
     problem: Problem
 
 
-def prepare(samples: Samples, config: Config) -> Prepared:
+def prepare(samples, config):
     """Samples of a file gathered as `run.fit` does it."""
     settings = config.fit
     whole = make_problem(thin(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
     return Prepared(start_hints(samples), *make_coarse(samples), whole)
 
 
-def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> list[Solution]:
+def fit_batch(layout, materials, config):
     """All materials with the same effects: a successive_halving on the coarse grid, then the last grid.
 
     As `run.fit` does it one by one, without its choice of a body and its assessment on all bins.
@@ -61,7 +63,7 @@ def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> 
     count, rough = FIRST_ROUND_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
     points = [starting_points([rough], m.data, m.roughly, count)[0] for m in materials]
 
-    def follow(points: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
+    def follow(points, steps, first):
         model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])
         rows = [[each[min(k, len(each) - 1)] for each in points] for k in range(max(map(len, points)))]
         found = [solve_batch(model, np.array(row), problems, steps) for row in rows]
@@ -71,9 +73,7 @@ def fit_batch(layout: Layout, materials: Sequence[Prepared], config: Config) -> 
     return solve_batch(layout, np.array([s.z for s in best]), [m.problem for m in materials], settings.max_steps)
 
 
-def solve_batch(
-    layout: Layout, z: np.ndarray, problems: Sequence[Problem], max_steps: int = 100, rtol: float = 1e-5
-) -> list[Solution]:
+def solve_batch(layout, z, problems, max_steps=100, rtol=1e-5):
     """`levenberg_marquardt.solve` for many materials at once.
 
     Args:
@@ -87,7 +87,7 @@ def solve_batch(
     return solve_many(lambda points: _equations(layout, jnp.asarray(points), stacked), z, max_steps, rtol)
 
 
-def _stack(problems: Sequence[Problem]) -> Problem:
+def _stack(problems):
     """One problem with a leading axis of materials everywhere but in the directions, which all share."""
     first = problems[0]
     for other in problems[1:]:
@@ -100,9 +100,9 @@ def _stack(problems: Sequence[Problem]) -> Problem:
     return Problem(tuple(parts), jnp.stack([q.rest for q in problems]), jnp.stack([q.scatter for q in problems]))
 
 
-def _equations(layout: Layout, z: Array, stacked: Problem) -> Array:
+def _equations(layout, z, stacked):
     """Normal equations of all materials, (M, C, P+1, P+1)."""
-    by_material: Any = Part(directions=None, root=0, target=0)  # type: ignore
+    by_material = Part(directions=None, root=0, target=0)
     mapped = jax.vmap(partial(compact_normal_equations, layout.model), in_axes=(0, by_material))
     values, slopes = jax.vmap(layout.values_and_slopes)(z)
     compact = reduce(add, side_by_side(lambda part: mapped(values, part), stacked.parts))
