@@ -27,7 +27,7 @@ def shortened(message: str) -> str:
 
 
 class MerlError(ValueError):
-    """A file that cannot be read or written as a measurement; the message is one line that names it and the mend."""
+    """What is asked for cannot be done: the message is one line that names the file or the setting, and the mend."""
 
     def __init__(self, message: str) -> None:
         super().__init__(shortened(message))

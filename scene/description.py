@@ -7,14 +7,14 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from ..merl_io.source import toml
+from ..merl_io.source import MerlError, toml
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 MOST_PIXELS = 8192
 
 
-class SceneError(ValueError):
+class SceneError(MerlError):
     """A scene that cannot be rendered; the message is one line that names the file and what to mend."""
 
 

@@ -10,6 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from ...merl_io.source import MerlError
+
 if TYPE_CHECKING:
     from distributed import Client
     from distributed.security import Security
@@ -20,7 +22,7 @@ CONNECT = 5.0  # seconds for a scheduler to answer
 UNHEARD = logging.CRITICAL + 1  # level of what Dask logs: what matters is said in lines of ours
 
 
-class ClusterError(ValueError):
+class ClusterError(MerlError):
     """A cluster that cannot be used; the message is one line with the mend."""
 
 

@@ -289,7 +289,7 @@ def metrics(
     force: Force = False,
 ) -> None:
     """Print all errors of fits against a file: RMSE, sMAPE, cube root, log, CIELAB of spheres, peak."""
-    from .compare import metrics_of
+    from .metrics import metrics_of
 
     metrics_of(results, against, out, force)
 

@@ -1,4 +1,4 @@
-"""Models compared on files, as `merlfit compare`, `which` and `metrics` do it."""
+"""Models compared on files, as `merlfit compare` and `merlfit which` do it."""
 
 import traceback
 from collections.abc import Iterable, Iterator
@@ -15,7 +15,6 @@ from ..pipeline.comparison import FIT, compare_file
 from ..pipeline.place import claimed, place_of
 from ..pipeline.run import fit_file
 from ..results.schema import Result
-from ..results.storage import ResultError, read_result
 from ..settings.config import Config, ConfigError
 from ..show.comparison_table import NAME, by_label, compared_in, table_of, verdict, write_tables
 from ..support.compilation import programs_told, use_persistent_cache
@@ -30,11 +29,11 @@ from ..support.terminal import (
     note,
     progress_display,
     reporter,
+    reporting,
     unexpected,
     writable_folder,
-)
+)  # fmt: skip
 from .fit import numbered, refuse_same_names
-from .metrics import assessed_result, metrics_in, metrics_table, write_metrics
 
 NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
 
@@ -89,17 +88,9 @@ def compare_files(
     use_persistent_cache()
     writable_folder(out)
     refuse_same_names(files)
-    try:
-        refuse_others(compared_in(out), force)
-    except WriteError as error:
-        raise fail(str(error)) from None
+    refuse_others(compared_in(out), force)
     wanted, rows, code = chosen_models(names), [], 0
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(claimed_for(wanted, out))
-        except WriteError as error:
-            raise fail(str(error)) from None
-        progress = stack.enter_context(progress_display())
+    with claimed_for(wanted, out), progress_display() as progress:
         for k, path in enumerate(files):
             task = progress.add_task(path.name, total=None)
             say = reporter(progress, task, numbered(k, len(files), path.stem))
@@ -109,8 +100,8 @@ def compare_files(
                 rows += found
                 code = max(code, 0 if any(row.origin == FIT for row in found) else FAILED_FIT)
                 console.print(numbered(k, len(files), verdict(found)))
-            except ConfigError as error:
-                raise fail(str(error)) from None
+            except ConfigError:  # of all files
+                raise
             except MerlError as error:
                 code = BAD_INPUT
                 fail(str(error))
@@ -130,10 +121,7 @@ def compare_files(
         materials = len({row.material for row in rows})
         title = f"{counted(materials, 'material')}, {counted(len(by_label(rows)), 'model')}"
         console.print(table_of(rows))
-        try:
-            written = write_tables(rows, out, NAME, title, data)
-        except WriteError as error:
-            raise fail(str(error)) from None
+        written = write_tables(rows, out, NAME, title, data)
         console.print(f"wrote {written[0]}, and .md, .html and .png beside it")
     if code:
         raise typer.Exit(code)
@@ -145,12 +133,8 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     writable_folder(out)
     wanted = chosen_models(names)
     try:
-        with claimed_for(wanted, out), progress_display() as progress:
-            task = progress.add_task(path.name, total=None)
-            with programs_told(reporter(progress, task, path.stem)) as told:
-                rows, _ = compare_file(path, wanted, settings, out, told, False, placed)
-    except (MerlError, WriteError, ConfigError) as error:
-        raise fail(str(error)) from None
+        with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
+            rows, _ = compare_file(path, wanted, settings, out, told, False, placed)
     except Stopped as stop:
         note(f"stopped by {stop}")
         raise typer.Exit(stop.code) from None
@@ -159,38 +143,3 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
         raise typer.Exit(FAILED_FIT)
     console.print(table_of(rows))
     console.print(verdict(rows))
-
-
-def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool = False) -> None:
-    """Print the errors of results against a file; with a folder, write them and the curves over theta_i.
-
-    Exits with 2 if one of them has none; the others are assessed.
-    """
-    use_persistent_cache()
-    try:
-        refuse_others([] if out is None else metrics_in(out), force)
-    except WriteError as error:
-        raise fail(str(error)) from None
-    found, said = [], {}
-    for path in results:
-        try:
-            found.append(assessed_result(path, read_result(path), against))
-        except (MerlError, ResultError) as error:
-            said[str(error)] = None  # once, if it is about the file
-        except Exception as error:  # of any kind: said with its name, and the next result has its turn
-            said[unexpected(path, error)] = None
-    for line in said:
-        fail(line)
-    if not found:
-        raise typer.Exit(BAD_INPUT)
-    console.print(metrics_table(found, against))
-    if out is not None:
-        writable_folder(out)
-        try:
-            written = write_metrics(found, out)
-        except WriteError as error:
-            raise fail(str(error)) from None
-        for path in written:
-            console.print(f"wrote {path}")
-    if said:
-        raise typer.Exit(BAD_INPUT)

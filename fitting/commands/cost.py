@@ -4,15 +4,13 @@ from pathlib import Path
 
 import typer
 
-from ...merl_io.atomic import WriteError
-from ...merl_io.binary import MerlError
 from ..cost.frontier import FILE, keep
 from ..cost.measure import ROWS, CostError, measure, tidy
 from ..cost.report import frontier_figure, gains, table, write_markdown
 from ..show.style import save
 from ..support.compilation import cache_folder
 from ..support.outputs import refuse_others
-from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
+from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, reporting, writable_folder
 
 OUTPUTS = FILE, "cost.md", "cost.png", ROWS
 
@@ -24,19 +22,14 @@ def measure_on(file: Path | None, out: Path, repeats: int, force: bool = False) 
         force: write over any file.
     """
     writable_folder(out)
+    refuse_others([out / name for name in OUTPUTS], force)
     try:
-        refuse_others([out / name for name in OUTPUTS], force)
-    except WriteError as error:
-        raise fail(str(error)) from None
-    try:
-        with progress_display() as progress:
-            frontier = measure(file, out, repeats, reporter(progress, progress.add_task("cost"), "cost"))
+        with reporting("cost", "cost") as say:
+            frontier = measure(file, out, repeats, say)
         kept = [keep(frontier, folder) for folder in (out, *([] if file else [cache_folder()]))]
         write_markdown(frontier, out / "cost.md")
         save(frontier_figure(frontier), out / "cost.png")
         tidy(out)
-    except MerlError as error:
-        raise fail(str(error)) from None
     except Stopped as stop:
         note(f"stopped by {stop}; what was measured is kept; the same command continues from there")
         raise typer.Exit(stop.code) from None

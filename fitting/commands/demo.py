@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from ...merl_io.atomic import unfinished
 from ...merl_io.bands import MERL
 from ...merl_io.binary import write
-from ...merl_io.source import is_regular
+from ...merl_io.source import MerlError, is_regular
 from ...model.two_scale import TwoScale, two_scale
 from ..pipeline.synthesis import tabulate
 from ..results.schema import Result
@@ -35,7 +35,7 @@ SAID = (
 )
 
 
-class Occupied(ValueError):
+class Occupied(MerlError):
     """There is another file where the demo would write; the message says so in one line."""
 
 

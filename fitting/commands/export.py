@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 from ...merl_io.atomic import write_text
 from ...merl_io.bands import MERL
-from ...merl_io.binary import MerlError, read, write
+from ...merl_io.binary import read, write
 from ...merl_io.samples import folded
 from ...merl_io.source import PLAIN
 from ...model.registry import models
@@ -25,7 +25,7 @@ from ..results.storage import ResultError, read_result
 from ..support.compilation import use_persistent_cache
 from ..support.numbers import number
 from ..support.outputs import refuse_others
-from ..support.terminal import console, fail, progress_display, reporter, writable_folder
+from ..support.terminal import console, fail, reporting, writable_folder
 from .nearest_ggx import nearest
 from .scenes import of_result
 
@@ -75,15 +75,11 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
         raise fail(f"{target}: is there already, and may be a measurement; --force overwrites it")
     writable_folder(out)
     stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
-    try:
-        if to != "merl":
-            names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
-            refuse_others([out / f"{name}.{ending}" for ending, name in names.items()], force)
-        with progress_display() as progress:
-            say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
-            written = _exported(path, to, out, say)
-    except (ResultError, MerlError, SceneError, OSError) as error:
-        raise fail(str(error)) from None
+    if to != "merl":
+        names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
+        refuse_others([out / f"{name}.{ending}" for ending, name in names.items()], force)
+    with reporting(path.name, path.stem) as say:
+        written = _exported(path, to, out, say)
     console.print("wrote " + ", ".join(map(str, written)))
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import typer
 from matplotlib.figure import Figure
 from rich.table import Table
 
@@ -16,6 +17,7 @@ from ...merl_io.binary import Measurement
 from ...merl_io.grid import merl_grid
 from ...merl_io.inputs import is_scattered
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
+from ...merl_io.source import MerlError
 from ...model.reflectance import evaluate
 from ..fit import scattered_errors
 from ..fit.error_metrics import INCIDENCE, Errors, by_incidence, errors
@@ -24,11 +26,41 @@ from ..fit.weights import weighted_samples
 from ..pipeline.comparison import Row, row_of
 from ..pipeline.synthesis import tabulate
 from ..results.schema import UNSAID, UNSAID_SCATTERED, Model, Result, genuine_words
-from ..results.storage import ResultError
+from ..results.storage import ResultError, read_result
 from ..show.comparison_table import FIGURES, LIT, WHAT, named, shown
 from ..show.style import own_style, plain, save
 from ..support.choices import THETA_MAX
+from ..support.compilation import use_persistent_cache
+from ..support.outputs import refuse_others
 from ..support.tables import as_csv, table
+from ..support.terminal import BAD_INPUT, console, fail, unexpected, writable_folder
+
+
+def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool = False) -> None:
+    """Print the errors of results against a file; with a folder, write them and the curves over theta_i.
+
+    Exits with 2 if one of them has none; the others are assessed.
+    """
+    use_persistent_cache()
+    refuse_others([] if out is None else metrics_in(out), force)
+    found, missing = [], {}
+    for path in results:
+        try:
+            found.append(assessed_result(path, read_result(path), against))
+        except MerlError as error:
+            missing[str(error)] = None  # once, if it is about the file
+        except Exception as error:  # of any kind: said with its name, and the next result has its turn
+            missing[unexpected(path, error)] = None
+    for line in missing:
+        fail(line)
+    if found:
+        console.print(metrics_table(found, against))
+    if found and out is not None:
+        writable_folder(out)
+        for path in write_metrics(found, out):
+            console.print(f"wrote {path}")
+    if missing:
+        raise typer.Exit(BAD_INPUT)
 
 
 class Assessed(NamedTuple):
@@ -137,13 +169,8 @@ def _by_incidence(found: Sequence[Assessed]) -> Figure:
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axis = figure.subplots()
     for each in found:
-        axis.plot(
-            np.degrees(each.incidence),
-            each.rmse,
-            "o-",
-            markersize=3,
-            label=plain(f"{each.row.material}: {named(each.row)}"),
-        )
+        words = plain(f"{each.row.material}: {named(each.row)}")
+        axis.plot(np.degrees(each.incidence), each.rmse, "o-", markersize=3, label=words)
     axis.set(yscale="log", xlabel=r"$\theta_i$ (deg)", ylabel="RMSE (1/sr)")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)

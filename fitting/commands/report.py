@@ -6,11 +6,10 @@ from pathlib import Path
 
 import typer
 
-from ...merl_io.atomic import WriteError
 from ..show.results_table import results_in, tell_errors
 from ..show.site import refuse_foreign, write_site
 from ..support.numbers import counted
-from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter, writable_folder
+from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, reporting, writable_folder
 
 
 def report_on(
@@ -29,11 +28,8 @@ def report_on(
     writable_folder(out)
     try:
         refuse_foreign(out, force)
-        with progress_display() as progress:
-            task = progress.add_task("pages", total=None)
-            made = write_site(rows, folder, out, files, jobs, reporter(progress, task, "pages"), origin)
-    except WriteError as error:
-        raise fail(str(error)) from None
+        with reporting("pages", "pages") as say:
+            made = write_site(rows, folder, out, files, jobs, say, origin)
     except BrokenProcessPool:
         raise fail(
             f"a process that made pages was killed, perhaps for want of memory: {out} is not whole; try --jobs 1"

@@ -5,18 +5,14 @@ from pathlib import Path
 
 import typer
 
-from ...merl_io.atomic import WriteError
-from ...merl_io.binary import MerlError
 from ..pipeline.place import claimed
 from ..pipeline.resampling import resample
-from ..posterior.chain import ChainError
-from ..results.storage import ResultError, read_result
-from ..settings.config import ConfigError
+from ..results.storage import read_result
 from ..show.inspection import file_of
 from ..show.terminal_tables import print_result
 from ..support.compilation import programs_told, use_persistent_cache
 from ..support.outputs import log, log_of
-from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, progress_display, reporter
+from ..support.terminal import FAILED_FIT, Stopped, console, fail, note, reporting
 
 
 def sample_result(result: Path, file: Path | None, max_steps: int | None) -> None:
@@ -24,12 +20,8 @@ def sample_result(result: Path, file: Path | None, max_steps: int | None) -> Non
     use_persistent_cache()
     try:
         read = read_result(result)
-        with claimed(result.parent), progress_display() as progress:
-            task = progress.add_task(result.name)
-            with programs_told(reporter(progress, task, read.source.material)) as told:
-                found = resample(result, read, file or file_of(result, read), max_steps, told)
-    except (MerlError, ResultError, ChainError, ConfigError, WriteError) as error:
-        raise fail(str(error)) from None
+        with claimed(result.parent), reporting(result.name, read.source.material) as say, programs_told(say) as told:
+            found = resample(result, read, file or file_of(result, read), max_steps, told)
     except RuntimeError as error:
         where = log_of(result.parent, result.stem)
         log(where, traceback.format_exc())

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from rich.table import Table
 
 from ...merl_io.atomic import write_text
-from ...merl_io.binary import MerlError, read
+from ...merl_io.binary import read
 from ...merl_io.samples import folded
 from ...model.reflectance import Reflectance
 from ...model.registry import made
@@ -24,20 +24,13 @@ from ...scene.effects import Given, Plan, allowed, off_by, plan
 from ...scene.render import Film, pictures, stage
 from ...scene.surface import Drawn, drawn, measurement
 from ..results.schema import Result
-from ..results.storage import ResultError, read_result
+from ..results.storage import read_result
 from ..support.clock import Stage
 from ..support.compilation import make_room, use_persistent_cache
 from ..support.numbers import counted
 from ..support.outputs import refuse_others
 from ..support.tables import table
-from ..support.terminal import (
-    FAILED_FIT,
-    console,
-    fail,
-    progress_display,
-    reporter,
-    writable_folder,
-)
+from ..support.terminal import FAILED_FIT, console, fail, reporting, writable_folder
 
 SHARE = 0.999  # of the pixels that are to be within the tolerance
 Say = Callable[[str], None]
@@ -61,7 +54,7 @@ def given_of(name: str, source: Source, folder: Path) -> Given:
         if model.objection is not None:
             raise SceneError(f"{where}: {model.objection}")
         return Given(name, model, values_of(model, source.parameters, where))
-    except (MerlError, ResultError, ValueError) as error:
+    except ValueError as error:
         raise SceneError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
 
 
@@ -264,13 +257,9 @@ def plan_scene(path: Path) -> None:
     if path.suffix == ".json":
         raise fail(f"{path}: is no scene (SCENE.toml: docs/scenes.md); of a result there is `merlfit render {path}`")
     use_persistent_cache()
-    try:
-        with progress_display() as progress:
-            say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
-            ready = staged(path)
-            found = plans_of(ready, say)
-    except (SceneError, OSError) as error:
-        raise fail(str(error)) from None
+    with reporting(path.name, path.stem) as say:
+        ready = staged(path)
+        found = plans_of(ready, say)
     console.print(*plan_tables(found, ready.scene))
 
 
@@ -288,15 +277,11 @@ def render_scene(
     """
     use_persistent_cache()
     writable_folder(out)
-    try:
-        refuse_others([out / name for name in OUTPUTS], force)
-        with progress_display() as progress:
-            say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
-            ready = staged(path, samples=samples, seed=seed)
-            plans = None if every else plans_of(ready, lambda effect: say(f"effects: {effect}"))
-            found = render(ready, out, plans, check, lambda what, share: say(Stage(what, share)))
-    except (SceneError, OSError) as error:
-        raise fail(str(error)) from None
+    refuse_others([out / name for name in OUTPUTS], force)
+    with reporting(path.name, path.stem) as say:
+        ready = staged(path, samples=samples, seed=seed)
+        plans = None if every else plans_of(ready, lambda effect: say(f"effects: {effect}"))
+        found = render(ready, out, plans, check, lambda what, share: say(Stage(what, share)))
     if plans is not None:
         console.print(*plan_tables(plans, ready.scene))
     console.print(f"wrote {out / 'picture.exr'} and .png: " + said_of(found, ready.scene))

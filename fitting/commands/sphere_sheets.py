@@ -18,7 +18,7 @@ from ...scene.effects import Given
 from ...scene.render import Film, pictures, stage
 from ...scene.surface import drawn, measurement
 from ..results.schema import Result
-from ..results.storage import ResultError, read_result
+from ..results.storage import read_result
 from ..show.inspection import file_of
 from ..show.labelled import labelled
 from ..show.style import save
@@ -33,7 +33,7 @@ from ..support.terminal import (
     reporter,
     unexpected,
     writable_folder,
-)
+)  # fmt: skip
 from .scenes import Say, changed, grey, of_result
 
 LARGEST_SHOWN = 10.0  # CIELAB distance that is white in a picture of differences
@@ -149,10 +149,7 @@ def render_results(
     use_persistent_cache()
     writable_folder(out)
     code, written = 0, set()
-    try:
-        scene = changed(STUDIO, samples=samples, seed=seed)
-    except SceneError as error:
-        raise fail(str(error)) from None
+    scene = changed(STUDIO, samples=samples, seed=seed)
     if vary and len(paths) > 1:
         raise fail("--vary is for one fit at a time")
     with progress_display() as progress:
@@ -166,7 +163,7 @@ def render_results(
                 _render_result(path, target, vary, scene, say)
                 written.add(target)
                 console.print(f"wrote {target}")
-            except (SceneError, ResultError, MerlError, OSError) as error:
+            except (MerlError, OSError) as error:
                 code = BAD_INPUT
                 fail(str(error))
             except Exception as error:  # of any kind: said with its name, and the next result has its turn

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...merl_io.archive import arrays
 from ...merl_io.atomic import write_atomically
-from ...merl_io.source import opened
+from ...merl_io.source import MerlError, opened
 from ..fit.transforms import Layout
 from .diagnosis import diagnose
 from .emulator import MOST_EVER, Emulator, log_posterior
@@ -44,7 +44,7 @@ LogProb = Callable[[np.ndarray], np.ndarray]
 Progress = Callable[[int, int], None]
 
 
-class ChainError(ValueError):
+class ChainError(MerlError):
     """A file that is not the chain of this fit; the message is one line that names it."""
 
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, get_origin, get_type_hints
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from ...merl_io.atomic import write_text
-from ...merl_io.source import whole
+from ...merl_io.source import MerlError, whole
 from ...model.apparatus import Apparatus
 from ...model.effects import ANY
 from ...model.registry import models
@@ -30,7 +30,7 @@ MEASURED = (".binary", ".bsdf", ".csv", ".npz")  # endings of files that are fit
 LARGEST = 2**26  # bytes of a result: one of a hundred channels has a thirtieth of that
 
 
-class ResultError(ValueError):
+class ResultError(MerlError):
     """A result file that cannot be used; the message is one line that names the file."""
 
 

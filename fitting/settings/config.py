@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from ...merl_io.source import toml
+from ...merl_io.source import MerlError, toml
 from ...model.effects import PRESETS, TWO_SCALE, idle
 from ...model.priors import Constraint
 from ..support.choices import WEIGHT_SCHEDULES, Exponent
@@ -40,7 +40,7 @@ UNIONS = {
 MOVED = {"effects.acquisition": "acquisition.grazing_loss"}
 
 
-class ConfigError(ValueError):
+class ConfigError(MerlError):
     """Settings that cannot be used; the message is one line that names the key and the mend."""
 
 

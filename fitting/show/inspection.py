@@ -9,7 +9,7 @@ from ...merl_io.atomic import WriteError
 from ...merl_io.source import is_regular
 from ..pipeline.draws import NoPicture
 from ..results.schema import Result
-from ..results.storage import ResultError, read_result
+from ..results.storage import read_result
 from ..support.compilation import use_persistent_cache
 from ..support.outputs import refuse_others
 from ..support.terminal import BAD_INPUT, console, fail, note, writable_folder
@@ -30,10 +30,7 @@ def inspect_result(
     Args:
         pictures: names with commas between; "none" for the numbers alone. force: write over any file.
     """
-    try:
-        read = read_result(result)
-    except ResultError as error:
-        raise fail(str(error)) from None
+    read = read_result(result)
     if pictures == "none":
         return print_result(console, read)
     only = [] if pictures is None else [name.strip() for name in pictures.split(",")]
@@ -94,18 +91,15 @@ def draw(subject: Subject, out: Path, kind: str, names: Sequence[str], force: bo
     """Write pictures; what each written one shows. What cannot be drawn is named."""
     stem = f"{subject.result.source.material}.{subject.model.name}"  # of two models in one folder both have theirs
     targets, written, missing = {name: out / f"{stem}.{name}.{kind}" for name in names}, {}, {}
-    try:
-        refuse_others(targets.values(), force)
-    except WriteError as error:
-        raise fail(str(error)) from None
+    refuse_others(targets.values(), force)
     for name, target in targets.items():
         try:
             style.save(({**PICTURES, **SCATTERED})[name].draw(subject), target)
         except NoPicture as error:
             missing.setdefault(str(error), []).append(name)
             continue
-        except WriteError as error:
-            raise fail(str(error)) from None
+        except WriteError:
+            raise
         except Exception as error:  # of any kind, text that was edited into what is no formula say
             note(f"{target}: cannot be drawn ({type(error).__name__}: {str(error).strip()})")
             continue

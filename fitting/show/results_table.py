@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from ...merl_io.atomic import WriteError, write_text
+from ...merl_io.atomic import write_text
 from ..results.manifest import NAME as MANIFEST
 from ..results.manifest import Ending, FileEnded, lines
 from ..results.schema import Metrics, Result
@@ -33,11 +33,8 @@ def write_table(folder: Path, path: Path, force: bool = False) -> None:
         force: write over any file.
     """
     rows = results_in(folder)
-    try:
-        refuse_others([path], force, "table.csv")
-        write_csv(rows, path)
-    except WriteError as error:
-        raise fail(str(error)) from None
+    refuse_others([path], force, "table.csv")
+    write_csv(rows, path)
     code = tell_errors(rows)
     counts = Counter(str(row["status"]) for row in rows)
     said = ", ".join(f"{count} {status}" for status, count in counts.most_common())

@@ -33,7 +33,8 @@ from rich.table import Column, Table
 from rich.text import Text
 from typer.core import TyperGroup
 
-from ...merl_io.source import PLAIN, shortened
+from ...merl_io.atomic import WriteError
+from ...merl_io.source import PLAIN, MerlError, shortened
 from .clock import Stage
 
 BAD_INPUT, FAILED_FIT = 2, 1  # exit codes
@@ -205,21 +206,23 @@ _shown: list[Progress] = []  # the display that is on the terminal now
 
 
 class Commands(TyperGroup):
-    """The commands; what typer says about a word that was typed repeats it as :class:`Screen` would."""
+    """The commands; an error that says what to mend ends one with a line, those of typer are said as by `Screen`."""
 
     def make_context(self, *words: Any, **named: Any) -> Any:  # noqa: ANN401, D102 - as typer's
-        with _plain_errors():
+        with _errors_said():
             return super().make_context(*words, **named)
 
     def invoke(self, ctx: Any) -> Any:  # noqa: ANN401, D102 - as typer's
-        with _plain_errors():
+        with _errors_said():
             return super().invoke(ctx)
 
 
 @contextmanager
-def _plain_errors() -> Iterator[None]:
+def _errors_said() -> Iterator[None]:
     try:
         yield
+    except (MerlError, WriteError) as error:
+        raise fail(str(error)) from None
     except Exception as error:
         if isinstance(message := getattr(error, "message", None), str):
             with suppress(AttributeError):  # of another library, which does not let it be set
@@ -305,6 +308,13 @@ def reporter(progress: Progress, task: TaskID, label: str) -> Callable[[str], No
             console.print(f"{label}: {stage}")
 
     return report
+
+
+@contextmanager
+def reporting(name: str, label: str) -> Iterator[Callable[[str], None]]:
+    """Of one piece of work a progress display, and what its stages are told to."""
+    with progress_display() as progress:
+        yield reporter(progress, progress.add_task(name, total=None), label)
 
 
 def run(app: Callable[[], None]) -> None:

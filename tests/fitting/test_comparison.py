@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from merlfit.fitting.commands import cli, metrics
 from merlfit.fitting.commands import compare as comparisons
 from merlfit.fitting.fit.error_metrics import Errors, by_incidence, errors
@@ -20,12 +19,14 @@ from merlfit.fitting.results.storage import ResultError, versions, write_result
 from merlfit.fitting.settings.config import ConfigError, load, parse
 from merlfit.fitting.show import comparison_table as comparison
 from merlfit.fitting.support import outputs
+from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.merl_io.atomic import WriteError
 from merlfit.merl_io.binary import DIMS, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.registry import models
 from typer.testing import CliRunner
 
+from tests.support.command import call
 from tests.support.made_results import made
 
 GOOD = Errors(0.01, 0.02, 0.01, 0.01, 1.0, 0.5)
@@ -225,15 +226,15 @@ def test_channels_that_are_not_the_files_are_named(tmp_path):
         metrics.assessed_result(tmp_path / "x.json", result, tmp_path / "x.binary")
 
 
-def test_tables_that_cannot_be_written_are_said_in_a_line(tmp_path, monkeypatch, capsys):
+def test_tables_that_cannot_be_written_are_said_in_a_line(tmp_path, monkeypatch):
     def refuse(*_):
         raise WriteError("comparison.csv: cannot be written (No space left on device)")
 
     monkeypatch.setattr(comparisons, "write_tables", refuse)
     monkeypatch.setattr(comparisons, "compare_file", lambda *_: ([row()], {}))
-    with pytest.raises(typer.Exit):
-        comparisons.compare_files([tmp_path / "x.binary"], "ggx", tmp_path, load())
-    assert "No space left on device" in capsys.readouterr().err
+    shown = call("compare", tmp_path / "x.binary", "--models", "ggx", "-o", tmp_path)
+    assert shown.exit_code == BAD_INPUT
+    assert shown.stderr == "merlfit: comparison.csv: cannot be written (No space left on device)\n"
 
 
 def test_tables_say_who_wins_where_and_by_how_much(tmp_path):
