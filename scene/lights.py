@@ -50,10 +50,16 @@ class Lamp(eqx.Module):
 def lamp(towards: ArrayLike, irradiance: ArrayLike, radius: float) -> Lamp:
     """A lamp in the direction ``towards``, of any length."""
     last = np.asarray(towards, float) / np.linalg.norm(np.asarray(towards, float))
-    first = np.cross(last, [1.0, 0, 0] if abs(last[0]) < 0.9 else [0, 1.0, 0])
-    first = first / np.linalg.norm(first)
-    axes = np.stack([first, np.cross(last, first), last])
+    axes = np.stack([*frame(last), last])
     return Lamp(*(jnp.asarray(x, jnp.float32) for x in (axes, irradiance, radius)))
+
+
+def frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors across every normal, (..., 3)."""
+    helper = np.where(np.abs(normal[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    across = np.cross(normal, helper)
+    across = across / np.linalg.norm(across, axis=-1, keepdims=True)
+    return across, np.cross(normal, across)
 
 
 class Environment(eqx.Module):

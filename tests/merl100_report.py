@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from matplotlib.figure import Figure
 from merlfit.fitting.fit.error_metrics import SIN_FLOOR
-from merlfit.fitting.fit.picture_distance import difference, view
 from merlfit.fitting.fit.weights import weighted_samples, within
 from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.pipeline.run import predict_samples
@@ -24,6 +23,7 @@ from merlfit.merl_io.binary import read
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model import published
 from merlfit.model.geometry import Geometry
+from merlfit.scene.spheres import distances, render, sphere
 
 from .bench.materials import file
 from .bench.record import RECONSTRUCTIONS, cell, machine
@@ -69,15 +69,15 @@ def judged(row, path, pixels):
     used = (measurement.valid & within(grid, THETA_MAX))[BINS]
     measured = measurement.values[:, *BINS]
     lit = np.all(samples.weight > 0, 0)
-    found, spheres = {}, {"measured": pixels.render(np.where(lit, samples.value, 0.0))}
+    found, spheres = {}, {"measured": render(pixels, np.where(lit, samples.value, 0.0))}
     for objective in filter(row.__contains__, OBJECTIVES):
         fit = row[objective]
         layout = layout_for(config, two_scale(config, (fit["index"], fit["body"])))
         predicted = predict_samples(layout, layout.free(by_name(layout, fit["parameters"])), samples)
         unfolded = np.concatenate([predicted, predicted[..., ::-1]], -1)
         found[objective] = errors(measured, unfolded[:, *BINS], used)
-        fit["picture"] = difference(samples.value, predicted, lit)
-        spheres[objective] = pixels.render(np.where(lit, predicted, 0.0))
+        fit["picture"] = distances(samples.value, predicted, lit)[0]
+        spheres[objective] = render(pixels, np.where(lit, predicted, 0.0))
     theta_h, theta_d, phi_d = grid.theta_h[BINS[0]], grid.theta_d[BINS[1]], grid.phi_d[BINS[2]]
     geometry = Geometry.from_half_difference(theta_h, theta_d, phi_d)
     for name in SETS:
@@ -93,7 +93,7 @@ def write(rows, folder):
     axis = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
     positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
     inside = np.sum(positions**2, -1) < 0.99
-    pixels, table, spheres = view("lamp", positions[inside]), [], {}
+    pixels, table, spheres = sphere("lamp", positions[inside]), [], {}
     with TemporaryDirectory() as made:
         for row in rows:
             path = file(os.environ.get("MERL_RECONSTRUCTIONS", made), row["material"])

@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 
 from ...merl_io.binary import DIMS
 from ...merl_io.grid import merl_grid
 from ...scene.colour import cielab
-from ..fit.picture_distance import PIXELS, View, comparison, difference
+from ...scene.spheres import PIXELS, compared, distances, render
 
 LARGEST_IOR = 3.0  # of a dielectric; what reflects more is a metal
 ROUGHNESSES, IORS = np.linspace(0.05, 1.0, 14), (1.0, 1.2, 1.5, 2.0, LARGEST_IOR)
@@ -35,13 +36,8 @@ class Angles(NamedTuple):
     d: np.ndarray
 
 
-class Brdf(NamedTuple):
-    """A BRDF (1/sr) that is linear in the base colour: ``base_color * slope + rest``."""
-
-    slope: np.ndarray
-    rest: np.ndarray
-
-
+Brdf = tuple[np.ndarray, np.ndarray]
+"""A BRDF (1/sr) that is linear in the base colour: its slope, and the rest."""
 Format = Callable[[Angles, float, float | None], Brdf]
 """From angles, roughness and index of refraction (None: a metal)."""
 
@@ -55,7 +51,7 @@ def gltf(a: Angles, roughness: float, ior: float | None) -> Brdf:
         return _metal(facets, a.d)
     f0 = ((1 - ior) / (1 + ior)) ** 2
     fresnel = f0 + (1 - f0) * (1 - a.d) ** 5
-    return Brdf((1 - fresnel) / np.pi, fresnel * facets)
+    return (1 - fresnel) / np.pi, fresnel * facets
 
 
 def openpbr(a: Angles, roughness: float, ior: float | None) -> Brdf:
@@ -69,7 +65,7 @@ def openpbr(a: Angles, roughness: float, ior: float | None) -> Brdf:
         return _metal(facets, a.d)
     cosines, found = gloss_albedo(roughness, ior)
     above = 1 - (np.interp(a.i, cosines, found) + np.interp(a.o, cosines, found)) / 2
-    return Brdf(above / np.pi, fresnel_dielectric(a.d, ior) * facets)
+    return above / np.pi, fresnel_dielectric(a.d, ior) * facets
 
 
 FORMATS: dict[str, Format] = {"gltf": gltf, "openpbr": openpbr}
@@ -78,7 +74,7 @@ FORMATS: dict[str, Format] = {"gltf": gltf, "openpbr": openpbr}
 def _metal(facets: np.ndarray, cos_d: np.ndarray) -> Brdf:
     """Schlick's factor with the base colour at normal incidence."""
     grazing = (1 - cos_d) ** 5
-    return Brdf(facets * (1 - grazing), facets * grazing)
+    return facets * (1 - grazing), facets * grazing
 
 
 def _ggx(cos_h: np.ndarray, alpha2: float) -> np.ndarray:
@@ -116,12 +112,11 @@ def gloss_albedo(roughness: float, ior: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _looked_at() -> tuple[np.ndarray, Angles, list[View]]:
-    """The folded bins that pictures look at, their angles, and pixels as sums over these bins."""
-    views = [comparison(lighting) for lighting in PIXELS]
-    bins = np.unique(np.concatenate([view.bins.ravel() for view in views]))
-    angles = Angles(*(x.ravel()[bins] for x in _folded_angles()))
-    return bins, angles, [View(np.searchsorted(bins, view.bins), view.weights) for view in views]
+def _looked_at() -> tuple[np.ndarray, Angles, list[csr_array]]:
+    """The folded bins that pictures look at, their angles, and pixels of both spheres as sums over these bins."""
+    spheres = [compared(lighting) for lighting in PIXELS]
+    bins = np.unique(np.concatenate([pixels.indices for pixels in spheres]))
+    return bins, Angles(*(x.ravel()[bins] for x in _folded_angles())), [pixels[:, bins] for pixels in spheres]
 
 
 def _folded_angles() -> Angles:
@@ -144,11 +139,11 @@ def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
     used = np.asarray(np.isfinite(ours).all(0))
     kinds = [_search(ours, used, draw, kind) for kind in ((True,) if metal else (True, False))]
     _, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
-    drawn = draw(_folded_angles(), roughness, ior)
-    theirs = base[:, None, None, None] * drawn.slope + drawn.rest
+    slope, rest = draw(_folded_angles(), roughness, ior)
+    theirs = base[:, None, None, None] * slope + rest
     return {
         "base_color": base.tolist(), "metallic": float(ior is None), "roughness": roughness,
-        "ior": 1.5 if ior is None else ior, "error": {"cielab": difference(ours, theirs, used)},
+        "ior": 1.5 if ior is None else ior, "error": {"cielab": distances(ours, theirs, used)[0]},
     }  # fmt: skip
 
 
@@ -159,17 +154,17 @@ def _search(
 
     A picture is linear in the base colour, which is found for each roughness and index by itself.
     """
-    bins, angles, views = _looked_at()
+    bins, angles, spheres = _looked_at()
     seen = used.ravel()[bins]
     planes = np.where(seen, ours.reshape(3, -1)[:, bins], 0.0)
-    target = [cielab(view.render(planes)) for view in views]
+    target = [cielab(render(pixels, planes)) for pixels in spheres]
 
     def attempt(at: np.ndarray) -> tuple[float, np.ndarray]:
         parts = [np.where(seen, x, 0.0) for x in draw(angles, float(at[0]), None if metal else float(at[1]))]
-        pixels = [view.render(np.stack(parts)) for view in views]
+        lit = [render(pixels, np.stack(parts)) for pixels in spheres]
 
         def off(base: np.ndarray) -> float:
-            labs = [cielab(p[:, :1] * base + p[:, 1:]) for p in pixels]
+            labs = [cielab(p[:, :1] * base + p[:, 1:]) for p in lit]
             return float(np.mean([np.linalg.norm(a - b, axis=-1).mean() for a, b in zip(labs, target, strict=True)]))
 
         found = minimize(off, start["base"], bounds=[(0, 1)] * 3, method="L-BFGS-B")

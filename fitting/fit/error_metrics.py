@@ -6,9 +6,9 @@ import numpy as np
 
 from ...merl_io.grid import MerlGrid
 from ...merl_io.samples import Samples
+from ...scene.spheres import distances
 from ..support.choices import THETA_MAX
 from ..support.threads import side_by_side
-from . import picture_distance
 from .weights import within
 
 COLOURS = 3  # channels that make a picture
@@ -29,7 +29,7 @@ class Errors:
         cube_root: RMS difference of cube roots of BRDF times cos_i (1/sr^(1/3)), over pairs of directions.
         log: RMS difference of log(1 + BRDF cos_i), over pairs of directions (Loew et al. 2012).
         highlight: predicted over measured brightest value at theta_h = 0, theta_d < 60 degrees, channels summed.
-        picture: mean CIELAB distance of spheres over all pixels and both lightings (`picture.Distances`).
+        picture: mean CIELAB distance of spheres over all pixels and both lightings (`scene.spheres.distances`).
         lamp, environment: over the lit pixels of one lighting.
     """
 
@@ -78,7 +78,7 @@ def errors(
     rmse, smape, cube_root, log = np.mean(side_by_side(channel, planes), 0)
     seen = (float("nan"),) * 3  # of a file with empty channels there is no picture
     if len(measured) == COLOURS:
-        seen = picture_distance.distances(*_folded(measured, predicted, inside))
+        seen = distances(*_folded(measured, predicted, inside))
     return Errors(
         float(np.sqrt(rmse)), float(smape), float(np.sqrt(cube_root)), float(np.sqrt(log)),
         highlight(measured, predicted, inside, grid), *seen,

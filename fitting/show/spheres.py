@@ -8,18 +8,17 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from ...merl_io.binary import Dims
 from ...merl_io.samples import folded
 from ...scene.colour import coloured, difference, displayed
-from ..fit.picture_distance import Lighting, view
+from ...scene.spheres import Lighting, render, sphere
 from ..fit.weights import within
 from .style import new, printable
 from .subject import Subject
 
 SIDE: dict[Lighting, int] = {"lamp": 224, "environment": 112}  # pixels
-AT_ONCE = 512  # pixels whose weights are found together
 LARGEST_SHOWN = 10.0  # CIELAB distance that is brightest in a picture of differences
 PARTS = {"specular": "reflection", "diffracted": "diffraction", "body": "body"}
 """What the sharp lobes and the body are called, by their names in the models."""
@@ -40,7 +39,7 @@ def of_file_and_fit(subject: Subject) -> dict[Lighting, dict[str, np.ndarray]]:
     found: dict[Lighting, dict[str, np.ndarray]] = {}
     for lighting in SIDE:
         inside, lit = _sphere(lighting, subject.dims)
-        radiance = {name: coloured(_render(lit, brdf).T, subject.model.bands).T for name, brdf in planes.items()}
+        radiance = {name: coloured(render(lit, brdf).T, subject.model.bands).T for name, brdf in planes.items()}
         found[lighting] = {name: _round(displayed(pixels), inside) for name, pixels in radiance.items()}
         if len(radiance) == 2:
             apart = np.clip(difference(radiance["file"], radiance["fit"]) / LARGEST_SHOWN, 0, 1)
@@ -56,7 +55,7 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
     """
     inside, lit = _sphere("environment", subject.dims)
     above = subject.grid.above[..., : subject.dims[2] // 2]
-    radiance = {name: _render(lit, np.where(above, brdf, 0.0)) for name, brdf in subject.parts.items()}
+    radiance = {name: render(lit, np.where(above, brdf, 0.0)) for name, brdf in subject.parts.items()}
     total = sum(radiance.values(), np.zeros(1)).sum(0)
     seen = {name: coloured(pixels.T, subject.model.bands).T for name, pixels in radiance.items()}
     pictures = {name: _round(displayed(pixels), inside) for name, pixels in seen.items()}
@@ -70,24 +69,7 @@ def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
     axis = (np.arange(side) + 0.5) / side * 2 - 1
     positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
     inside = np.sum(positions**2, -1) < 0.99
-    seen = positions[inside]
-    some = [_weights(lighting, seen[k : k + AT_ONCE], dims) for k in range(0, len(seen), AT_ONCE)]
-    return inside, csr_array(vstack(some, "csr"))
-
-
-def _weights(lighting: Lighting, positions: np.ndarray, dims: Dims) -> csr_array:
-    lit = view(lighting, positions, dims)
-    starts = np.arange(0, lit.bins.size + 1, lit.bins.shape[1])
-    shape = len(lit.bins), dims[0] * dims[1] * (dims[2] // 2)
-    found = csr_array((lit.weights.astype(np.float32).ravel(), lit.bins.ravel(), starts), shape)
-    found.eliminate_zeros()
-    found.sum_duplicates()
-    return found
-
-
-def _render(lit: csr_array, brdf: np.ndarray) -> np.ndarray:
-    """Radiance over that of a white surface, (pixels, C), as `View.render` has it: ten times as fast."""
-    return np.stack([lit @ plane.ravel() for plane in brdf], -1)
+    return inside, sphere(lighting, positions[inside], dims)
 
 
 def _round(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from merlfit.fitting.fit import picture_distance as picture
 from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.fitting.results.storage import read_result
 from merlfit.merl_io.binary import write
 from merlfit.model.measured import Measured
 from merlfit.model.reflectance import evaluate
 from merlfit.model.rivals.ggx import GGX
+from merlfit.scene.spheres import compared, render
 
 from tests.support.command import call
 
@@ -68,8 +68,6 @@ def test_spheres_of_coarser_bins_look_alike():
     for dims in ((90, 90, 180), (45, 45, 90)):
         values = tabulate(lambda g: evaluate(GGX(), {**TRUTH, "alpha": 0.3}, g), dims)
         plane = np.nan_to_num(values)
-        pixels[dims] = picture.comparison("environment", dims).render(
-            (plane + plane[..., ::-1])[..., : dims[2] // 2] / 2
-        )
+        pixels[dims] = render(compared("environment", dims), (plane + plane[..., ::-1])[..., : dims[2] // 2] / 2)
     fine, coarse = pixels.values()
     assert np.median(np.abs(coarse / fine - 1)) < 0.03

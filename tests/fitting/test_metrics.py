@@ -4,10 +4,10 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
-from merlfit.fitting.fit import picture_distance as picture
 from merlfit.fitting.fit.error_metrics import Errors, correlation_length, effective_count, errors
 from merlfit.fitting.fit.weights import within
 from merlfit.merl_io.grid import merl_grid
+from merlfit.scene.spheres import distances
 
 SHAPE = (3, 60, 12, 9)  # channels, theta_h, theta_d, phi_d
 EVERYWHERE = np.ones(SHAPE, bool)
@@ -182,6 +182,6 @@ def test_the_picture_is_of_the_mean_of_reciprocal_bins():
         return (values[..., :90] + values[..., :89:-1]) / 2
 
     both = inside[..., :90] & inside[..., :89:-1]
-    expected = picture.difference(folded(measured), folded(predicted), both)
+    expected = distances(folded(measured), folded(predicted), both)[0]
     assert errors(measured, predicted, grid.above, grid).picture == pytest.approx(expected, rel=1e-12)
     assert expected > 1

@@ -1,7 +1,7 @@
 """What a material looks like: a sphere under a small lamp and under an environment, and how far two spheres differ.
 
-A pixel's radiance is a weighted sum of BRDF values, so a picture is a table of bins and weights that is made once: to
-render is to look up and add, some milliseconds. Under the lamp a pixel averages over the lamp's disc; under the
+A pixel's radiance is a weighted sum of BRDF values, so a picture is a sparse matrix of weights that is made once: to
+render is to multiply, a millisecond. Under the lamp a pixel averages over the lamp's disc; under the
 environment it is integrated over half vectors on the file's own rows of theta_h, which resolve every lobe that the file
 does: domega_i = 4 cos_d domega_h. Bins without datum are left out of both pictures that are compared.
 
@@ -10,42 +10,26 @@ perfect white surface facing the lamp, or in the open under the environment, wou
 pictures is the idea of Bieron & Peers 2020, "An adaptive BRDF fitting metric".
 """
 
-from dataclasses import dataclass
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
-import jax
 import numpy as np
+from scipy.sparse import csr_array, vstack
 
-from ...merl_io.binary import DIMS, Dims
-from ...merl_io.grid import merl_grid
-from ...scene.colour import cielab
-from ...scene.lights import studio
+from ..merl_io.binary import DIMS, Dims
+from ..merl_io.grid import merl_grid
+from .colour import cielab
+from .lights import frame, studio
 
 Lighting = Literal["lamp", "environment"]
 LAMP = np.array([0.45, 0.55, 0.7]) / np.linalg.norm([0.45, 0.55, 0.7])  # camera along z, up along y
 LAMP_RADIUS_RAD = np.radians(1.5)
-LAMP_NODES = 3  # radii of its disc, with 6 azimuths each
+NODES = 3  # radii of its disc, with 6 azimuths each
 AZIMUTHS = 24  # of half vectors, on each row of theta_h
 GOLDEN = (np.sqrt(5) - 1) / 2
 BLACK = 1.0  # L*: up to which a pixel is black
+AT_ONCE = 512  # pixels whose weights are found together
 PIXELS = {"lamp": 900, "environment": 220}  # of the comparison, spread evenly over the disc of the sphere
-
-
-@dataclass(frozen=True)
-class View:
-    """Pixels of a lit sphere as sums over folded bins.
-
-    Attributes:
-        bins: flat indices into the folded bins (H, D, P/2), (pixels, samples). weights: of them, radiance over BRDF.
-    """
-
-    bins: np.ndarray
-    weights: np.ndarray
-
-    def render(self, brdf: np.ndarray) -> np.ndarray:
-        """Radiance over that of a white surface, (pixels, C), of folded values (C, H, D, P/2)."""
-        return np.stack([np.sum(self.weights * plane.reshape(-1)[self.bins], 1) for plane in brdf], -1)
 
 
 def disc(count: int) -> np.ndarray:
@@ -56,34 +40,46 @@ def disc(count: int) -> np.ndarray:
 
 
 @cache
-def comparison(lighting: Lighting, dims: Dims = DIMS) -> View:
+def compared(lighting: Lighting, dims: Dims = DIMS) -> csr_array:
     """The pixels in which pictures are compared."""
-    return view(lighting, disc(PIXELS[lighting]), dims)
+    return sphere(lighting, disc(PIXELS[lighting]), dims)
 
 
-def view(lighting: Lighting, positions: np.ndarray, dims: Dims = DIMS) -> View:
-    """A sphere seen from far along z.
+def sphere(lighting: Lighting, positions: np.ndarray, dims: Dims = DIMS) -> csr_array:
+    """Pixels of a sphere that is seen from far along z, as sums over folded bins: radiance over BRDF, (N, H D P/2).
 
     Args:
         positions: of the pixels, (N, 2), in radii of the sphere and inside it. dims: of the bins.
     """
     normal = np.concatenate([positions, np.sqrt(np.maximum(1 - np.sum(positions**2, -1, keepdims=True), 0.0))], -1)
-    return _lamp_view(normal, dims) if lighting == "lamp" else _environment_view(normal, dims)
+    lit, found = (_by_lamp if lighting == "lamp" else _by_environment), []
+    for k in range(0, len(normal), AT_ONCE):
+        bins, weights = lit(normal[k : k + AT_ONCE], dims)
+        starts = np.arange(0, bins.size + 1, bins.shape[1])
+        found.append(csr_array((weights.ravel(), bins.ravel(), starts), (len(bins), np.prod(dims) // 2)))
+        found[-1].eliminate_zeros()
+        found[-1].sum_duplicates()
+    return csr_array(vstack(found, "csr"))
 
 
-def _lamp_view(normal: np.ndarray, dims: Dims) -> View:
-    radius, turn = np.sqrt((np.arange(LAMP_NODES) + 0.5) / LAMP_NODES), np.arange(6) * np.pi / 3
-    across, up = _frame(LAMP[None])
+def render(pixels: csr_array, brdf: np.ndarray) -> np.ndarray:
+    """Radiance over that of a white surface, (pixels, C), of folded values (C, H, D, P/2)."""
+    return np.stack([pixels @ plane.ravel() for plane in brdf], -1)
+
+
+def _by_lamp(normal: np.ndarray, dims: Dims) -> tuple[np.ndarray, np.ndarray]:
+    """Bins and weights of pixels, (pixels, samples)."""
+    radius, turn = np.sqrt((np.arange(NODES) + 0.5) / NODES), np.arange(6) * np.pi / 3
+    across, up = frame(LAMP)
     radius, turn = (x.reshape(-1, 1) for x in np.meshgrid(np.tan(LAMP_RADIUS_RAD) * radius, turn, indexing="ij"))
     light = LAMP + radius * (np.cos(turn) * across + np.sin(turn) * up)
     light = light / np.linalg.norm(light, axis=-1, keepdims=True)
     i = np.broadcast_to(light, (len(normal), *light.shape))
     cos_i = np.maximum(np.einsum("pk,lk->pl", normal, light), 0.0)
-    bins = _bins(i, np.broadcast_to([0.0, 0.0, 1.0], i.shape), normal[:, None], dims)
-    return View(bins, np.pi * cos_i / len(light))
+    return _bins(i, np.broadcast_to([0.0, 0.0, 1.0], i.shape), normal[:, None], dims), np.pi * cos_i / len(light)
 
 
-def _environment_view(normal: np.ndarray, dims: Dims) -> View:
+def _by_environment(normal: np.ndarray, dims: Dims) -> tuple[np.ndarray, np.ndarray]:
     """The viewer is along z: theta_h, cos_o and the light i = 2 cos_d h - o need no more than the half vector."""
     grid = merl_grid(dims)
     rows = np.arange(len(grid.theta_h))
@@ -92,25 +88,17 @@ def _environment_view(normal: np.ndarray, dims: Dims) -> View:
     theta, phi = np.repeat(grid.theta_h, AZIMUTHS), turn.reshape(-1)
     solid_angle = np.repeat(-np.diff(np.cos(grid.edges[0])), AZIMUTHS) * 2 * np.pi / AZIMUTHS
     local = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-    h = np.stack([*_frame(normal), normal], -1) @ local  # (pixels, 3, samples)
+    h = np.stack([*frame(normal), normal], -1) @ local  # (pixels, 3, samples)
     cos_d, cos_o = h[:, 2], normal[:, 2:]
     cos_i = 2 * cos_d * local[2] - cos_o
     i = np.moveaxis(2 * cos_d[:, None] * h, 1, -1)
     i[..., 2] -= 1
-    weight = _radiance(i) * cos_i * 4 * cos_d * solid_angle / (_irradiance() / np.pi)
+    weight = np.asarray(studio(i)) * cos_i * 4 * cos_d * solid_angle / (_irradiance() / np.pi)
     cos_d = np.clip(cos_d, 0, 1)
     across = 2 * np.sin(theta) * np.sqrt((1 - cos_d) * (1 + cos_d))
     phi_d = np.arccos(np.minimum(np.abs(cos_o - cos_i) / np.maximum(across, 1e-12), 1))
     bins = _index(np.repeat(rows, AZIMUTHS), np.arccos(cos_d), phi_d, dims)
-    return View(bins, np.where((cos_i > 0) & (h[:, 2] > 0), weight, 0.0))
-
-
-def _radiance(direction: np.ndarray) -> np.ndarray:
-    """Of the studio."""
-    return np.asarray(_studio(direction))
-
-
-_studio = jax.jit(studio)
+    return bins, np.where((cos_i > 0) & (h[:, 2] > 0), weight, 0.0)
 
 
 @cache
@@ -118,15 +106,7 @@ def _irradiance() -> float:
     """Of a surface that faces the camera."""
     points = disc(20_000)  # even in the projected disc: the mean is the irradiance over pi
     z = np.sqrt(np.maximum(1 - np.sum(points**2, -1), 0.0))
-    return float(np.pi * _radiance(np.concatenate([points, z[:, None]], -1)).mean())
-
-
-def _frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across every normal, (..., 3)."""
-    helper = np.where(np.abs(normal[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    across = np.cross(normal, helper)
-    across = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return across, np.cross(normal, across)
+    return float(np.pi * np.asarray(studio(np.concatenate([points, z[:, None]], -1))).mean())
 
 
 def _bins(i: np.ndarray, o: np.ndarray, normal: np.ndarray, dims: Dims = DIMS) -> np.ndarray:
@@ -151,36 +131,22 @@ def _index(row: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray, dims: Dims) 
     return (row.astype(np.int32) * folded[0] + d) * folded[1] + p
 
 
-class Distances(NamedTuple):
-    """How far two spheres differ, highlights brighter than white as they are.
-
-    Attributes:
-        both: mean CIELAB distance over all pixels, black ones too, and over lamp and environment alike.
-        lamp, environment: mean over the pixels of one lighting that are lit: lighter than `BLACK` in either sphere.
-    """
-
-    both: float
-    lamp: float
-    environment: float
-
-
-def difference(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> float:
-    """`Distances.both` of two spheres."""
-    return distances(measured, predicted, used).both
-
-
-def distances(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> Distances:
-    """How far a material's spheres are from another's.
+def distances(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> tuple[float, float, float]:
+    """How far a material's spheres are from another's, highlights brighter than white as they are.
 
     Args:
         measured, predicted: folded (3, H, D, P/2), 1/sr. used: bins that both are seen in, (H, D, P/2).
+
+    Returns:
+        mean CIELAB distance over all pixels, black ones too, and over lamp and environment alike; and over the pixels
+        under the lamp, and under the environment, that are lit: lighter than `BLACK` in either sphere.
     """
     planes = [np.where(used, x, 0.0) for x in (measured, predicted)]
     dims = used.shape[0], used.shape[1], 2 * used.shape[2]
     whole, lit = [], []
     for lighting in PIXELS:
-        ours, theirs = (cielab(comparison(lighting, dims).render(x)) for x in planes)
+        ours, theirs = (cielab(render(compared(lighting, dims), x)) for x in planes)
         apart, seen = np.linalg.norm(ours - theirs, axis=-1), np.maximum(ours[:, 0], theirs[:, 0]) > BLACK
         whole.append(apart.mean())
         lit.append(float(apart[seen].mean()) if seen.any() else 0.0)
-    return Distances(float(np.mean(whole)), *lit)
+    return float(np.mean(whole)), lit[0], lit[1]
