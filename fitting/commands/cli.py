@@ -134,10 +134,10 @@ Pages = Annotated[
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
 def check(files: Files, dims: Dims = None) -> None:
     """Print what files hold: bins or samples, bad numbers, largest values, and whether they are genuine MERL files."""
+    from ..settings.config import load
     from .checked import check_files
-    from .settings import settings_of
 
-    check_files(files, settings_of(dims=dims).input.allowed)
+    check_files(files, load(dims=dims).input.allowed)
 
 
 @app.command(epilog="Example: merlfit fit nickel.binary gray-plastic.binary -o fits --no-posterior")
@@ -215,9 +215,10 @@ def fit(
 
     Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
     """
-    from .settings import parameters_given, settings_of
+    from ..settings.config import load
+    from .settings import parameters_given
 
-    settings = settings_of(
+    settings = load(
         config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
         posterior=posterior, seed=seed, parameters=parameters_given(fix, bounds, start, tie),
     )  # fmt: skip
@@ -248,9 +249,9 @@ def compare(
 
     Results are in OUT/MODEL/NAME.json; those that are there already are kept if they are of the same file and settings.
     """
-    from .settings import settings_of
+    from ..settings.config import load
 
-    settings = settings_of(config, dims=dims, weights=weights, posterior=False)
+    settings = load(config, dims=dims, weights=weights, posterior=False)
     from .compare import compare_files
 
     compare_files(files, models, out, settings, published, force)
@@ -269,9 +270,9 @@ def which(
     """Say which model is the least that explains a material, and how the others compare."""
     from tempfile import TemporaryDirectory
 
-    from .settings import settings_of
+    from ..settings.config import load
 
-    settings = settings_of(None, dims=dims, weights=weights, posterior=False)
+    settings = load(None, dims=dims, weights=weights, posterior=False)
     from .compare import which_model
 
     with TemporaryDirectory(prefix="merlfit-") as scratch:
@@ -522,22 +523,17 @@ def demo(
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
 ) -> None:
     """Make a synthetic material of known parameters as a MERL file, fit it, and show how near the fit comes to them."""
-    from ...merl_io.atomic import WriteError
-    from ...merl_io.binary import MerlError
     from ..pipeline.place import claimed
     from ..show.inspection import show
     from ..support.compilation import use_persistent_cache
-    from .demo import SAID, Occupied, make, settings, truth_table, verdict
+    from .demo import SAID, make, settings, truth_table, verdict
     from .fit import fit_files, summarise
 
     start = time.perf_counter()
     writable_folder(out)
     use_persistent_cache()
-    try:
-        with claimed(out, alone=False):
-            path = make(out, force)
-    except (Occupied, MerlError, WriteError) as error:
-        raise fail(str(error)) from None
+    with claimed(out, alone=False):
+        path = make(out, force)
     console.print(f"{path}: {SAID}")
     outcomes = fit_files([path], out, settings(seed))
     result = outcomes[0].result

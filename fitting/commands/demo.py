@@ -7,10 +7,10 @@ import numpy as np
 from rich.table import Table
 from scipy.ndimage import gaussian_filter
 
-from ...merl_io.atomic import unfinished
+from ...merl_io.atomic import WriteError, unfinished
 from ...merl_io.bands import MERL
 from ...merl_io.binary import write
-from ...merl_io.source import MerlError, is_regular
+from ...merl_io.source import is_regular
 from ...model.two_scale import TwoScale, two_scale
 from ..pipeline.synthesis import tabulate
 from ..results.schema import Result
@@ -33,10 +33,6 @@ SAID = (
     f"a red plastic, computed from known parameters of the two-scale model, with smooth errors of {ERROR:.0%} like "
     "those of measurements. The fit is told that it is a plastic, but not its parameters; it should find them again"
 )
-
-
-class Occupied(MerlError):
-    """There is another file where the demo would write; the message says so in one line."""
 
 
 def settings(seed: int | None = None) -> Config:
@@ -64,14 +60,14 @@ def make(folder: Path, force: bool = False) -> Path:
         force: replace any other file of its name, too.
 
     Raises:
-        Occupied: another file has its name. merlfit.merl_io.binary.MerlError: it cannot be written.
+        WriteError: another file has its name. merlfit.MerlError: it cannot be written.
     """
     path = folder / f"{NAME}.binary"
     made = unfinished(folder).with_suffix(path.suffix)
     try:
         write(made, values())
         if path.exists() and not force and not (is_regular(path) and filecmp.cmp(path, made, shallow=False)):
-            raise Occupied(f"{path}: is there already and was not made by this demo; --force overwrites it")
+            raise WriteError(f"{path}: is there already and was not made by this demo; --force overwrites it")
         made.replace(path)
     finally:
         made.unlink(missing_ok=True)

@@ -3,9 +3,9 @@
 import shlex
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import typer
 from rich.progress import Progress, TaskID
@@ -26,7 +26,7 @@ from ..pipeline.run import settings_for_scattered
 from ..results.manifest import Ending, Journal
 from ..results.schema import Result
 from ..results.storage import valid_result
-from ..settings.config import Config, ConfigError
+from ..settings.config import Config
 from ..show.terminal_tables import Outcome, accuracy_line, summary_table
 from ..support.numbers import counted
 from ..support.processes import jobs_for
@@ -47,10 +47,7 @@ def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim 
     """Choose settings for an accuracy or a time, and print them; None if neither was asked for."""
     if accuracy is None and within is None:
         return None
-    try:
-        chosen = aim(request(accuracy, within), settings)
-    except ValueError as error:
-        raise fail(str(error)) from None
+    chosen = aim(request(accuracy, within), settings)
     console.print(chosen.summary)
     return chosen
 
@@ -71,34 +68,13 @@ def refuse_same_names(files: list[Path]) -> None:
 
 def refuse_unoffered(files: list[Path], settings: Config, *options: str) -> None:
     """End with an error where more is asked for than there is of scattered directions, before anything is read."""
-    try:
-        for path in filter(is_scattered, files):
-            settings_for_scattered(path, settings, *options)
-    except MerlError as error:
-        raise fail(str(error)) from None
-
-
-class Executor(Protocol):
-    """What fits units: `Here`, a `Pool`, or a `Cluster`.
-
-    Attributes:
-        name: for the manifest.
-    """
-
-    name: str
-
-    def ended(self, units: Sequence[Unit], tell: Callable[[int, str], None]) -> Iterator[tuple[int, Ended]]:
-        """Number of a unit and what came of it, as they end."""
-        ...
-
-    def stop(self) -> Sequence[tuple[int, Ended]]:
-        """End what goes on, and say what came of it."""
-        ...
+    for path in filter(is_scattered, files):
+        settings_for_scattered(path, settings, *options)
 
 
 def executor_of(
     units: int, jobs: int | None = None, where: str | None = None
-) -> tuple[Executor, int | Literal["one a worker"]]:
+) -> tuple[Here | Pool | Cluster, int | Literal["one a worker"]]:
     """What fits so many units, and how many at once; a single one needs no process of its own.
 
     Args:
@@ -130,57 +106,49 @@ def fit_files(
     writable_folder(out)
     refuse_same_names(files)
     chosen, finish = (aim.settings, aim.finish) if aim else (settings, None)
-    try:
-        candidates(chosen)
-    except ConfigError as error:
-        raise fail(str(error)) from None
+    candidates(chosen)  # said before any file is read, if there is none
     units = [Unit(path, out, chosen, finish) for path in files]
     found: dict[int, Outcome] = {}
     start = time.perf_counter()
-    try:
-        with claimed(out), progress_display() as progress:
-            for k, result in enumerate(map(_done, units) if resume else ()):
-                if result is not None:
-                    found[k] = Outcome(files[k], result)
-            left = [k for k in range(len(units)) if k not in found]
-            journal = Journal(out)
-            executor, count = executor_of(len(left), jobs, where)
-            journal.began(chosen, len(files), count, executor.name)
-            for k, outcome in found.items():
-                journal.ended(units[k].path, "kept", outcome.result)
-            if found:
-                done = f"{len(found)} of {counted(len(files), 'file')}"
-                console.print(f"done already: {done}, of the same data, settings and versions")
-            run = _Run(units, left, progress, journal)
-            try:
-                for k, ended in executor.ended([units[k] for k in left], run.tell):
-                    if ended.kind is Ending.STOPPED:
-                        run.stopped.append((left[k], ended))
-                        raise Stopped(ended.code - 128)
+    with claimed(out), progress_display() as progress:
+        for k, result in enumerate(map(_done, units) if resume else ()):
+            if result is not None:
+                found[k] = Outcome(files[k], result)
+        left = [k for k in range(len(units)) if k not in found]
+        journal = Journal(out)
+        executor, count = executor_of(len(left), jobs, where)
+        journal.began(chosen, len(files), count, executor.name)
+        for k, outcome in found.items():
+            journal.ended(units[k].path, "kept", outcome.result)
+        if found:
+            done = f"{len(found)} of {counted(len(files), 'file')}"
+            console.print(f"done already: {done}, of the same data, settings and versions")
+        run = _Run(units, left, progress, journal)
+        try:
+            for k, ended in executor.ended([units[k] for k in left], run.tell):
+                if ended.kind is Ending.STOPPED:
+                    run.stopped.append((left[k], ended))
+                    raise Stopped(ended.code - 128)
+                found[left[k]] = run.book(left[k], ended)
+        except Stopped as stop:
+            for k, ended in executor.stop():
+                if ended.kind is Ending.STOPPED:
+                    run.stopped.append((left[k], ended))
+                else:  # it came to its end meanwhile
                     found[left[k]] = run.book(left[k], ended)
-            except Stopped as stop:
-                for k, ended in executor.stop():
-                    if ended.kind is Ending.STOPPED:
-                        run.stopped.append((left[k], ended))
-                    else:  # it came to its end meanwhile
-                        found[left[k]] = run.book(left[k], ended)
-                journal.closed(True, time.perf_counter() - start)
-                _say_stopped(stop, run, [found[k] for k in sorted(found)])
-                raise typer.Exit(stop.code) from None
-            except ClusterError as error:
-                journal.closed(True, time.perf_counter() - start)
-                fail(str(error))
-                left = f"not fitted: {len(run.left) - run.done} of {counted(len(files), 'file')}"
-                _say_left([left], len(files), [found[k] for k in sorted(found)])
-                raise typer.Exit(FAILED_FIT) from None
-            except WriteError:  # of the manifest: nobody waits for what others still do
-                executor.stop()
-                raise
-            journal.closed(False, time.perf_counter() - start)
-    except ClusterError as error:
-        raise fail(str(error)) from None
-    except WriteError as error:  # of the folder itself, or of its manifest
-        raise fail(str(error)) from None
+            journal.closed(True, time.perf_counter() - start)
+            _say_stopped(stop, run, [found[k] for k in sorted(found)])
+            raise typer.Exit(stop.code) from None
+        except ClusterError as error:
+            journal.closed(True, time.perf_counter() - start)
+            fail(str(error))
+            left = f"not fitted: {len(run.left) - run.done} of {counted(len(files), 'file')}"
+            _say_left([left], len(files), [found[k] for k in sorted(found)])
+            raise typer.Exit(FAILED_FIT) from None
+        except WriteError:  # of the manifest: nobody waits for what others still do
+            executor.stop()
+            raise
+        journal.closed(False, time.perf_counter() - start)
     return [found[k] for k in sorted(found)]
 
 

@@ -1,21 +1,12 @@
-"""Settings as commands are given them; an error of theirs ends a command before it waits for jax."""
+"""What commands are told of parameters."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
-from ..settings.config import Config, ConfigError, Replaced, load, parameters_of
+from ..settings.config import parameters_of
 from ..support.terminal import fail
 
 Options = Sequence[str] | None
-
-
-def settings_of(config: Path | None = None, **replaced: Unpack[Replaced]) -> Config:
-    """Those of a file of settings with what the command line replaces in it."""
-    try:
-        return load(config, **replaced)
-    except ConfigError as error:
-        raise fail(str(error)) from None
 
 
 def parameters_given(fix: Options, bounds: Options, start: Options, tie: Options) -> dict[str, dict[str, Any]]:

@@ -191,7 +191,7 @@ def aim(request: Request, config: Config) -> Aim:
     """The cheapest way to what is asked for.
 
     Raises:
-        request.Unreachable: there is none. config.ConfigError: the configuration sets what is to be chosen.
+        ConfigError: there is none, or the configuration sets what is to be chosen.
     """
     mine, usual = choice_of(config), default_choice()
     orders = ["order"] if config.effects.diffraction == "quadrature" else []

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ..settings.choice import default_choice
+from ..settings.config import ConfigError
 from .frontier import Point
 
 MARGIN = 1.2  # seconds of the same fit differ by so much from run to run
 ALIKE = 1.1  # times an error: no more is no difference worth waiting for
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
-
-
-class Unreachable(ValueError):
-    """A request that cannot be met; the message is one line that says what can."""
 
 
 def needed(point: Point, estimate: bool = True) -> float:
@@ -62,7 +59,7 @@ class Request:
         other fits are carried on. Points that are worse than the defaults and no faster are never chosen (`idle`).
 
         Raises:
-            Unreachable: not even that, or nothing is so fast.
+            ConfigError: not even that, or nothing is so fast.
         """
         default = next((q for q in points if q.choice == default_choice()), None)
         points = [q for q in points if not idle(q, default)]
@@ -72,7 +69,7 @@ class Request:
         quick = [q for q in points if needed(q, estimate=q is not default) <= self.seconds]
         if not quick:
             best = min(points, key=needed)
-            raise Unreachable(
+            raise ConfigError(
                 f"{self} is out of reach: the fastest settings ({best.choice}) take up to {needed(best):.2g} s for "
                 "each file, once compiled"
             )
@@ -84,7 +81,7 @@ class Request:
             q for q in points if q.promised.median <= wanted and q.promised.p95 <= ALIKE * best.promised.p95
         ]
         if not enough or best.promised.median > wanted:
-            raise Unreachable(
+            raise ConfigError(
                 f"{self} is out of reach: the most accurate settings ({best.choice}) come "
                 f"within {best.promised.median:.2g} in half of the calibration's fits"
             )
@@ -95,19 +92,19 @@ def request(accuracy: float | None, time: str | None) -> Request:
     """From the words of a command line, one of which is given.
 
     Raises:
-        ValueError: both, or a number that is none; the message is one line.
+        ConfigError: both, or a number that is none.
     """
     if accuracy is not None and time is not None:
-        raise ValueError("--accuracy and --time are two ways of choosing: give one of them")
+        raise ConfigError("--accuracy and --time are two ways of choosing: give one of them")
     if accuracy is not None and not 0 < accuracy < 1:
-        raise ValueError(f"--accuracy {accuracy:g}: should be a relative error between 0 and 1, such as 1e-3")
+        raise ConfigError(f"--accuracy {accuracy:g}: should be a relative error between 0 and 1, such as 1e-3")
     return Request(accuracy) if time is None else Request(seconds=seconds_of(time), text=time.strip())
 
 
 def seconds_of(text: str) -> float:
-    """Seconds of "2s", "500ms", "1.5min"; raises ValueError with one line."""
+    """Seconds of "2s", "500ms", "1.5min"; raises ConfigError."""
     found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]*)\s*", text)
     value = float(found[1]) * UNITS.get(found[2] or "s", math.nan) if found else math.nan
     if not value > 0:
-        raise ValueError(f"--time {text}: should be a time such as 2s, 500ms or 1.5min")
+        raise ConfigError(f"--time {text}: should be a time such as 2s, 500ms or 1.5min")
     return value

@@ -55,10 +55,6 @@ def completeness(path: Path) -> Completeness:
     return Completeness.CHAIN if chain_of(path).is_file() else Completeness.FIT
 
 
-class FolderBusy(WriteError):
-    """A folder that another run writes to."""
-
-
 @contextmanager
 def claimed(out: Path, alone: bool = True) -> Iterator[None]:
     """Claim a folder for as long as this lasts, and clear away what a run that was killed left unfinished in it.
@@ -69,7 +65,7 @@ def claimed(out: Path, alone: bool = True) -> Iterator[None]:
         alone: if not, others that are content with that may write there, too; then nothing is cleared away.
 
     Raises:
-        FolderBusy: another run has it.
+        WriteError: another run has it.
     """
     with ExitStack() as stack:
         try:
@@ -79,7 +75,7 @@ def claimed(out: Path, alone: bool = True) -> Iterator[None]:
             stack.callback(os.close, folder)
             fcntl.flock(folder, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise FolderBusy(f"{out}: another merlfit is writing there; wait for it, or name another folder") from None
+            raise WriteError(f"{out}: another merlfit is writing there; wait for it, or name another folder") from None
         except (ImportError, OSError) as error:  # a system, or a file system, without locks
             why = getattr(error, "strerror", None) or "this system has no locks"
             note(f"{out}: cannot be locked ({why}): take care that no other merlfit writes there")

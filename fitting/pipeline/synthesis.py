@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from ...merl_io.binary import DIMS, Dims, MerlError, write
+from ...merl_io.binary import DIMS, Dims, write
 from ...merl_io.grid import merl_grid
 from ...model import published
 from ...model.geometry import Geometry
@@ -33,11 +33,10 @@ def synthesise(material: str, out: Path, source: str | None, loss: bool, force: 
         raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
     use_persistent_cache()
     try:
-        table = (source or "sgd").replace("_", "-")  # as tables were named before
-        values, said = from_result(Path(material), loss) if fitted else from_published(material, table)
-        write(out, values)
-    except (MerlError, ResultError, KeyError, ValueError) as error:
-        raise fail(error.args[0] if isinstance(error, KeyError) else str(error)) from None
+        values, said = from_result(Path(material), loss) if fitted else from_published(material, source or "sgd")
+    except KeyError as error:
+        raise fail(error.args[0]) from None
+    write(out, values)
     console.print(f"{out}: {said}")
 
 

@@ -10,7 +10,7 @@ from merlfit.fitting.commands import cli
 from merlfit.fitting.cost import accuracy, calibration, frontier, measure
 from merlfit.fitting.cost.frontier import Frontier, Percentiles, pareto
 from merlfit.fitting.cost.measure import ROWS, CostError, _kept
-from merlfit.fitting.cost.request import MARGIN, Request, Unreachable, needed, request, seconds_of
+from merlfit.fitting.cost.request import MARGIN, Request, needed, request, seconds_of
 from merlfit.fitting.pipeline.models import two_scale
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
 from merlfit.fitting.settings.config import Config, ConfigError, load
@@ -38,14 +38,14 @@ def test_the_cheapest_that_is_accurate_enough_is_chosen(made):
     cheaper = [*made.points, point(POINTS[7], 0.02, 0.5)]
     assert Request(accuracy=0.03).choose(cheaper).choice == POINTS[7]
     assert Request(accuracy=3e-5).choose(made.points).choice == REFERENCE  # kept to by half of its fits, not by 95 %
-    with pytest.raises(Unreachable, match=r"most accurate settings \(quadrature 64.* within 2.4e-05 in half"):
+    with pytest.raises(ConfigError, match=r"most accurate settings \(quadrature 64.* within 2.4e-05 in half"):
         Request(accuracy=2e-5).choose(made.points)
 
 
 def test_the_most_accurate_that_is_fast_enough_is_chosen(made):
     assert Request(seconds=2.0 * MARGIN).choose(made.points).choice == POINTS[1]
     assert Request(seconds=2.0 * MARGIN - 1e-6).choose(made.points).choice == POINTS[0]
-    with pytest.raises(Unreachable, match=r"fastest settings \(lobe.* up to 1.8 s for each file, once compiled"):
+    with pytest.raises(ConfigError, match=r"fastest settings \(lobe.* up to 1.8 s for each file, once compiled"):
         Request(seconds=1.0).choose(made.points)
 
 
@@ -61,7 +61,7 @@ def test_nothing_is_chosen_that_is_worse_and_slower_than_the_default(asked):
     default = next(q for q in points if q.choice == default_choice())
     try:
         chosen = asked.choose(points)
-    except Unreachable:
+    except ConfigError:
         return
     if chosen.promised.p95 > default.promised.p95:
         if asked.accuracy is not None:
