@@ -22,11 +22,12 @@ from jax.typing import ArrayLike
 from ..merl_io.bands import MERL, Bands
 from ..model.part import Part
 from ..model.reflectance import Reflectance
+from ..model.sampling import Sampler
 from ..model.two_scale import TwoScale
 from . import colour
 from .description import Scene, Tolerance
 from .render import Film, Numbers, Rays, Stage, lit, numbers, radiance
-from .surface import Drawn, Material, Surface, drawn, surface
+from .surface import Material, Surface, drawn, surface
 
 ORDER, COARSE = 64, 12  # of the convolution: of the reference, and where it need not be that fine
 SETTLED = ("masking_curve", "variance_curve", "lobe_surface")  # tables that are the same whatever else is left out
@@ -151,15 +152,14 @@ class Given:
 
     def finest(self) -> Material:
         """With all effects, at the finest tier."""
-        return self.of(finest(self.model)) if self.model is not None else self._measured()
+        if self.model is None:
+            assert self.measured is not None
+            return self.measured
+        return self.of(finest(self.model))
 
     def of(self, model: Reflectance, known: Mapping[str, jax.Array] | None = None) -> Surface:
         """The same values with another choice of effects; ``known``: tables of it."""
         return surface(model, self.values, self.bands, known or {})
-
-    def _measured(self) -> Material:
-        assert self.measured is not None
-        return self.measured
 
 
 def finest(model: Reflectance) -> Reflectance:
@@ -184,8 +184,8 @@ def allowed(tolerance: Tolerance) -> float:
 
 
 @eqx.filter_jit
-def _lit(stage: Stage, whole: Drawn, index: jax.Array, pixel: jax.Array, numbers: Numbers) -> Rays:
-    return lit(stage, whole.sampler, index, pixel, numbers.of(pixel))
+def _lit(stage: Stage, sampler: Sampler, index: jax.Array, pixel: jax.Array, numbers: Numbers) -> Rays:
+    return lit(stage, sampler, index, pixel, numbers.of(pixel))
 
 
 _radiance = eqx.filter_jit(radiance)
@@ -210,11 +210,10 @@ class _Trial:
         self.count = len(chosen)
         filled = np.resize(chosen, PIXELS) if self.count else np.zeros(PIXELS, int)
         few = numbers(scene, SAMPLES)
-        self.rays = _lit(film.stage, whole, jnp.asarray(index), jnp.asarray(filled, jnp.int32), few)
-        material = whole.material
-        self.tables = (
-            {k: x for k, x in material.values.items() if k in SETTLED} if isinstance(material, Surface) else {}
-        )
+        material, sampler = whole
+        self.rays = _lit(film.stage, sampler, jnp.asarray(index), jnp.asarray(filled, jnp.int32), few)
+        values = material.values if isinstance(material, Surface) else {}
+        self.tables = {name: x for name, x in values.items() if name in SETTLED}
         self.reference, self.slow = self._measure(material)
 
     def _measure(self, material: Material) -> tuple[np.ndarray, float]:

@@ -7,7 +7,7 @@ same directions.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import equinox as eqx
@@ -32,12 +32,12 @@ STREAM = 0x5CE7E  # of random numbers that turn the sequence
 Report = Callable[[float], None]
 
 
-class View(eqx.Module):
-    """A camera: where it is, and what takes places in the picture to directions.
+class Stage(eqx.Module):
+    """All of a scene but its materials, as arrays.
 
     Attributes:
-        origin: (3,). corner, right, down: directions to the picture's upper left corner, and along its edges.
-        size: width and height.
+        origin: of the camera, (3,). corner, right, down: directions to the picture's upper left corner, and along its
+            edges. size: width and height. open: whether nothing can be in the way of light.
     """
 
     origin: Array
@@ -45,30 +45,21 @@ class View(eqx.Module):
     right: Array
     down: Array
     size: tuple[int, int] = eqx.field(static=True)
-
-    def rays(self, pixel: Array, place: Array) -> Array:
-        """Unit directions (..., 3) through places (..., 2) in pixels counted by rows."""
-        x, y = (
-            (pixel % self.size[0] + place[..., 0]) / self.size[0],
-            (pixel // self.size[0] + place[..., 1]) / self.size[1],
-        )
-        towards = self.corner + x[..., None] * self.right + y[..., None] * self.down
-        return towards / jnp.linalg.norm(towards, axis=-1, keepdims=True)
-
-
-class Stage(eqx.Module):
-    """All of a scene but its materials, as arrays.
-
-    Attributes:
-        open: whether nothing can be in the way of light.
-    """
-
-    view: View
     shapes: Shapes
     lamps: tuple[lights.Lamp, ...]
     environment: lights.Environment | None
     open: bool = eqx.field(static=True)
     background: bool = eqx.field(static=True)
+
+    def seen(self, pixel: Array, place: Array) -> tuple[Array, Array, Array]:
+        """What places (P, S, 2) in pixels (P,), counted by rows, see: directions, distances and indices of shapes."""
+        x, y = (
+            (pixel[:, None] % self.size[0] + place[..., 0]) / self.size[0],
+            (pixel[:, None] // self.size[0] + place[..., 1]) / self.size[1],
+        )
+        towards = self.corner + x[..., None] * self.right + y[..., None] * self.down
+        towards = towards / jnp.linalg.norm(towards, axis=-1, keepdims=True)
+        return towards, *self.shapes.nearest(jnp.broadcast_to(self.origin, towards.shape), towards)
 
 
 class Rays(NamedTuple):
@@ -83,7 +74,8 @@ class Rays(NamedTuple):
     weight: Array
 
 
-def _view(camera: Camera) -> View:
+def _camera(camera: Camera) -> tuple[Array, Array, Array, Array, tuple[int, int]]:
+    """What a stage has of it."""
     position, ahead = np.array(camera.position), np.subtract(camera.look_at, camera.position)
     ahead = ahead / np.linalg.norm(ahead)
     right = np.cross(ahead, camera.up)
@@ -93,7 +85,7 @@ def _view(camera: Camera) -> View:
     origin, corner, right, down = (
         jnp.asarray(x, jnp.float32) for x in (position, ahead - right / 2 - down / 2, right, down)
     )
-    return View(origin, corner, right, down, (camera.width, camera.height))
+    return origin, corner, right, down, (camera.width, camera.height)
 
 
 def stage(scene: Scene, radiance: np.ndarray | None = None) -> Stage:
@@ -102,25 +94,22 @@ def stage(scene: Scene, radiance: np.ndarray | None = None) -> Stage:
     Args:
         radiance: of the environment's map (H, W, 3), where it has one.
     """
-    names = list(scene.materials)
+    names, around = list(scene.materials), None
     spheres = [(np.array(s.centre), s.radius, names.index(s.material)) for s in scene.sphere]
     walls = [(np.array(r.corner), np.array(r.across), np.array(r.up), names.index(r.material)) for r in scene.rectangle]
-    around = None
     if scene.environment is not None:
-        if scene.environment.kind == "map":
-            if radiance is None:
-                raise SceneError("the environment's map was not read")
-            found = radiance
-        elif scene.environment.kind == "studio":
-            found = np.asarray(lights.studio(lights.directions(256, 512)))[..., None]
-        else:
-            found = np.ones((2, 4, 1))
-        around = lights.environment(found * np.array(scene.environment.strength))
+        if scene.environment.kind == "studio":
+            radiance = np.asarray(lights.studio(lights.directions(256, 512)))[..., None]
+        elif scene.environment.kind == "constant":
+            radiance = np.ones((2, 4, 1))
+        if radiance is None:
+            raise SceneError("the environment's map was not read")
+        around = lights.environment(radiance * np.array(scene.environment.strength))
     lamps = tuple(
         lights.lamp(np.array(x.towards), np.array(x.irradiance), np.radians(x.radius_deg)) for x in scene.lamp
     )
     return Stage(
-        _view(scene.camera), forms.shapes(spheres, walls), lamps, around, forms.unobstructed(spheres, walls),
+        *_camera(scene.camera), forms.shapes(spheres, walls), lamps, around, forms.unobstructed(spheres, walls),
         scene.environment is not None and scene.environment.background,
     )  # fmt: skip
 
@@ -147,40 +136,14 @@ def numbers(scene: Scene, samples: int | None = None) -> Numbers:
     return Numbers(jnp.asarray(drawn, jnp.float32), jax.random.fold_in(jax.random.key(scene.seed), STREAM))
 
 
-def _frame(normal: Array) -> tuple[Array, Array]:
-    """Two unit vectors across a normal (Duff et al. 2017)."""
+def _frame(normal: Array) -> tuple[Array, Array, Array]:
+    """Two unit vectors across a normal (Duff et al. 2017), and that."""
     x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
     sign = jnp.where(z < 0, -1.0, 1.0).astype(z.dtype)
     a = -1 / (sign + z)
     b = x * y * a
-    return (
-        jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], -1),
-        jnp.stack([b, sign + y * y * a, -y], -1),
-    )
-
-
-class _Hits(NamedTuple):
-    """Where samples meet the material: point, three axes of the surface, viewer in their frame; and whether."""
-
-    point: Array
-    axes: tuple[Array, Array, Array]
-    viewer: Array
-    seen: Array
-
-
-def _hits(stage: Stage, material: Array, pixel: Array, u: Array) -> _Hits:
-    """Of samples (P, S)."""
-    origin = stage.view.origin
-    towards = stage.view.rays(pixel[:, None], u[..., :2])
-    distance, index = stage.shapes.nearest(jnp.broadcast_to(origin, towards.shape), towards)
-    seen = (distance < FAR) & (stage.shapes.material[index] == material)
-    point = origin + jnp.where(seen, distance, 1.0)[..., None] * towards
-    normal = stage.shapes.normals(index, point)
-    normal = jnp.where(seen[..., None], normal, jnp.array([0.0, 0.0, 1.0], normal.dtype))
-    axes = (*_frame(normal), normal)
-    viewer = _local(axes, -towards)
-    seen = seen & (viewer[..., 2] > 0)
-    return _Hits(point, axes, jnp.where(seen[..., None], viewer, jnp.array([0.0, 0.0, 1.0], viewer.dtype)), seen)
+    across = jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], -1)
+    return across, jnp.stack([b, sign + y * y * a, -y], -1), normal
 
 
 def _local(axes: tuple[Array, Array, Array], direction: Array) -> Array:
@@ -189,44 +152,37 @@ def _local(axes: tuple[Array, Array, Array], direction: Array) -> Array:
 
 def lit(stage: Stage, sampler: Sampler, material: Array, pixel: Array, u: Array) -> Rays:
     """What samples ``u`` (P, S, D) of pixels (P,) ask of the material; weights are 0 where another shape is seen."""
-    hits = _hits(stage, material, pixel, u)
-    found = [light(hits, u) for light in _lights(stage, sampler)]
-    directions, weights = (jnp.stack([each[k] for each in found]) for k in range(2))
-    return Rays(directions, jnp.broadcast_to(hits.viewer, directions.shape), weights)
-
-
-def _lights(stage: Stage, sampler: Sampler) -> Iterator[Callable[[_Hits, Array], tuple[Array, Array]]]:
-    """Of each light: from hits and numbers to directions in the surface's frame and weights, (P, S, 3)."""
-    start = sum(DIMENSIONS[:2])
-
-    def reaching(hits: _Hits, direction: Array, light: Array, weight: Array) -> tuple[Array, Array]:
-        """Light in coordinates of the world and of the surface."""
-        reaches = hits.seen & (light[..., 2] > 0)
-        if not stage.open:
-            reaches = reaches & ~stage.shapes.blocked(hits.point, direction)
-        return light, jnp.where(reaches[..., None], weight * light[..., 2:], 0.0) / light.shape[1]
-
-    def from_around(around: lights.Environment, hits: _Hits, u: Array) -> tuple[Array, Array]:
+    towards, distance, index = stage.seen(pixel, u[..., :2])
+    seen = (distance < FAR) & (stage.shapes.material[index] == material)
+    point = stage.origin + jnp.where(seen, distance, 1.0)[..., None] * towards
+    up = jnp.array([0.0, 0.0, 1.0], point.dtype)
+    axes = _frame(jnp.where(seen[..., None], stage.shapes.normals(index, point), up))
+    viewer = _local(axes, -towards)
+    seen = seen & (viewer[..., 2] > 0)
+    viewer = jnp.where(seen[..., None], viewer, up)
+    found, start = [], sum(DIMENSIONS[:2])  # of each light: directions in the world, in the frame, radiance by density
+    if (around := stage.environment) is not None:
         by_light = around.draw(u[..., start : start + 3])
-        by_material = sampler.draw(hits.viewer, u[..., start + 3 : start + 5])
+        by_material = sampler.draw(viewer, u[..., start + 3 : start + 5])
         chosen = (u[..., 2] < around.share)[..., None]
-        world = sum(by_material[..., k, None] * axis for k, axis in enumerate(hits.axes))
-        light = jnp.where(chosen, _local(hits.axes, by_light), by_material)
-        direction = jnp.where(chosen, by_light, world)
-        by_both = around.density(direction), sampler.density(hits.viewer, light)
+        direction = jnp.where(chosen, by_light, sum(by_material[..., k, None] * axis for k, axis in enumerate(axes)))
+        light = jnp.where(chosen, _local(axes, by_light), by_material)
+        by_both = around.density(direction), sampler.density(viewer, light)
         density = around.share * by_both[0] + (1 - around.share) * by_both[1]
-        return reaching(hits, direction, light, around.look(direction) / jnp.maximum(density, LEAST)[..., None])
-
-    def from_lamp(k: int, lamp: lights.Lamp, hits: _Hits, u: Array) -> tuple[Array, Array]:
+        found.append((direction, light, around.look(direction) / jnp.maximum(density, LEAST)[..., None]))
+    for k, lamp in enumerate(stage.lamps):
         first = sum(DIMENSIONS[:4]) + DIMENSIONS[4] * k
         direction = lamp.draw(u[..., first : first + 2])
-        towards = jnp.sum(direction * lamp.axes[2], -1, keepdims=True)
-        return reaching(hits, direction, _local(hits.axes, direction), lamp.irradiance / towards)
-
-    if stage.environment is not None:
-        yield partial(from_around, stage.environment)
-    for k, lamp in enumerate(stage.lamps):
-        yield partial(from_lamp, k, lamp)
+        facing = jnp.sum(direction * lamp.axes[2], -1, keepdims=True)
+        found.append((direction, _local(axes, direction), lamp.irradiance / facing))
+    weights = []
+    for direction, light, weight in found:
+        reaches = seen & (light[..., 2] > 0)
+        if not stage.open:
+            reaches = reaches & ~stage.shapes.blocked(point, direction)
+        weights.append(jnp.where(reaches[..., None], weight * light[..., 2:], 0.0) / u.shape[1])
+    i = jnp.stack([light for _, light, _ in found])
+    return Rays(i, jnp.broadcast_to(viewer, i.shape), jnp.stack(weights))
 
 
 def radiance(material: Material, rays: Rays) -> Array:
@@ -247,9 +203,7 @@ def _shaded(
 @eqx.filter_jit
 def _first(stage: Stage, pixel: Array, numbers: Numbers, materials: int) -> tuple[Array, Array]:
     """Which materials pixels see (P, M), and what of the background, (P, 3)."""
-    u = numbers.of(pixel)
-    towards = stage.view.rays(pixel[:, None], u[..., :2])
-    distance, index = stage.shapes.nearest(jnp.broadcast_to(stage.view.origin, towards.shape), towards)
+    towards, distance, index = stage.seen(pixel, numbers.of(pixel)[..., :2])
     hit = distance < FAR
     seen = [jnp.any(hit & (stage.shapes.material[index] == k), 1) for k in range(materials)]
     behind = jnp.zeros((*pixel.shape, 3), jnp.float32)
@@ -289,12 +243,12 @@ class Film:
             yield jnp.asarray(np.pad(part, (0, self.step - len(part)), "edge"), jnp.int32), len(part)
 
     def shade(
-        self, drawn: Drawn, others: Sequence[Material], material: int, pixels: np.ndarray
+        self, whole: Drawn, others: Sequence[Material], material: int, pixels: np.ndarray
     ) -> Iterator[np.ndarray]:
         """Radiance chunk by chunk, (1 + others, pixels of the chunk, 3): the others by the first one's directions."""
-        every = (drawn.material, *others)
+        first, sampler = whole
         for pixel, count in self.chunks(pixels):
-            found = _shaded(self.stage, drawn.sampler, every, jnp.asarray(material), pixel, self.numbers)
+            found = _shaded(self.stage, sampler, (first, *others), jnp.asarray(material), pixel, self.numbers)
             yield np.stack([np.asarray(each)[:count] for each in found])
 
 

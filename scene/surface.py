@@ -17,11 +17,12 @@ from ..model.numerics import safe_acos
 from ..model.reflectance import Reflectance, evaluate, prepared
 from ..model.sampling import Sampler
 from ..model.sampling.hemisphere import Cosine
-from ..model.sampling.visible import Visible, visible
+from ..model.sampling.visible import visible
 from .colour import coloured
 
 Tree = TypeVar("Tree")
 MATTE = 0.5  # relative standard deviation of weights by the cosine below which nothing better is needed
+facets_of = eqx.filter_jit(visible)  # a program for all materials of one model
 TRIED, TRIED_FROM, GOLDEN = 4096, (0.0, 45.0, 70.0), 0.6180339887498949
 PRECISION = jnp.float32  # of pictures: a relative error of 1e-5 in the BRDF
 
@@ -78,13 +79,8 @@ class Measurement(eqx.Module):
 
 
 Material = Surface | Measurement
-
-
-class Drawn(eqx.Module):
-    """A material and the sampler of its directions."""
-
-    material: Material
-    sampler: Sampler
+Drawn = tuple[Material, Sampler]
+"""A material and the sampler of its directions."""
 
 
 def surface(
@@ -117,11 +113,10 @@ def measurement(values: np.ndarray, valid: np.ndarray) -> Measurement:
 
 def drawn(material: Material) -> Drawn:
     """With the sampler that suits it: the cosine where that is good enough, which is quick, or visible facets."""
-    if isinstance(material, Surface) and not material.model.lobes:
-        return Drawn(material, Cosine())
-    if float(_uneven(material)) < MATTE:
-        return Drawn(material, Cosine())
-    return Drawn(material, _in_precision(_visible(material)))
+    matte = isinstance(material, Surface) and not material.model.lobes
+    if matte or float(_uneven(material)) < MATTE:
+        return material, Cosine()
+    return material, _in_precision(facets_of(material.brdf))
 
 
 @eqx.filter_jit
@@ -135,11 +130,6 @@ def _uneven(material: Material) -> Array:
     weight = jnp.mean(material.brdf(Geometry.from_vectors(jnp.broadcast_to(given, to.shape), to)), 0)
     mean = jnp.mean(weight, 1)
     return jnp.max(jnp.where(mean > 0, jnp.std(weight, 1) / jnp.where(mean > 0, mean, 1.0), 0.0))
-
-
-@eqx.filter_jit
-def _visible(material: Material) -> Visible:
-    return visible(material.brdf)
 
 
 def _in_precision(tree: Tree) -> Tree:

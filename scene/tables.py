@@ -9,8 +9,8 @@ from jax import Array
 
 from ..merl_io.atomic import write_atomically
 from ..model.geometry import Geometry
-from ..model.sampling.visible import CELLS, LINEAR, LONGEST, visible
-from .surface import Material
+from ..model.sampling.visible import CELLS, LINEAR, LONGEST
+from .surface import Material, facets_of
 
 DIFFERENCES, AZIMUTHS = 90, 45  # nodes of theta_d and of phi_d, each at the middle of its cell of 1 and 2 degrees
 DARKEST = 1e-9  # BRDF (1/sr) of which the logarithm is taken
@@ -24,7 +24,7 @@ def tables(material: Material) -> dict[str, np.ndarray]:
     that (1 or 0): a sum over nodes divided by that of the last number leaves out what is not there. ``share`` and
     ``below``: those of :class:`merlfit.model.sampling.visible.Visible`.
     """
-    found = eqx.filter_jit(visible)(material.brdf)
+    found = facets_of(material.brdf)
     return {
         "brdf": np.asarray(_brdf(material), np.float32),
         "share": np.asarray(found.share, np.float32),

@@ -42,16 +42,15 @@ DATA = "neural reconstructions"
 
 def planned(name):
     """A scene's picture with the effects of its plan, and the difference over the tolerance, both of 8 bits."""
-    ready = staged(ROOT / "configs" / "scenes" / f"{name}.toml")
+    film, given = ready = staged(ROOT / "configs" / "scenes" / f"{name}.toml")
     plans = plans_of(ready, lambda effect: None)
     for each in plans:
         print(name, each.name, "without", ", ".join(row.effect.name for row in each.rows if not row.kept))
     others = [
-        [each.of(p.chosen) if p.chosen is not None else each.finest()]
-        for each, p in zip(ready.given, plans, strict=True)
+        [each.of(p.chosen) if p.chosen is not None else each.finest()] for each, p in zip(given, plans, strict=True)
     ]
-    whole, same = pictures(ready.film, [drawn(each.finest()) for each in ready.given], others)
-    return displayed(same), grey(off_by(whole, same, ready.scene.tolerance) / allowed(ready.scene.tolerance))
+    whole, same = pictures(film, [drawn(each.finest()) for each in given], others)
+    return displayed(same), grey(off_by(whole, same, film.scene.tolerance) / allowed(film.scene.tolerance))
 
 
 def plans_picture():

@@ -38,11 +38,10 @@ def report_on(
         note(f"stopped by {stop}: {out} is not whole; the same command writes it anew")
         raise SystemExit(stop.code) from None
     code = tell_errors(rows)
-    for page in made:
-        for line in (page.error, *(f"{page.name}: {said}" for said in page.lacks)):
-            if line:
-                note(line)
-        code = code or (FAILED_FIT if page.error else 0)
+    for lines, failed in made:
+        for line in lines:
+            note(line)
+        code = code or (FAILED_FIT if failed else 0)
     console.print(f"wrote {out / 'index.html'}: {counted(len(made), 'page')}; open it in a browser")
     if code:
         raise typer.Exit(code)

@@ -3,11 +3,9 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import typer
 from pydantic import ValidationError
@@ -22,7 +20,7 @@ from ...scene import images
 from ...scene.description import Scene, SceneError, Source, load
 from ...scene.effects import Given, Plan, allowed, off_by, plan
 from ...scene.render import Film, pictures, stage
-from ...scene.surface import Drawn, drawn, measurement
+from ...scene.surface import Material, drawn, measurement
 from ..results.schema import Result
 from ..results.storage import read_result
 from ..support.clock import Stage
@@ -93,13 +91,8 @@ def values_of(model: Reflectance, given: Mapping[str, Any], where: str, channels
     return found
 
 
-@dataclass(frozen=True)
-class Staged:
-    """A scene with its materials, ready for plans and pictures."""
-
-    scene: Scene
-    film: Film
-    given: tuple[Given, ...]
+Staged = tuple[Film, tuple[Given, ...]]
+"""A scene and its materials, ready for plans and pictures."""
 
 
 def staged(path: Path, **changes: Any) -> Staged:  # noqa: ANN401 - settings of a scene
@@ -116,7 +109,7 @@ def staged(path: Path, **changes: Any) -> Staged:  # noqa: ANN401 - settings of 
     film = Film(scene, stage(scene, found))
     if hidden := [each.name for k, each in enumerate(given) if not len(film.pixels(k))]:
         raise SceneError(f"{path}: no pixel sees {hidden[0]}: move the camera, or take its shapes out")
-    return Staged(scene, film, given)
+    return film, given
 
 
 def changed(scene: Scene, **changes: Any) -> Scene:  # noqa: ANN401 - settings of a scene
@@ -131,10 +124,11 @@ def changed(scene: Scene, **changes: Any) -> Scene:  # noqa: ANN401 - settings o
 
 def plans_of(ready: Staged, say: Say) -> list[Plan]:
     """What the scene calls for of each material."""
+    film, given = ready
     found = []
-    for k, each in enumerate(ready.given):
+    for k, each in enumerate(given):
         make_room()
-        found.append(plan(ready.scene, ready.film, each, k, lambda effect, name=each.name: say(f"{name}: {effect}")))
+        found.append(plan(film.scene, film, each, k, lambda effect, name=each.name: say(f"{name}: {effect}")))
     return found
 
 
@@ -176,43 +170,36 @@ def as_json(plans: Sequence[Plan]) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Rendered:
-    """What a render found out: seconds of both ways, and by how much their pictures differ."""
-
-    seconds: dict[str, float]
-    difference: dict[str, float]
-    within: bool
-
-
-def _drawn(ready: Staged, plans: Sequence[Plan] | None) -> list[Drawn]:
-    """Materials with their tables: of the plan, or with all effects."""
-    found = []
-    for k, each in enumerate(ready.given):
-        chosen = plans[k].chosen if plans is not None else None
-        found.append(drawn(each.of(chosen) if chosen is not None else each.finest()))
-    return jax.block_until_ready(found)
+def _materials(ready: Staged, plans: Sequence[Plan] | None) -> list[Material]:
+    """With their tables: as planned, or with all effects."""
+    chosen = [each.chosen for each in plans] if plans is not None else [None] * len(ready[1])
+    return [given.finest() if c is None else given.of(c) for given, c in zip(ready[1], chosen, strict=True)]
 
 
 def _timed(ready: Staged, plans: Sequence[Plan] | None, report: Callable[[float], None]) -> tuple[np.ndarray, float]:
     """A picture and its seconds, tables included; programs are compiled before, on the first pixels of each."""
-    for k, each in enumerate(_drawn(ready, plans)):
-        for _ in ready.film.shade(each, (), k, ready.film.pixels(k)[:1]):
+    film, _ = ready
+    for k, each in enumerate(map(drawn, _materials(ready, plans))):
+        for _ in film.shade(each, (), k, film.pixels(k)[:1]):
             pass
     start = time.perf_counter()
-    (found,) = pictures(ready.film, _drawn(ready, plans), (), report)
+    (found,) = pictures(film, [drawn(each) for each in _materials(ready, plans)], (), report)
     return found, time.perf_counter() - start
 
 
 def render(
     ready: Staged, out: Path, plans: Sequence[Plan] | None, check: bool, say: Callable[[str, float], None]
-) -> Rendered:
-    """Write the picture, and beside it that with all effects and their difference.
+) -> dict[str, Any]:
+    """Write the picture, and beside it that with all effects, their difference, and ``render.json``.
 
     Args:
         plans: which effects; None for all. check: whether to render with all effects, too.
+
+    Returns:
+        as in the JSON: seconds of both ways, by how much their pictures differ, whether that is within the tolerance.
     """
-    seconds, found = {}, {}
+    film, given = ready
+    seconds, found, limit = {}, {}, allowed(film.scene.tolerance)
     if plans is not None:
         picture, seconds["plan"] = _timed(ready, plans, lambda share: say("picture", share))
         _write(out, "picture", picture)
@@ -220,26 +207,21 @@ def render(
         whole, seconds["all effects"] = _timed(ready, None, lambda share: say("all effects", share))
         _write(out, "picture" if plans is None else "all_effects", whole)
     if plans is not None and check:
-        others = [
-            [each.of(p.chosen) if p.chosen is not None else each.finest()]
-            for each, p in zip(ready.given, plans, strict=True)
-        ]
-        whole, same = pictures(ready.film, _drawn(ready, None), others, lambda share: say("difference", share))
-        away = off_by(whole, same, ready.scene.tolerance)
-        seen = np.zeros(away.size, bool)
-        for k in range(len(ready.given)):
-            seen[ready.film.pixels(k)] = True
-        of_shapes = away.ravel()[seen]
+        reference = [drawn(each) for each in _materials(ready, None)]
+        others = [[each] for each in _materials(ready, plans)]
+        whole, same = pictures(film, reference, others, lambda share: say("difference", share))
+        away = off_by(whole, same, film.scene.tolerance)
+        of_shapes = away.ravel()[np.unique(np.concatenate([film.pixels(k) for k in range(len(given))]))]
         found = {
             "mean": float(of_shapes.mean()), f"{100 * SHARE:g} % of pixels": float(np.quantile(of_shapes, SHARE)),
-            "largest": float(of_shapes.max()), "tolerance": allowed(ready.scene.tolerance),
+            "largest": float(of_shapes.max()), "tolerance": limit,
         }  # fmt: skip
-        images.write_png(out / "difference.png", grey(away / (10 * allowed(ready.scene.tolerance))))
+        images.write_png(out / "difference.png", grey(away / (10 * limit)))
         images.write_exr(out / "difference.exr", np.repeat(away[..., None], 3, -1))
-    within = not found or found[f"{100 * SHARE:g} % of pixels"] <= found["tolerance"]
+    within = not found or found[f"{100 * SHARE:g} % of pixels"] <= limit
     report = {"seconds": seconds, "difference": found, "within": within, "plan": as_json(plans or ())}
     write_text(out / REPORT, json.dumps(report, indent=2) + "\n")
-    return Rendered(seconds, found, within)
+    return report
 
 
 def _write(out: Path, name: str, picture: np.ndarray) -> None:
@@ -260,7 +242,7 @@ def plan_scene(path: Path) -> None:
     with reporting(path.name, path.stem) as say:
         ready = staged(path)
         found = plans_of(ready, say)
-    console.print(*plan_tables(found, ready.scene))
+    console.print(*plan_tables(found, ready[0].scene))
 
 
 REPORT = "render.json"
@@ -282,20 +264,21 @@ def render_scene(
         ready = staged(path, samples=samples, seed=seed)
         plans = None if every else plans_of(ready, lambda effect: say(f"effects: {effect}"))
         found = render(ready, out, plans, check, lambda what, share: say(Stage(what, share)))
+    scene = ready[0].scene
     if plans is not None:
-        console.print(*plan_tables(plans, ready.scene))
-    console.print(f"wrote {out / 'picture.exr'} and .png: " + said_of(found, ready.scene))
-    if not found.within:
+        console.print(*plan_tables(plans, scene))
+    console.print(f"wrote {out / 'picture.exr'} and .png: " + said_of(found["seconds"], found["difference"], scene))
+    if not found["within"]:
         fail("the picture differs by more than the tolerance from that with all effects: use --all-effects")
         raise typer.Exit(FAILED_FIT)
 
 
-def said_of(found: Rendered, scene: Scene) -> str:
+def said_of(seconds: Mapping[str, float], difference: Mapping[str, float], scene: Scene) -> str:
     """Times and difference in a sentence."""
-    times = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in found.seconds.items())
-    if not found.difference:
+    times = ", ".join(f"{name} {x:.2f} s" for name, x in seconds.items())
+    if not difference:
         return times
-    ratio = found.seconds["all effects"] / found.seconds["plan"]
-    rest = ", ".join(f"{name} {x:.3g}" for name, x in found.difference.items())
+    ratio = seconds["all effects"] / seconds["plan"]
+    rest = ", ".join(f"{name} {x:.3g}" for name, x in difference.items())
     kind = "CIELAB" if scene.tolerance.cielab is not None else "relative radiance"
     return f"{times} ({ratio:.1f} times as fast); difference ({kind}): {rest}"

@@ -3,8 +3,6 @@
 Vega-Lite (Satyanarayan et al. 2017, doi:10.1109/TVCG.2016.2599030); `vl-convert` carries it along, for both.
 """
 
-import csv
-import io
 import json
 import re
 from collections import Counter
@@ -14,6 +12,7 @@ from typing import Any
 
 import vl_convert
 
+from ..support.tables import as_csv
 from .curves import PAGE_INCIDENCES_DEG, Rows
 from .style import CHANNEL_COLOURS, DEGREES, OKABE_ITO
 
@@ -23,6 +22,7 @@ SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
 WIDTH, HEIGHT = 620, 300
 PADDING = 12  # pixels between marks and the plot's edges
 NARROW = 8.0  # times its lower end, up to which a logarithmic axis has room for a word at each tick
+DIGITS = 5  # of numbers
 ELSEWHERE = "https://vega.github.io/vega-datasets/"  # where Vega puts links to pages beside this one
 EXPOSED = "window.vegaEmbed = vegaEmbed;"
 
@@ -101,14 +101,8 @@ def lobes(plane: Rows, parts: Rows, channels: Sequence[str]) -> Spec:
             "tooltip": [_tip("part", "part", None), _tip("o", "θo (degrees)", ".3~r"), _tip("value", "1/sr")],
         },
     }  # fmt: skip
-    step = PAGE_INCIDENCES_DEG[1] - PAGE_INCIDENCES_DEG[0]
-    slider = {
-        "input": "range",
-        "min": PAGE_INCIDENCES_DEG[0],
-        "max": PAGE_INCIDENCES_DEG[-1],
-        "step": step,
-        "name": "θi (degrees)",
-    }
+    first, second, *_, last = PAGE_INCIDENCES_DEG
+    slider = {"input": "range", "min": first, "max": last, "step": second - first, "name": "θi (degrees)"}
     return _chart() | {
         "params": [
             {"name": "incidence", "value": 30, "bind": slider},
@@ -157,47 +151,40 @@ def sorted_errors(rows: Rows, figures: Mapping[str, str]) -> Spec:
     """
     ranks: Counter[tuple[str, str]] = Counter()
     long: Rows = []
-    for name, said in figures.items():
+    for name, words in figures.items():
         for row in sorted((r for r in rows if r[name] is not None), key=lambda r: r[name]):
             ranks[name, row["model"]] += 1
             common = {key: row[key] for key in ("material", "model", "page")}
-            long.append({"figure": said, "rank": ranks[name, row["model"]], "value": row[name]} | common)
+            long.append({"figure": words, "rank": ranks[name, row["model"]], "value": row[name]} | common)
     last = max(ranks.values())
-    return _chart() | {
-        "data": _data(long),
-        "params": [{"name": "figure", "value": next(iter(figures.values())),
-                    "bind": {"input": "select", "options": list(figures.values()), "name": "error"}}],
-        "transform": [{"filter": "datum.figure == figure"}],
-        "width": WIDTH // 2 - 40, "height": HEIGHT * 3 // 4,
-        "mark": {"type": "point", "filled": True, "size": 26, "cursor": "pointer"},
-        "encoding": {
-            "x": {"field": "rank", "type": "quantitative", "title": "results, the best first",
-                  "scale": {"domain": [0.5, last + 0.5], "nice": False},
-                  "axis": {"values": _ranks(last), "format": "d"}},
-            "y": {"field": "value"} | _log_axis("y", "figure"),
-            "color": _by_model(rows), "href": {"field": "page"},
-            "tooltip": [_tip("material", "material", None), _tip("model", "model", None), _tip("value", "error")],
-        },
-    }  # fmt: skip
+    across = {"field": "rank", "title": "results, the best first", "axis": {"values": _ranks(last), "format": "d"},
+              "scale": {"domain": [0.5, last + 0.5], "nice": False}}  # fmt: skip
+    return _against_errors(rows, long, figures, across, [{"filter": "datum.figure == figure"}])
 
 
 def time_against_error(rows: Rows, figures: Mapping[str, str]) -> Spec:
     """Seconds of every fit against an error; a click opens the page."""
-    fields = "{" + ", ".join(f"{json.dumps(said)}: datum.{name}" for name, said in figures.items()) + "}"
+    fields = "{" + ", ".join(f"{json.dumps(words)}: datum.{name}" for name, words in figures.items()) + "}"
+    transform = [{"calculate": f"{fields}[figure]", "as": "value"}, {"filter": "isValid(datum.value)"}]
+    across = {"field": "seconds", "title": "seconds a file",
+              "scale": {"zero": False, "nice": False, "padding": PADDING}}  # fmt: skip
+    return _against_errors(rows, rows, figures, across, transform, _tip("seconds", "seconds"))
+
+
+def _against_errors(
+    rows: Rows, data: Rows, figures: Mapping[str, str], across: Spec, transform: list[Spec], *tips: Spec
+) -> Spec:
+    """Points of all results up to an error, which is chosen."""
+    choice = {"input": "select", "options": list(figures.values()), "name": "error"}
     return _chart() | {
-        "data": _data(rows),
-        "params": [{"name": "figure", "value": next(iter(figures.values())),
-                    "bind": {"input": "select", "options": list(figures.values()), "name": "error"}}],
-        "transform": [{"calculate": f"{fields}[figure]", "as": "value"}, {"filter": "isValid(datum.value)"}],
-        "width": WIDTH // 2 - 40, "height": HEIGHT * 3 // 4,
+        "data": _data(data), "params": [{"name": "figure", "value": next(iter(figures.values())), "bind": choice}],
+        "transform": transform, "width": WIDTH // 2 - 40, "height": HEIGHT * 3 // 4,
         "mark": {"type": "point", "filled": True, "size": 26, "cursor": "pointer"},
         "encoding": {
-            "x": {"field": "seconds", "type": "quantitative", "title": "seconds a file",
-                  "scale": {"zero": False, "nice": False, "padding": PADDING}},
-            "y": {"field": "value"} | _log_axis("y", "figure"),
+            "x": {"type": "quantitative"} | across, "y": {"field": "value"} | _log_axis("y", "figure"),
             "color": _by_model(rows), "href": {"field": "page"},
             "tooltip": [_tip("material", "material", None), _tip("model", "model", None), _tip("value", "error"),
-                        _tip("seconds", "seconds")],
+                        *tips],
         },
     }  # fmt: skip
 
@@ -271,17 +258,10 @@ def _chart() -> Spec:
 
 def _data(rows: Rows) -> Spec:
     """Rows as CSV, a third of the length of JSON; no value is null."""
-    heads = list(dict.fromkeys(head for row in rows for head in row))
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(heads)
-    writer.writerows(["" if row.get(head) is None else row.get(head) for head in heads] for row in rows)
-    return {"values": out.getvalue(), "format": {"type": "csv", "parse": _types(rows, heads)}}
-
-
-def _types(rows: Rows, heads: Sequence[str]) -> dict[str, str]:
     words = {head for row in rows for head in row if isinstance(row[head], str)}
-    return {head: "string" if head in words else "number" for head in heads}
+    heads = list(dict.fromkeys(head for row in rows for head in row))
+    types = {head: "string" if head in words else "number" for head in heads}
+    return {"values": as_csv(heads, rows, DIGITS, spreadsheet=False), "format": {"type": "csv", "parse": types}}
 
 
 def _tip(field: str, title: str, form: str | None = ".4~g") -> Spec:

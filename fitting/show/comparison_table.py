@@ -280,11 +280,12 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
         if len(groups) < 2:
             return
         counts = Counter(of.values())
-        table = [
-            [name, *(_median([r for r in own if of.get(r.material) == g], lambda r: r.errors.rmse) for g in groups)]
-            for name, own in labels.items()
-        ]
-        section(title, said, ["model", *(f"{g} ({counts[g]})" for g in groups)], _bold(table))
+        columns = (
+            [_median([r for r in own if of.get(r.material) == g], lambda r: r.errors.rmse) for own in labels.values()]
+            for g in groups
+        )
+        heads = ["model", *(f"{g} ({counts[g]})" for g in groups)]
+        section(title, said, heads, zip(labels, *map(_lowest_bold, columns), strict=True))
 
     lowest = "Median RMSE (1/sr), the lowest in bold."
     grouped(
@@ -310,19 +311,10 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _bold(rows: list[list]) -> list[list[str]]:
-    """Numbers as text, the lowest of every column in bold."""
-    lowest = [min((row[k] for row in rows if np.isfinite(row[k])), default=None) for k in range(1, len(rows[0]))]
-    return [
-        [row[0], *(f"**{number(x, 3)}**" if x == low else number(x, 3) for x, low in zip(row[1:], lowest, strict=True))]
-        for row in rows
-    ]
-
-
-def _lowest_bold(row: Sequence[float | None]) -> list[str]:
+def _lowest_bold(errors: Sequence[float | None]) -> list[str]:
     """Numbers as text, the lowest in bold."""
-    low = min((x for x in row if x is not None and np.isfinite(x)), default=None)
-    return [f"**{number(x, 3)}**" if x is not None and x == low else number(x, 3) for x in row]
+    low = min((x for x in errors if x is not None and np.isfinite(x)), default=None)
+    return [f"**{number(x, 3)}**" if x is not None and x == low else number(x, 3) for x in errors]
 
 
 def _won(winners_: dict[str, tuple[str, float]], name: str) -> str:

@@ -9,6 +9,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter, NullLocator
 
+from ..posterior.importance import quantiles
 from ..results.schema import ParameterResult
 from .style import COLUMN_INCHES, FITTED, LETTERS, PAGE_INCHES, SMALL, new, plain, printable, symbol
 from .subject import Subject
@@ -49,7 +50,7 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
     """A chain that is too short gets a watermark. Parameters with log-normal priors have logarithmic axes."""
     chain, names = subject.draws, [subject.result.parameters[k] for k in kept]
     weights, values = chain["weights"].ravel(), chain["values"][:, list(kept)]
-    bounds = [_interval(values[:, k], weights) for k in range(len(names))]
+    bounds = quantiles(values, weights, (0.005, 0.05, 0.95, 0.995)).T
     scales = [
         "log" if "log-normal" in q.prior and low > 0 else "linear" for q, (low, *_) in zip(names, bounds, strict=True)
     ]
@@ -95,7 +96,7 @@ def _panel(width: float, count: int) -> float:
     return (width - MARGIN - EDGE) / (count + GAP * (count - 1))
 
 
-def _table(figure: Figure, names: Sequence[ParameterResult], bounds: Sequence, top: float) -> None:
+def _table(figure: Figure, names: Sequence[ParameterResult], bounds: np.ndarray, top: float) -> None:
     """Values and intervals, where a corner plot has nothing."""
     line = 1.15 * SMALL / 72 / figure.get_figheight()
     texts = [f"[{low:.3g}, {high:.3g}]" for _, low, high, _ in bounds]
@@ -124,14 +125,6 @@ def _ticks_of(axes: np.ndarray, k: int, ticks: list[float]) -> None:
             _mark(axes[k, j].yaxis, ticks, said if j == 0 else [])
     axes[-1, k].tick_params(axis="x", labelrotation=90)
     axes[k, 0].tick_params(axis="y", labelrotation=0)
-
-
-def _interval(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Quantiles of weighted draws: 0.5, 5, 95 and 99.5 %."""
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order]) / weights.sum()
-    found = np.searchsorted(reached, [0.005, 0.05, 0.95, 0.995]).clip(max=len(values) - 1)
-    return values[order][found]
 
 
 def _range(low: float, high: float, value: float, scale: str) -> tuple[float, float]:

@@ -1,14 +1,12 @@
 """Data of the figures that have lines, once: the printed pictures and, as rows, the charts of the pages draw them."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from . import prediction
 from .prediction import PEAK_DIFFERENCE_DEG, WIDEST_DEG, plane_of_incidence, viewers
-from .spheres import PARTS
 from .subject import Subject
 
 PAGE_INCIDENCES_DEG = (0, 15, 30, 45, 60, 75)
@@ -17,6 +15,8 @@ CURVES = ("fit", "file", "alone", "low", "high")
 HALVES_SHOWN = 6.0  # half widths that the plot of normalised peaks reaches to
 Rows = list[dict[str, Any]]
 """Of a chart: a row a direction and channel; what there is not is None."""
+PARTS = {"specular": "reflection", "diffracted": "diffraction", "body": "body"}
+"""What the sharp lobes and the body are called, by their names in the models."""
 
 
 def lobe(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
@@ -60,7 +60,7 @@ def lobe_rows(subject: Subject) -> tuple[Rows, Rows]:
     for degrees in PAGE_INCIDENCES_DEG:
         angles, is_datum, found = lobe(subject, degrees, between=ON_PAGE)
         kept = np.flatnonzero(is_datum | (np.abs(angles) < WIDEST_DEG))
-        place = [{"i": degrees, "o": short(angles[k], 5)} for k in kept]
+        place = [{"i": degrees, "o": float(angles[k])} for k in kept]
         if "file" in found:
             found["file"] = np.where(is_datum, found["file"], np.nan)
         for c, channel in enumerate(subject.model.channels):
@@ -74,39 +74,20 @@ def lobe_rows(subject: Subject) -> tuple[Rows, Rows]:
 def _rows(heads: Iterable[dict[str, Any]], curves: Mapping[str, np.ndarray | None], kept: Iterable[int]) -> Rows:
     """One a place: what is said of it, then numbers."""
     return [
-        head | {name: None if x is None else short(x[k]) for name, x in curves.items()}
+        head | {name: float(x[k]) if x is not None and np.isfinite(x[k]) else None for name, x in curves.items()}
         for head, k in zip(heads, kept, strict=True)
     ]
 
 
-@dataclass(frozen=True)
-class Peak:
-    """Of file and fit at one theta_d and phi_d.
+def peak(subject: Subject) -> tuple[Rows, Rows, tuple[float, float]]:
+    """Every datum of the peak above the horizon, and how wide it is.
 
-    Attributes:
-        theta_h_deg: of the rows above the horizon, (H,). brdf: of ``file`` and ``fit``, (1/sr), (C, H); the file's is
-            NaN where there is none. relative: the same over their values at the origin (HP17 Fig. 15).
-        halves: theta_h (deg) by channel at which they have fallen to half, None where they do not.
-        theta_d_deg, phi_d_deg: where it is.
+    Returns:
+        ``h`` (deg), ``channel``, ``near`` (1 where the width is to be seen), ``file``, ``fit`` (1/sr), and
+        ``file_rel``, ``fit_rel``: over their values at the origin (HP17 Fig. 15); ``channel``, ``wavelength`` (nm),
+        ``file``, ``fit``: where they have fallen to half (deg); theta_d and phi_d (deg).
     """
-
-    theta_h_deg: np.ndarray
-    brdf: dict[str, np.ndarray]
-    relative: dict[str, np.ndarray]
-    halves: dict[str, list[float | None]]
-    theta_d_deg: float
-    phi_d_deg: float
-
-    @property
-    def near(self) -> np.ndarray:
-        """Where it is of interest how wide the peak is, (H,)."""
-        widest = max([*filter(None, self.halves["file"] + self.halves["fit"]), 0.0])
-        return self.theta_h_deg < min(HALVES_SHOWN * widest or 90.0, 90.0)
-
-
-def peak(subject: Subject) -> Peak:
-    """Every datum of the peak."""
-    grid = subject.grid
+    grid, channels = subject.grid, subject.model.channels
     d = int(np.argmin(np.abs(np.degrees(grid.theta_d) - PEAK_DIFFERENCE_DEG)))
     p = len(grid.phi_d) // 2
     seen = grid.theta_h < np.pi / 2 - grid.theta_d[d]
@@ -114,11 +95,19 @@ def peak(subject: Subject) -> Peak:
     fit = prediction.brdf_of(subject.fitted, prediction.from_half_difference(*where))
     file = np.full_like(fit, np.nan) if subject.measurement is None else subject.measurement.values[:, seen, d, p]
     degrees, brdf = np.degrees(grid.theta_h[seen]), {"file": file, "fit": fit}
-    return Peak(
-        degrees, brdf, {name: x / x[:, :1] for name, x in brdf.items()},
-        {name: [half_width(degrees, channel) for channel in x] for name, x in brdf.items()},
-        float(np.degrees(grid.theta_d[d])), float(np.degrees(grid.phi_d[p])),
-    )  # fmt: skip
+    widths: Rows = [
+        {"channel": channel, "wavelength": 1000 * subject.model.wavelengths_um[c],
+         **{kind: half_width(degrees, x[c]) for kind, x in brdf.items()}}
+        for c, channel in enumerate(channels)
+    ]  # fmt: skip
+    widest = max([0.0, *(row[kind] for row in widths for kind in brdf if row[kind])])
+    near = degrees < min(HALVES_SHOWN * widest or 90.0, 90.0)
+    at = [{"h": h, "near": int(x)} for h, x in zip(degrees, near, strict=True)]
+    rows: Rows = []
+    for c, channel in enumerate(channels):
+        curves = {kind: x[c] for kind, x in brdf.items()} | {f"{kind}_rel": x[c] / x[c, 0] for kind, x in brdf.items()}
+        rows += _rows(({**each, "channel": channel} for each in at), curves, range(len(at)))
+    return rows, widths, (float(np.degrees(grid.theta_d[d])), float(np.degrees(grid.phi_d[p])))
 
 
 def half_width(degrees: np.ndarray, values: np.ndarray) -> float | None:
@@ -129,28 +118,3 @@ def half_width(degrees: np.ndarray, values: np.ndarray) -> float | None:
     k = below[0]
     share = (values[k - 1] - values[0] / 2) / (values[k - 1] - values[k])
     return float(degrees[k - 1] + share * (degrees[k] - degrees[k - 1]))
-
-
-def peak_rows(subject: Subject) -> tuple[Rows, Rows]:
-    """Of :func:`peak`, and how wide it is.
-
-    Returns:
-        ``h`` (deg), ``channel``, ``near`` (1 where the width is to be seen), ``file``, ``fit``, ``file_rel``,
-        ``fit_rel``; ``channel``, ``wavelength`` (nm), and halves: ``file``, ``fit``.
-    """
-    found, rows, widths = peak(subject), [], []
-    at = [{"h": short(h), "near": int(near)} for h, near in zip(found.theta_h_deg, found.near, strict=True)]
-    for c, channel in enumerate(subject.model.channels):
-        wavelength = 1000 * subject.model.wavelengths_um[c]
-        widths.append(
-            {"channel": channel, "wavelength": wavelength, **{kind: x[c] for kind, x in found.halves.items()}}
-        )
-        curves = {kind: x[c] for kind, x in found.brdf.items()}
-        curves |= {f"{kind}_rel": x[c] for kind, x in found.relative.items()}
-        rows += _rows(({**each, "channel": channel} for each in at), curves, range(len(at)))
-    return rows, widths
-
-
-def short(x: float, digits: int = 4) -> float | None:
-    """A number of few digits; None for none."""
-    return float(f"{x:.{digits}g}") if np.isfinite(x) else None

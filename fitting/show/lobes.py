@@ -1,12 +1,12 @@
-"""Lobes of file and fit in the plane of incidence."""
+"""Lobes of file and fit in the plane of incidence, and their peak, with its width in each channel (HP17 Fig. 15)."""
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .curves import lobe
-from .style import DECADES, FAINT, MARKS, at_mirror, channel_colour, marks, new, printable
+from . import curves
+from .style import DECADES, DEGREES, FAINT, MARKS, at_mirror, channel_colour, marks, new, printable
 from .subject import Subject
 
 INCIDENCES_DEG = (0, 20, 40, 60, 80)
@@ -38,7 +38,7 @@ def lobes(subject: Subject) -> Figure:
 
 def _row(row: np.ndarray, subject: Subject, degrees: float) -> tuple[float, float]:
     """Draw one incidence; the darkest and the brightest value that is to be seen."""
-    angles, is_datum, found = lobe(subject, degrees)
+    angles, is_datum, found = curves.lobe(subject, degrees)
     visible = found.get("file", found["fit"])
     for c, name in enumerate(subject.model.channels):
         colour = channel_colour(name, c)
@@ -80,3 +80,27 @@ def _legend(figure: Figure, axis: Axes, subject: Subject) -> None:
     if subject.trusted is not None:
         handles.append(axis.fill_between([], [], color=FAINT, alpha=0.4, linewidth=0, label="posterior, 5 to 95 %"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
+
+
+@printable
+def peak(subject: Subject) -> Figure:
+    """Every datum of the peak against theta_h; beside it the same over its value at the origin, as in HP17 Fig. 15."""
+    rows, _, (theta_d, phi_d) = curves.peak(subject)
+    figure = new(2.35)
+    whole, widths = figure.subplots(1, 2)
+    for c, channel in enumerate(subject.model.channels):
+        own = [row for row in rows if row["channel"] == channel]
+        for axis, ending, kept in ((whole, "", own), (widths, "_rel", [row for row in own if row["near"]])):
+            keys = "h", f"file{ending}", f"fit{ending}"
+            h, file, fit = np.array([[row[key] for row in kept] for key in keys], float)
+            axis.plot(h, fit, "-", color=channel_colour(channel, c))
+            axis.plot(h, file, label=subject.channels[c], **marks(channel, c, 2.0, 0.5))
+    whole.set(xscale="log", yscale="log", xlabel=r"$\theta_h$ (deg)", ylabel="BRDF (1/sr)", title="every datum")
+    whole.set_xticks(DEGREES, [f"{x:g}" for x in DEGREES])
+    whole.legend(title="marks: file\nlines: fit", title_fontsize=6.0, loc="lower left")
+    widths.set(xlabel=r"$\theta_h$ (deg)", ylabel="BRDF over its value at 0", title="width by channel")
+    for axis in (whole, widths):
+        axis.grid(alpha=0.25)
+    where = rf"$\theta_d = {theta_d:.1f}^\circ$, $\phi_d = {phi_d:.0f}^\circ$"
+    figure.suptitle(f"{subject.heading}\n{where}")
+    return figure

@@ -10,8 +10,9 @@ from PIL import Image
 
 from ...merl_io.atomic import write_atomically
 from ..pipeline.draws import NoPicture
+from .curves import PARTS
 from .pictures import PICTURES
-from .spheres import PARTS, of_file_and_fit, of_parts
+from .spheres import of_file_and_fit, of_parts
 from .style import own_style
 from .subject import Subject
 

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from .corner import corner, corner_all
-from .effect_shares import effects
 from .isolines import isolines
-from .lobes import lobes
-from .peak import peak
+from .lobes import lobes, peak
 from .residual_maps import errors, residuals
 from .sample_plots import samples
-from .spheres import spheres
+from .spheres import effects, spheres
 from .subject import Subject
 from .trace import trace
 

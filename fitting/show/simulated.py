@@ -63,9 +63,8 @@ def left_out(result: Result) -> list[str]:
         if m.diffraction == "off":
             said.append("diffraction by nano-geometry: switched off")
         if m.body == "none":
-            said.append(
-                "a body under the interface" + (": the choice between kinds did without" if _chose(result) else "")
-            )
+            compared = len(result.fit.candidates) > 1
+            said.append("a body under the interface" + (": the choice between kinds did without" if compared else ""))
         if m.masking == "none":
             said.append("masking and shadowing: switched off")
     if result.model.measured.lobes and not result.model.measured.loses:
@@ -73,10 +72,6 @@ def left_out(result: Result) -> list[str]:
     if (limit := result.theta_max) is not None:
         said.append(f"directions past {np.degrees(limit):.0f} degrees from the normal: neither fitted nor assessed")
     return [*said, *NEVER]
-
-
-def _chose(result: Result) -> bool:
-    return len(result.fit.candidates) > 1
 
 
 def reproducing(result: Result) -> list[str]:

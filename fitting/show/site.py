@@ -68,18 +68,8 @@ class Job:
     origin: str | None = None
 
 
-@dataclass(frozen=True)
-class Made:
-    """A page that was made.
-
-    Attributes:
-        lacks: what there is not on it, and why. error: why it holds nothing, if so.
-    """
-
-    name: str
-    lacks: list[str]
-    error: str | None = None
-
+Made = tuple[list[str], bool]
+"""Of a page: what there is not on it, and why, a line each; and whether it could not be made, which the line says."""
 
 FOLDERS = ("materials", "pictures", "assets")
 LONGEST = 200  # bytes of a page's name
@@ -163,12 +153,12 @@ def _made(jobs: list[Job], count: int) -> Iterator[Made]:
 def make_page(job: Job) -> Made:
     """Write the page of a result, and its pictures; where that fails a page that says so, to which links lead."""
     try:
-        return Made(job.name, _page(job))
+        return [f"{job.name}: {why}" for why in _page(job)], False
     except Exception as error:  # of any kind: said with its name, and the next page has its turn
         said = unexpected(job.path, error)
         why = f"<!doctype html><title>{escape(job.name)}</title><p>{escape(said)}<p><a href='../index.html'>index</a>\n"
         write_text(_html(job), why)
-        return Made(job.name, [], said)
+        return [said], True
 
 
 def _html(job: Job) -> Path:
@@ -216,7 +206,7 @@ def _page_of(job: Job, result: Result) -> Page:
 def _charts(subject: Subject) -> Page:
     """Charts of a result, as specifications and as they are drawn."""
     channels = subject.model.channels
-    peak, widths = curves.peak_rows(subject)
+    peak, widths, _ = curves.peak(subject)
     specs = {
         "lobes": charts.lobes(*curves.lobe_rows(subject), channels),
         "peak": charts.peak(peak, channels, PEAK_DIFFERENCE_DEG),

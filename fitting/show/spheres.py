@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
 from scipy.sparse import csr_array
 
 from ...merl_io.binary import Dims
@@ -15,13 +16,15 @@ from ...merl_io.samples import folded
 from ...scene.colour import coloured, difference, displayed
 from ...scene.spheres import Lighting, render, sphere
 from ..fit.weights import within
-from .style import new, printable
+from .curves import PARTS, added
+from .style import DECADES, OKABE_ITO, at_mirror, new, printable
 from .subject import Subject
 
 SIDE: dict[Lighting, int] = {"lamp": 224, "environment": 112}  # pixels
 LARGEST_SHOWN = 10.0  # CIELAB distance that is brightest in a picture of differences
-PARTS = {"specular": "reflection", "diffracted": "diffraction", "body": "body"}
-"""What the sharp lobes and the body are called, by their names in the models."""
+INCIDENCE_DEG = 45  # of the lobes of the parts
+LINES = ("-", "--", "-.", ":")
+HATCHES = ("", "////", "....", "xxxx")
 
 
 def of_file_and_fit(subject: Subject) -> dict[Lighting, dict[str, np.ndarray]]:
@@ -102,3 +105,49 @@ def show(panel: Axes, picture: np.ndarray, title: str) -> None:
     panel.set_facecolor("black")
     panel.imshow(picture, extent=(-1, 1, -1, 1))
     panel.set(xticks=[], yticks=[], xlim=(-1.05, 1.05), ylim=(-1.05, 1.05), title=title)
+
+
+@printable
+def effects(subject: Subject) -> Figure:
+    """Spheres of each part under the environment, its lobe in the plane of incidence, and its share of the light.
+
+    All are of the material, without the loss of the apparatus.
+    """
+    pictures, shares = of_parts(subject)
+    figure = new(3.9)
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1, 1.35))[:, 0]
+    for panel, (name, picture) in zip(
+        above.subplots(1, len(pictures), squeeze=False)[0], pictures.items(), strict=True
+    ):
+        show(panel, picture, PARTS.get(name, name))
+    lobes, bars = below.subplots(1, 2, width_ratios=(1.6, 1))
+    _lobes(lobes, subject)
+    _shares(bars, subject, shares)
+    figure.suptitle(f"{subject.heading}\nwithout the loss of the apparatus")
+    return figure
+
+
+def _lobes(axis: Axes, subject: Subject) -> None:
+    angles, found = added(subject, INCIDENCE_DEG)
+    for k, (words, lobe) in enumerate(found.items()):
+        axis.plot(angles, lobe, LINES[k % 4], color=OKABE_ITO[k % 8], label=words)
+    at_mirror(axis, INCIDENCE_DEG)
+    brightest = max(float(lobe.max()) for lobe in found.values())
+    axis.set(
+        yscale="log", ylim=(brightest / 10**DECADES, 3 * brightest), ylabel="BRDF (1/sr)", xlabel=r"$\theta_o$ (deg)",
+        title=rf"channel {subject.channels[len(subject.channels) // 2]}, $\theta_i = {INCIDENCE_DEG}^\circ$",
+    )  # fmt: skip
+    axis.legend(loc="upper left")
+
+
+def _shares(axis: Axes, subject: Subject, shares: dict[str, np.ndarray]) -> None:
+    """Stacked bars, one a channel."""
+    channels = subject.channels
+    low = np.zeros(len(channels))
+    for k, share in enumerate(shares.values()):
+        axis.bar(
+            channels, share, 0.7, low, color=OKABE_ITO[k % 8], hatch=HATCHES[k % 4], edgecolor="white", linewidth=0.4
+        )
+        low = low + share
+    axis.set(ylim=(0, 1), title="share of the light")
+    axis.yaxis.set_major_formatter(PercentFormatter(1.0))

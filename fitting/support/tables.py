@@ -32,20 +32,23 @@ def as_markdown(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
 
 
-def as_csv(heads: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:
-    """Rows by their heads: commas, a decimal point, numbers of six digits, nothing where there is no value."""
+def as_csv(
+    heads: Sequence[str], rows: Iterable[Mapping[str, object]], digits: int = 6, spreadsheet: bool = True
+) -> str:
+    """Rows by their heads: commas, a decimal point, nothing where there is no value.
+
+    Args:
+        digits: of numbers. spreadsheet: whether what a spreadsheet would take for a formula is quoted.
+    """
+
+    def cell(value: object) -> str:
+        if isinstance(value, float):
+            return f"{value:.{digits}g}"
+        text = "" if value is None else str(value)
+        return f"'{text}" if spreadsheet and isinstance(value, str) and text.startswith(FORMULA) else text
+
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(map(_cell, heads))
-    writer.writerows([_cell(row.get(head)) for head in heads] for row in rows)
+    writer.writerow(map(cell, heads))
+    writer.writerows([cell(row.get(head)) for head in heads] for row in rows)
     return out.getvalue()
-
-
-def _cell(value: object) -> str:
-    """Text of a cell; what a spreadsheet would take for a formula is quoted."""
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    text = str(value)
-    return f"'{text}" if isinstance(value, str) and text.startswith(FORMULA) else text

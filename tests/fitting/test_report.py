@@ -159,7 +159,7 @@ def test_the_lobes_of_a_fit_that_is_the_file(run):
     for row in added:
         parts[row["i"], row["o"]] = parts.get((row["i"], row["o"]), 0) + row["value"]
     assert all(abs(total / at[i, o, "G"] - 1) < 2e-3 for (i, o), total in parts.items())
-    widths = curves.peak_rows(subject)[1]
+    widths = curves.peak(subject)[1]
     assert [row["file"] for row in widths] == pytest.approx([row["fit"] for row in widths], rel=0.05)
     assert [row["wavelength"] for row in widths] == sorted((row["wavelength"] for row in widths), reverse=True)
 

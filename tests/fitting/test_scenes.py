@@ -177,8 +177,8 @@ def test_an_exported_merl_file_takes_the_place_of_none(tmp_path, result, monkeyp
 
 @pytest.mark.parametrize("name", ["matte", "metal", "paint"])
 def test_the_scenes_that_are_shipped_can_be_read(name):
-    ready = scenes.staged(ROOT / "configs" / "scenes" / f"{name}.toml")
-    assert {each.name for each in ready.given} == set(ready.scene.materials)
+    film, given = scenes.staged(ROOT / "configs" / "scenes" / f"{name}.toml")
+    assert {each.name for each in given} == set(film.scene.materials)
 
 
 @pytest.mark.parametrize("to", ["mitsuba", "json", "merl"])

@@ -171,12 +171,12 @@ def test_all_of_a_picture_is_in_single_precision():
     """Drawn by visible facets, under an environment and a lamp, of a model and of a measurement."""
     made = scene(environment={"kind": "studio"}, lamp=[{"towards": (0, 1, 1), "irradiance": 1, "radius_deg": 1}])
     film, pixel = Film(made, stage(made), 2), np.array([120], np.int32)
-    material = drawn(ggx({**GGX, "alpha": 0.05}))
-    assert isinstance(material.sampler, Visible)
-    of = lambda pixel: lit(film.stage, material.sampler, jnp.asarray(0), pixel, film.numbers.of(pixel))  # noqa: E731
+    material, sampler = drawn(ggx({**GGX, "alpha": 0.05}))
+    assert isinstance(sampler, Visible)
+    of = lambda pixel: lit(film.stage, sampler, jnp.asarray(0), pixel, film.numbers.of(pixel))  # noqa: E731
     rays = jax.eval_shape(of, pixel)
     assert {x.dtype for x in rays} == {jnp.dtype(PRECISION)}
-    assert jax.eval_shape(material.sampler.density, rays.o, rays.i).dtype == PRECISION
+    assert jax.eval_shape(sampler.density, rays.o, rays.i).dtype == PRECISION
     table = measurement(np.ones((3, 90, 90, 90)), np.ones((90, 90, 90), bool))
-    for each in (material.material, table):
+    for each in (material, table):
         assert jax.eval_shape(lambda rays, each=each: radiance(each, rays), rays).dtype == PRECISION
