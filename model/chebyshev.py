@@ -18,11 +18,16 @@ def evaluate(values: Real, x: Real) -> Real:
         values: at the nodes, shape (count, ...), trailing axes broadcasting with those of ``x``. x: in [0, 1]; beyond,
             as for `weights`.
     """
-    count = len(values)
-    k = np.arange(count)
-    to_coefficients = np.cos(np.outer(k, np.pi * (k + 0.5) / count)) * (2 / count)
-    to_coefficients[0] /= 2
-    coefficients = jnp.tensordot(jnp.asarray(to_coefficients, values.dtype), values, 1)
+    return series(coefficients(values), x)
+
+
+def coefficients(values: Real) -> Real:
+    """Of the polynomials T_k of 2 x - 1, from values at the nodes, both of shape (count, ...)."""
+    return jnp.tensordot(jnp.asarray(_to_coefficients(len(values)), values.dtype), values, 1)
+
+
+def series(coefficients: Real, x: Real) -> Real:
+    """The sum of the polynomials with these coefficients: :func:`evaluate`, if they are known already."""
     x = jnp.clip(2 * x - 1, -1.01, 1.01)
     later = last = jnp.zeros((), coefficients.dtype)
     for each in coefficients[:0:-1]:
@@ -38,11 +43,16 @@ def weights(x: Real, count: int) -> Real:
     Returns:
         shape ``(count, *x.shape)``; summed with the values over the first axis they give the polynomial.
     """
-    k = np.arange(count)
-    to_coefficients = np.cos(np.outer(k, np.pi * (k + 0.5) / count)) * (2 / count)
-    to_coefficients[0] /= 2
     x = jnp.clip(2 * x - 1, -1.01, 1.01)
     rows = [jnp.ones_like(x), x]
     for _ in range(count - 2):
         rows.append(2 * x * rows[-1] - rows[-2])
-    return jnp.tensordot(jnp.asarray(to_coefficients.T, x.dtype), jnp.stack(rows[:count]), 1)
+    return jnp.tensordot(jnp.asarray(_to_coefficients(count).T, x.dtype), jnp.stack(rows[:count]), 1)
+
+
+def _to_coefficients(count: int) -> np.ndarray:
+    """What takes values at the nodes to coefficients of T_k, (count, count)."""
+    k = np.arange(count)
+    matrix = np.cos(np.outer(k, np.pi * (k + 0.5) / count)) * (2 / count)
+    matrix[0] /= 2
+    return matrix

@@ -24,6 +24,7 @@ from jax import Array
 
 from . import body, chebyshev, diffraction, piecewise
 from .geometry import Geometry
+from .materialised import materialised, true_of
 from .numerics import Real, Scalar, safe_acos, safe_divide, safe_sqrt
 from .quadrature import gauss_legendre
 
@@ -56,10 +57,15 @@ def share_of(b_over_lambda: Array, c: Scalar, table: Array | None = None) -> Cal
 
     def share(one_minus_sin: Array) -> Array:  # (C, ...)
         along = (-1, *(1,) * (one_minus_sin.ndim - 1))
-        x = jnp.arcsinh(placed.reshape(along) * one_minus_sin) / longest.reshape(along)
-        return chebyshev.evaluate(values.reshape(SHARES, *along), x)
+        places = materialised(_place, true_of(longest[0]), placed.reshape(along), longest.reshape(along), one_minus_sin)
+        return chebyshev.evaluate(values.reshape(SHARES, *along), places)
 
     return share
+
+
+def _place(b_over_lambda: Real, longest: Real, one_minus_sin: Real) -> Real:
+    """In [0, 1], among the nodes of `share_curve`."""
+    return jnp.arcsinh(b_over_lambda * one_minus_sin) / longest
 
 
 def lobe_albedo(

@@ -214,6 +214,7 @@ def blurred_lobe(v: Values, s: Setting) -> Array:
     if e.diffraction == "lobe":
         return convolution.lobe(theta_h, B, v["c"])
     if "lobe_surface" in v:
-        sharpest = 2 * v["b"] / jnp.min(s.wavelength_um)
-        return convolution.from_surface(v["lobe_surface"], theta_h, B, sharpest)
+        shortest_um = jnp.min(s.wavelength_um)
+        share, sharpest = cos_over_lambda * shortest_um, 2 * v["b"] / shortest_um
+        return convolution.from_surface(v["lobe_surface"], theta_h, share, sharpest)
     return convolution.convolve_many(theta_h, cos_over_lambda, v["b"], v["c"], v["beta"], v["p"], e.order)
