@@ -29,7 +29,7 @@ from ..results.schema_run import this_run
 from ..results.storage import versions, write_result
 from ..support.clock import Stage
 from ..support.outputs import log
-from ..support.terminal import unexpected
+from ..support.terminal import why_ended
 from .connection import CONNECT, SLURM, ClusterError, address_of, connected, library, line
 from .pool import NOTHING, PATIENCE, Note, Tell
 from .slurm import Queue
@@ -269,7 +269,7 @@ class Cluster:
             said = f"{path}: its worker was lost, at last {error.last_worker.address}"
             return Brought(Ended(Ending.LOST, error=said))
         # of any kind: said with its name, and the next file has its turn
-        return Brought(Ended(Ending.FAILED, error=unexpected(path, error, line(error))))
+        return Brought(Ended(Ending.FAILED, error=why_ended(path, error, line(error))))
 
     def _end(self) -> None:
         """Leave the cluster; workers that came from a queue are given back."""

@@ -14,11 +14,11 @@ from ..pipeline.run import Finish, fit_file
 from ..results.manifest import Ending
 from ..results.schema import Result
 from ..results.storage import ResultError, read_result
-from ..settings.config import Config, ConfigError
+from ..settings.config import Config
 from ..support.clock import Report, silent
 from ..support.compilation import FIRST_FIT, FIRST_RIVAL, make_room, programs_told
 from ..support.outputs import log, log_of
-from ..support.terminal import Stopped, unexpected
+from ..support.terminal import Stopped, why_ended
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
                 result = fit_file(unit.path, place.folder, unit.settings, told, unit.finish)
         log(unit.log, f"{result.fit.status}, {result.seconds['total']:.1f} s")
         ended = Ended(Ending.FITTED, result)
-    except (MerlError, ConfigError) as error:
+    except MerlError as error:
         ended = Ended(Ending.BAD_INPUT, error=str(error))
     except WriteError as error:  # names the output, the input is not to blame
         ended = Ended(Ending.FAILED, error=str(error))
@@ -93,7 +93,7 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
     except Exception as error:  # of any kind: said with its name, and the next file has its turn
         log(unit.log, traceback.format_exc())
         where = str(error) if place is None else str(error).replace(str(place.folder), str(place.path.parent))
-        ended = Ended(Ending.FAILED, error=unexpected(unit.path, error, where))
+        ended = Ended(Ending.FAILED, error=why_ended(unit.path, error, where))
     return replace(ended, said=place.said) if place is not None else ended
 
 

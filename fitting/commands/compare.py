@@ -30,7 +30,7 @@ from ..support.terminal import (
     progress_display,
     reporter,
     reporting,
-    unexpected,
+    why_ended,
     writable_folder,
 )  # fmt: skip
 from .fit import numbered, refuse_same_names
@@ -114,7 +114,7 @@ def compare_files(
             except Exception as error:  # of any kind: said with its name, and the next file has its turn
                 code = max(code, FAILED_FIT)
                 log(log_of(out, path.stem), traceback.format_exc())
-                fail(f"{unexpected(path, error)}; {log_of(out, path.stem)} says where")
+                fail(f"{why_ended(path, error)}; {log_of(out, path.stem)} says where")
             progress.remove_task(task)
     if rows:
         data = "genuine MERL measurements" if all(row.genuine for row in rows) else NOT_GENUINE

@@ -17,7 +17,6 @@ from ...merl_io.binary import Measurement
 from ...merl_io.grid import merl_grid
 from ...merl_io.inputs import is_scattered
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
-from ...merl_io.source import MerlError
 from ...model.reflectance import evaluate
 from ..fit import scattered_errors
 from ..fit.error_metrics import INCIDENCE, Errors, by_incidence, errors
@@ -33,7 +32,7 @@ from ..support.choices import THETA_MAX
 from ..support.compilation import use_persistent_cache
 from ..support.outputs import refuse_others
 from ..support.tables import as_csv, table
-from ..support.terminal import BAD_INPUT, console, fail, unexpected, writable_folder
+from ..support.terminal import BAD_INPUT, console, fail, why_ended, writable_folder
 
 
 def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool = False) -> None:
@@ -47,10 +46,8 @@ def metrics_of(results: list[Path], against: Path, out: Path | None, force: bool
     for path in results:
         try:
             found.append(assessed_result(path, read_result(path), against))
-        except MerlError as error:
-            missing[str(error)] = None  # once, if it is about the file
-        except Exception as error:  # of any kind: said with its name, and the next result has its turn
-            missing[unexpected(path, error)] = None
+        except Exception as error:  # of any kind: the next result has its turn
+            missing[why_ended(path, error)] = None  # once, if it is about the file
     for line in missing:
         fail(line)
     if found:

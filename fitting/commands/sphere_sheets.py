@@ -7,7 +7,7 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 
-from ...merl_io.binary import Measurement, MerlError
+from ...merl_io.binary import Measurement
 from ...merl_io.samples import folded
 from ...merl_io.source import is_regular
 from ...model.parameters import Parameter
@@ -31,7 +31,7 @@ from ..support.terminal import (
     note,
     progress_display,
     reporter,
-    unexpected,
+    why_ended,
     writable_folder,
 )  # fmt: skip
 from .scenes import Say, changed, grey, of_result
@@ -149,6 +149,7 @@ def render_results(
     use_persistent_cache()
     writable_folder(out)
     code, written = 0, set()
+    varied_by = "-".join(each.partition("=")[0].strip() for each in vary) + "." * bool(vary)
     scene = changed(STUDIO, samples=samples, seed=seed)
     if vary and len(paths) > 1:
         raise fail("--vary is for one fit at a time")
@@ -156,26 +157,18 @@ def render_results(
         for path in paths:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             try:
-                target = _target(path, out, vary)
+                target = out / f"{path.stem}.{varied_by}png"
                 if target in written:
                     raise SceneError(f"{path}: {target} is of another result of this command: render them one by one")
                 refuse_others([target], force)
                 _render_result(path, target, vary, scene, say)
                 written.add(target)
                 console.print(f"wrote {target}")
-            except (MerlError, OSError) as error:
+            except Exception as error:  # of any kind: the next result has its turn
                 code = BAD_INPUT
-                fail(str(error))
-            except Exception as error:  # of any kind: said with its name, and the next result has its turn
-                code = BAD_INPUT
-                fail(unexpected(path, error))
+                fail(why_ended(path, error))
     if code:
         raise typer.Exit(code)
-
-
-def _target(path: Path, out: Path, vary: Sequence[str]) -> Path:
-    varied_by = "-".join(each.partition("=")[0].strip() for each in vary)
-    return out / f"{path.stem}.{f'{varied_by}.' if vary else ''}png"
 
 
 def _render_result(path: Path, target: Path, vary: Sequence[str], scene: Scene, say: Say) -> None:

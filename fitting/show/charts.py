@@ -52,28 +52,22 @@ def lobes(plane: Rows, parts: Rows, channels: Sequence[str]) -> Spec:
     across = {"field": "o", "type": "quantitative", "title": "θo (degrees), mirror side positive",
               "scale": {"domain": [-90, 90], "nice": False}, "axis": {"values": list(range(-90, 91, 30))}}  # fmt: skip
     up = _scaled_axis()
-    colour = _by_channel(channels)
-    layers: list[Spec] = []
-    if any(row["low"] is not None for row in plane):
-        layers.append({
-            "mark": {"type": "area", "opacity": 0.2},
-            "encoding": {"x": across, "y": up | {"field": "y_low"}, "y2": {"field": "y_high"}, "color": colour},
-        })  # fmt: skip
-    layers.append({"mark": {"type": "line", "strokeWidth": 1.3}, "encoding": {
-        "x": across, "y": up | {"field": "y_fit"}, "color": colour}})  # fmt: skip
-    if any(row["alone"] is not None for row in plane):
-        layers.append({"mark": {"type": "line", "strokeDash": [4, 3], "strokeWidth": 1, "clip": True}, "encoding": {
-            "x": across, "y": up | {"field": "y_alone"}, "color": colour}})  # fmt: skip
-    if any(row["file"] is not None for row in plane):
-        layers.append({
-            "transform": [{"filter": "isValid(datum.file)"}],
-            "mark": {"type": "point", "size": 14, "strokeWidth": 0.8, "opacity": 0.8},
-            "encoding": {
-                "x": across, "y": up | {"field": "y_file"}, "color": colour, "shape": _shape(channels),
-                "tooltip": [_tip("channel", "channel", None), _tip("o", "θo (degrees)", ".3~r"),
-                            _tip("file", "file (1/sr)"), _tip("fit", "fit (1/sr)"), _tip("ratio", "fit over file")],
-            },
-        })  # fmt: skip
+    there = {name for name in scaled if any(row[name] is not None for row in plane)}
+
+    def layer(mark: str, looks: Spec, name: str, **more: object) -> Spec:
+        encoding = {"x": across, "y": up | {"field": f"y_{name}"}, "color": _by_channel(channels), **more}
+        return {"mark": {"type": mark, **looks}, "encoding": encoding}
+
+    layers = [layer("area", {"opacity": 0.2}, "low", y2={"field": "y_high"})] if "low" in there else []
+    layers.append(layer("line", {"strokeWidth": 1.3}, "fit"))
+    if "alone" in there:
+        layers.append(layer("line", {"strokeDash": [4, 3], "strokeWidth": 1, "clip": True}, "alone"))
+    if "file" in there:
+        tips = [_tip("channel", "channel", None), _tip("o", "θo (degrees)", ".3~r"), _tip("file", "file (1/sr)"),
+                _tip("fit", "fit (1/sr)"), _tip("ratio", "fit over file")]  # fmt: skip
+        looks = {"size": 14, "strokeWidth": 0.8, "opacity": 0.8}
+        points = layer("point", looks, "file", shape=_shape(channels), tooltip=tips)
+        layers.append(points | {"transform": [{"filter": "isValid(datum.file)"}]})
     rule = {"transform": [{"filter": "datum.i == incidence"}, {"aggregate": [{"op": "max", "field": "i", "as": "i"}]}],
             "mark": {"type": "rule", "strokeDash": [2, 2], "color": "gray"},
             "encoding": {"x": across | {"field": "i"}}}  # fmt: skip

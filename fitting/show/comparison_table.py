@@ -3,8 +3,7 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from ...model.two_scale import TwoScale
 from ..fit.outcome import POOR
 from ..fit.selection import ALIKE, SEEN, VISIBLE, least, lost
 from ..pipeline.comparison import FIT, Row
-from ..support.numbers import distance, number
+from ..support.numbers import distance, median, number
 from ..support.tables import as_csv, as_markdown, table
 from .style import own_style, plain, save
 
@@ -113,13 +112,12 @@ def table_of(rows: Sequence[Row]) -> Table:
     found = table(title, heads, heads[:1])
     best = [winners(rows, name) for name in ("rmse", "picture")]
     for name, own in by_label(rows).items():
-        middle = partial(_median, own)
         count = " ".join(str(sum(winner == name for winner, _ in each.values())) for each in best)
         found.add_row(
             name if several or own[0].variant == own[0].model or own[0].origin != FIT else f"{name} ({own[0].variant})",
-            number(middle(lambda r: float(r.numbers))), *(shown(f, middle(lambda r, f=f: getattr(r.errors, f)))
+            number(median(r.numbers for r in own)), *(shown(f, median(getattr(r.errors, f) for r in own))
             for f in ("rmse", "smape", "picture", *LIT, "highlight")),
-            number(middle(lambda r: r.bic)), number(middle(lambda r: r.seconds or float("nan")), 3),
+            number(median(r.bic for r in own)), number(median(r.seconds for r in own), 3),
             *([count] if several else []),
         )  # fmt: skip
     return found
@@ -128,11 +126,6 @@ def table_of(rows: Sequence[Row]) -> Table:
 def shown(name: str, x: float) -> str:
     """An error as tables have it."""
     return distance(x) if name in ("picture", *LIT) else number(x, 3)
-
-
-def _median(rows: Sequence[Row], value: Callable[[Row], float]) -> float:
-    found = [x for x in map(value, rows) if np.isfinite(x)]
-    return float(np.median(found)) if found else float("nan")
 
 
 def verdict(rows: Sequence[Row]) -> str:
@@ -257,13 +250,10 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
     def section(title: str, said: str, heads: Sequence[str], table: Iterable[Sequence[object]]) -> None:
         lines.extend(["", f"## {title}", *(["", said] if said else []), "", as_markdown(heads, table)])
 
-    def middle(own: Sequence[Row], value: Callable[[Row], float], digits: int = 4) -> str:
-        return number(_median(own, value), digits)
-
     section("Medians", "", ["model", "materials", "numbers", *FIGURES.values(), "BIC", "s"], (
-        [name, len(own), middle(own, lambda r: float(r.numbers)),
-         *(middle(own, lambda r, f=f: getattr(r.errors, f), 3) for f in FIGURES),
-         middle(own, lambda r: r.bic), middle(own, lambda r: r.seconds or float("nan"), 2)]
+        [name, len(own), number(median(r.numbers for r in own)),
+         *(number(median(getattr(r.errors, f) for r in own), 3) for f in FIGURES),
+         number(median(r.bic for r in own)), number(median(r.seconds for r in own), 2)]
         for name, own in labels.items()
     ))  # fmt: skip
     wins = {name: winners(rows, name) for name in RANKED}
@@ -281,8 +271,7 @@ def markdown(rows: Sequence[Row], title: str, data: str, picture: str) -> str:
             return
         counts = Counter(of.values())
         columns = (
-            [_median([r for r in own if of.get(r.material) == g], lambda r: r.errors.rmse) for own in labels.values()]
-            for g in groups
+            [median(r.errors.rmse for r in own if of.get(r.material) == g) for own in labels.values()] for g in groups
         )
         heads = ["model", *(f"{g} ({counts[g]})" for g in groups)]
         section(title, said, heads, zip(labels, *map(_lowest_bold, columns), strict=True))
@@ -319,7 +308,7 @@ def _lowest_bold(errors: Sequence[float | None]) -> list[str]:
 
 def _won(winners_: dict[str, tuple[str, float]], name: str) -> str:
     by = [factor for winner, factor in winners_.values() if winner == name]
-    return f"{len(by)} ({number(float(np.median(by)), 3)})" if by else "0"
+    return f"{len(by)} ({number(median(by), 3)})" if by else "0"
 
 
 @own_style()

@@ -11,10 +11,10 @@ from ...merl_io.atomic import write_text
 from ..results.manifest import NAME as MANIFEST
 from ..results.manifest import Ending, FileEnded, lines
 from ..results.schema import Metrics, Result
-from ..results.storage import ResultError, read_result
+from ..results.storage import read_result
 from ..support.outputs import refuse_others
 from ..support.tables import as_csv
-from ..support.terminal import BAD_INPUT, console, fail, note, unexpected
+from ..support.terminal import BAD_INPUT, console, fail, note, why_ended
 
 UNREADABLE = "unreadable"
 HEADS = (
@@ -22,6 +22,7 @@ HEADS = (
     "posterior", "cautions", "error", "result", "file", "sha1",
 )  # fmt: skip
 Row = dict[str, str | float | None]
+BLANK: Row = dict.fromkeys(HEADS)
 
 
 def write_table(folder: Path, path: Path, force: bool = False) -> None:
@@ -36,9 +37,8 @@ def write_table(folder: Path, path: Path, force: bool = False) -> None:
     refuse_others([path], force, "table.csv")
     write_csv(rows, path)
     code = tell_errors(rows)
-    counts = Counter(str(row["status"]) for row in rows)
-    said = ", ".join(f"{count} {status}" for status, count in counts.most_common())
-    console.print(f"wrote {path}: {said}")
+    counts = Counter(str(row["status"]) for row in rows).most_common()
+    console.print(f"wrote {path}: {', '.join(f'{count} {status}' for status, count in counts)}")
     if code:
         raise typer.Exit(code)
 
@@ -74,7 +74,7 @@ def rows_of(folder: Path) -> list[Row]:
         _row(path, folder, last.pop(path, None)) for path in sorted(folder.rglob("*.json")) if _shown(path, folder)
     ]
     found += [
-        _blank() | {"material": line.material, "status": str(line.ended), "error": line.error, "file": line.file}
+        BLANK | {"material": line.material, "status": str(line.ended), "error": line.error, "file": line.file}
         for line in last.values()
         if line.ended not in (Ending.FITTED, "kept")
     ]
@@ -101,23 +101,14 @@ def _shown(path: Path, folder: Path) -> bool:
     return not hidden and not path.name.endswith(".material.json")  # of `merlfit export`
 
 
-def _blank() -> Row:
-    return dict.fromkeys(HEADS)
-
-
 def _row(path: Path, folder: Path, last: FileEnded | None) -> Row:
     """Of a result; an error is that of a later run that did not replace it."""
-    row = _blank() | {
-        "material": path.stem,
-        "result": str(path.relative_to(folder)),
-        "error": last.error if last else None,
-    }
+    where = str(path.relative_to(folder))
+    row = BLANK | {"material": path.stem, "result": where, "error": last.error if last else None}
     try:
         return row | _found(read_result(path))
-    except ResultError as error:
-        return row | {"status": UNREADABLE, "error": str(error)}
-    except Exception as error:  # of any kind: said with its name, and the next result has its row
-        return row | {"status": UNREADABLE, "error": unexpected(path, error)}
+    except Exception as error:  # of any kind: the next result has its row
+        return row | {"status": UNREADABLE, "error": why_ended(path, error)}
 
 
 def _found(result: Result) -> Row:

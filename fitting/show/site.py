@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -28,9 +29,10 @@ from ..show.results_table import UNREADABLE, Row, write_csv
 from ..support.clock import Report, silent
 from ..support.compilation import use_persistent_cache
 from ..support.numbers import counted, number, unit
+from ..support.numbers import median as middle
 from ..support.outputs import is_ours, refuse_others
 from ..support.processes import end_with_parent, jobs_for
-from ..support.terminal import unexpected
+from ..support.terminal import why_ended
 from . import charts, curves, page_pictures
 from .comparison_table import group_of
 from .corner import UNITS
@@ -155,7 +157,7 @@ def make_page(job: Job) -> Made:
     try:
         return [f"{job.name}: {why}" for why in _page(job)], False
     except Exception as error:  # of any kind: said with its name, and the next page has its turn
-        said = unexpected(job.path, error)
+        said = why_ended(job.path, error)
         why = f"<!doctype html><title>{escape(job.name)}</title><p>{escape(said)}<p><a href='../index.html'>index</a>\n"
         write_text(_html(job), why)
         return [said], True
@@ -187,7 +189,6 @@ def _page(job: Job) -> list[str]:
 def _page_of(job: Job, result: Result) -> Page:
     """What is said of a result."""
     m, f = result.model, result.fit
-    command = " ".join(_quoted(word) for word in reproducing(result))
     json_file = os.path.relpath(job.path, job.out / "materials")
     return {
         "result": result, "name": job.name, "before": job.before, "after": job.after, "json": json_file,
@@ -196,7 +197,8 @@ def _page_of(job: Job, result: Result) -> Page:
         "spec": {}, "svg": {}, "pictures": {}, "widths": [],
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
-        "at_bound": [q.name for q in result.parameters if q.at_bound != "no"], "command": command,
+        "at_bound": [q.name for q in result.parameters if q.at_bound != "no"],
+        "command": shlex.join(reproducing(result)),
         "group": group_of(result.source.material), "errors": FIGURES,
         "simulated": simulated(result), "left_out": left_out(result), "candidates": sorted(
             f.candidates, key=lambda c: np.inf if c.score is None else c.score),
@@ -288,7 +290,7 @@ def _index(folder: Path, rows: Sequence[Page]) -> str:
         groups=sorted({row["group"] for row in rows}),
         models=sorted({str(row["model"]) for row in shown if row["model"]}),
         **_embedded(specs),
-        medians={n: _median([row[n] for row in shown]) for n in (*FIGURES, "seconds")},
+        medians={n: middle(row[n] for row in shown) for n in (*FIGURES, "seconds")},
     )  # fmt: skip
 
 
@@ -302,11 +304,6 @@ def _units(known: Set[str], names: Sequence[str]) -> dict[str, str]:
     }
     agreed = {q: UNITS.get(*units, *units) for q, units in found.items() if len(units) == 1}
     return {name: agreed[q] for name, q in own.items() if agreed.get(q)}
-
-
-def _median(values: Sequence[float | None]) -> float | None:
-    known = [x for x in values if x is not None]
-    return float(np.median(known)) if known else None
 
 
 def _embedded(specs: Mapping[str, charts.Spec]) -> Page:
@@ -329,10 +326,6 @@ GREEK = {
     "alpha": "α", "beta": "β", "gamma": "γ", "eta": "η", "theta": "θ", "kappa": "κ", "lambda": "λ", "mu": "μ",
     "rho": "ρ", "sigma": "σ", "tau": "τ",
 }  # fmt: skip
-
-
-def _quoted(word: str) -> str:
-    return word if re.fullmatch(r"[\w@%+=:,./-]+", word) else "'" + word.replace("'", "'\"'\"'") + "'"
 
 
 @cache

@@ -1,6 +1,8 @@
 """Numbers as tables show them."""
 
 import math
+import statistics
+from collections.abc import Iterable
 
 
 def number(x: float | None, digits: int = 4) -> str:
@@ -8,6 +10,12 @@ def number(x: float | None, digits: int = 4) -> str:
     if x is None or not math.isfinite(x):
         return "-"
     return f"{x:.{digits}g}"
+
+
+def median(values: Iterable[float | None]) -> float:
+    """Of those that are known; NaN where none is."""
+    known = sorted(x for x in values if x is not None and math.isfinite(x))
+    return statistics.median(known) if known else math.nan
 
 
 def unit(name: str) -> str:

@@ -236,12 +236,14 @@ def fail(message: str) -> typer.Exit:
     return typer.Exit(BAD_INPUT)
 
 
-def unexpected(path: Path, error: BaseException, said: str | None = None) -> str:
-    """One line on what nobody foresaw, which ends the work on this file and on no other.
+def why_ended(path: Path, error: BaseException, said: str | None = None) -> str:
+    """One line on what ends the work on this file and on no other: with its name, if nobody foresaw it.
 
     Args:
         said: what the error says, if not in its own words.
     """
+    if isinstance(error, MerlError | WriteError):
+        return str(error)
     return f"{path}: failed unexpectedly: {type(error).__name__}: {error if said is None else said}"
 
 
