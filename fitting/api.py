@@ -6,6 +6,7 @@ import tempfile
 import warnings
 import weakref
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +80,8 @@ def fit(
         settings, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
         posterior=posterior, seed=seed, parameters=parameters_of(fix, bounds, start, tie),
     )  # fmt: skip
-    if "enabled" not in config.posterior.model_fields_set:
-        config = config.model_copy(update={"posterior": config.posterior.model_copy(update={"enabled": False})})
+    if config.posterior.enabled == "auto":
+        config = replace(config, posterior=replace(config.posterior, enabled=False))
     use_cache()
     path = Path(file).absolute() if isinstance(file, str | os.PathLike) else file
     measurement = inputs.read(path, dims=config.input.allowed, name=name) if isinstance(path, Path | Mapping) else path

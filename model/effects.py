@@ -3,7 +3,6 @@
 :class:`merlfit.model.two_scale.TwoScale` is the model with its effects.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -14,7 +13,6 @@ ANY = "any"  # of `TwoScale.general` alone, of no material
 Fresnel = Literal["exact", "schlick"]
 Masking = Literal["smith", "height_correlated", "none"]
 Diffraction = Literal["off", "lobe", "quadrature", "exact"]
-GONE = ("scaled", "zonal")  # tiers that merlfit had: docs/physics.md says why they are no more
 Split = Literal["printed", "conserving"]
 Colour = Literal["rayleigh_rice", "fresnel"]
 Index = Literal["usual", "complex", "real"]
@@ -100,18 +98,6 @@ def idle(diffraction: Diffraction) -> dict[str, str]:
         "colour": (diffraction != "off", "diffraction is not off"),
     }
     return {name: where for name, (heeded, where) in used.items() if not heeded}
-
-
-def refuse_gone(settings: Mapping[str, Any]) -> None:
-    """Tell who names a tier that was removed what to take instead.
-
-    Raises:
-        ValueError: they name one, or its setting; the message is one line.
-    """
-    if (tier := settings.get("diffraction")) in GONE:
-        raise ValueError(f"diffraction {tier!r} is no more: fit with quadrature, or with lobe where time counts")
-    if "zonal_order" in settings:
-        raise ValueError("zonal_order was a setting of diffraction 'zonal', which is no more: leave it out")
 
 
 PRESETS: dict[str, Effects] = {

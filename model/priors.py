@@ -10,6 +10,11 @@ class LogNormal:
     median: float
     factor: float
 
+    def __post_init__(self) -> None:
+        """Refuse what is no distribution."""
+        if not (self.median > 0 and self.factor > 1):
+            raise ValueError(f"a median of {self.median:g} should be positive, a factor of {self.factor:g} above 1")
+
 
 @dataclass(frozen=True)
 class Priors:

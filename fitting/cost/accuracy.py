@@ -130,10 +130,9 @@ class Aim:
     def calibrated(self) -> bool:
         """Whether the fits of the calibration were fits of this kind, but for the choice and the body."""
         usual = Config()
-        effects = self.config.effects.model_copy(update={k: getattr(usual.effects, k) for k in ("index", "body")})
-        given = self.config.input.model_copy(update={"origin": ""})
-        free = {"seed": usual.seed, "input": given, "posterior": usual.posterior, "effects": effects}
-        return self.config.model_copy(update=free) == usual
+        effects = replace(self.config.effects, index=usual.effects.index, body=usual.effects.body)
+        given = replace(self.config.input, origin="")
+        return replace(self.config, seed=usual.seed, input=given, posterior=usual.posterior, effects=effects) == usual
 
     @property
     def summary(self) -> str:

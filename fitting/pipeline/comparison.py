@@ -74,12 +74,11 @@ def config_of(config: Config, name: str) -> Config:
         merlfit.fitting.settings.config.ConfigError: settings of a model of their own, or weights that every model would
             choose for itself.
     """
-    if config.model.model_extra:
-        key = next(iter(config.model.model_extra))
+    for key in config.model.settings:
         raise ConfigError(f"model.{key} is a setting of one model: leave it out where several are compared")
     if config.fit.weights == "adaptive":
         raise ConfigError("fit.weights 'adaptive' gives every model another objective: compare with one of the others")
-    data = {**config.model_dump(mode="json"), "model": {"name": name}}
+    data = {**config.plain(), "model": {"name": name}}
     if name != TwoScale.name:
         data["effects"] = {}
     if not made(name, {}).lobes:

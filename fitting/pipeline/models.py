@@ -1,10 +1,11 @@
 """The models to fit, made of the settings."""
 
+from dataclasses import asdict
+from typing import Any
+
 from ...merl_io.bands import MERL, Bands
-from ...model.apparatus import Apparatus
 from ...model.effects import KINDS, TWO_SCALE, Kind
 from ...model.measured import Measured
-from ...model.priors import LogNormal, Priors
 from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
 from ..fit.transforms import Layout, layout_of, refuse_contradictions
@@ -26,7 +27,7 @@ def _constrained(config: Config, name: str, variants: list[Measured]) -> list[Me
     Raises:
         ConfigError: there is none, or what is said cannot be kept.
     """
-    wanted = config.constraints
+    wanted = config.parameters
     found = [model for model in variants if wanted.keys() <= {q.name for q in model.parameters}]
     if not found:
         known = sorted({q.name for model in variants for q in model.parameters})
@@ -55,8 +56,9 @@ def _numbers(material: Reflectance) -> int:
 
 def two_scale(config: Config, kind: Kind) -> Measured:
     """The two-scale model to fit with one interface and body."""
-    chosen = config.effects.model_copy(update=dict(zip(("index", "body"), kind, strict=True)))
-    return measured(config, TwoScale().changed(**chosen.model_dump(exclude={"preset"})))
+    own: dict[str, Any] = asdict(config.effects) | dict(zip(("index", "body"), kind, strict=True))
+    del own["preset"]
+    return measured(config, TwoScale(**own))
 
 
 def measured(config: Config, material: Reflectance) -> Measured:
@@ -64,7 +66,7 @@ def measured(config: Config, material: Reflectance) -> Measured:
     if not material.lobes:
         return Measured(material)
     loss = config.acquisition.grazing_loss
-    return Measured(material, "free" if loss == "auto" else loss, Apparatus(**config.apparatus.model_dump()))
+    return Measured(material, "free" if loss == "auto" else loss, config.apparatus)
 
 
 def variant(config: Config, name: str, variant: str) -> Measured:
@@ -86,10 +88,9 @@ def layout_for(config: Config, model: Reflectance, bands: Bands = MERL) -> Layou
     Raises:
         ConfigError: what the settings say of parameters cannot be kept.
     """
-    priors = Priors(**{name: LogNormal(**given) for name, given in config.priors.model_dump().items()})
     own = {q.name for q in model.parameters}
-    constraints = tuple((name, each) for name, each in config.constraints.items() if name in own)
+    constraints = tuple((name, each) for name, each in config.parameters.items() if name in own)
     try:
-        return layout_of(model, priors, bands, constraints)
+        return layout_of(model, config.priors, bands, constraints)
     except ValueError as error:
         raise ConfigError(f"parameters: {error}") from None

@@ -42,7 +42,7 @@ def make_result(
     bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {
         "source": source, "accuracy": accuracy, "seconds": seconds, "seed": config.seed,
-        "versions": storage.versions(), "config": config.model_dump(mode="json"),
+        "versions": storage.versions(), "config": config.plain(),
     }  # fmt: skip
     if fitted is None or fitted.status is Status.NON_FINITE:
         status = Status.NO_DATA if fitted is None else Status.NON_FINITE

@@ -78,7 +78,7 @@ def fit_file(
         report("reading")
         measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
         if isinstance(measurement, ScatteredMeasurement):
-            if config.posterior.enabled and "enabled" in config.posterior.model_fields_set:
+            if config.posterior.enabled is True:
                 said = "posterior.enabled is asked for, and of scattered directions no posterior is sampled"
                 measurement = replace(measurement, notes=(*measurement.notes, said))
             config = settings_for_scattered(measurement.path, config, *(["--accuracy"] if finish else []))

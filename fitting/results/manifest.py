@@ -104,11 +104,10 @@ class Journal:
 
     def began(self, config: Config, files: int, jobs: int | Literal["one a worker"], executor: str) -> None:
         """A run begins."""
-        settings = config.model_dump(mode="json")
         self._write(
             Began(
-                at=_now(), command=this_run().command, files=files, jobs=jobs, executor=executor, settings=settings,
-                versions=versions(),
+                at=_now(), command=this_run().command, files=files, jobs=jobs, executor=executor,
+                settings=config.plain(), versions=versions(),
             )
         )  # fmt: skip
 

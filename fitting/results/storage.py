@@ -61,7 +61,7 @@ def valid_result(path: Path, sha1: str, config: Config) -> Result | None:
     except ResultError:
         return None
     same = found.source.sha1, found.config, found.versions
-    return found if not found.edited and same == (sha1, config.model_dump(mode="json"), versions()) else None
+    return found if not found.edited and same == (sha1, config.plain(), versions()) else None
 
 
 class _Versioned(BaseModel):

@@ -1,8 +1,7 @@
 """Settings of a fit that trade accuracy for time, and those combinations of them that are worth having."""
 
-from typing import Any, Literal
-
-from pydantic import BaseModel, ConfigDict
+from dataclasses import asdict, dataclass, replace
+from typing import Literal
 
 from ...model.effects import Diffraction
 from ..support.choices import Precision
@@ -11,7 +10,8 @@ from .config import Config
 FITTED = {"grid", "azimuths", "precision", "starts"}  # those of [fit]
 
 
-class Choice(BaseModel):
+@dataclass(frozen=True)
+class Choice:
     """Settings of a fit that trade accuracy for time; as in ``[effects]`` and ``[fit]`` of the configuration.
 
     Attributes:
@@ -22,8 +22,6 @@ class Choice(BaseModel):
         precision: of the model.
         starts: starting points that go the second round of the search on the coarse grid.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     diffraction: Diffraction
     order: int
@@ -39,21 +37,21 @@ class Choice(BaseModel):
 
     def settings(self, config: Config) -> Config:
         """The configuration with these settings; a tier of diffraction other than quadrature stays as it was asked."""
-        effects, fit = self.model_dump(exclude=FITTED), self.model_dump(include=FITTED)
+        fit = replace(config.fit, **{key: getattr(self, key) for key in FITTED})
         if config.effects.diffraction != "quadrature":
-            effects = {}
-        parts = {"effects": config.effects.model_copy(update=effects), "fit": config.fit.model_copy(update=fit)}
-        return config.model_copy(update=parts)
+            return replace(config, fit=fit)
+        effects = replace(config.effects, diffraction=self.diffraction, order=self.order)
+        return replace(config, effects=effects, fit=fit)
 
     def finest(self) -> "Choice":
         """The reference as it is reached from here: its last steps, but no other start."""
-        return REFERENCE.model_copy(update={"starts": self.starts})
+        return replace(REFERENCE, starts=self.starts)
 
 
 def choice_of(config: Config) -> Choice:
     """What a configuration has chosen."""
-    effects = config.effects
-    return Choice(diffraction=effects.diffraction, order=effects.order, **config.fit.model_dump(include=FITTED))
+    effects, fit = config.effects, asdict(config.fit)
+    return Choice(effects.diffraction, effects.order, **{key: fit[key] for key in FITTED})
 
 
 def default_choice() -> Choice:
@@ -61,23 +59,19 @@ def default_choice() -> Choice:
     return choice_of(Config())
 
 
-def _choice(*values: Any) -> Choice:  # noqa: ANN401 - of its fields
-    return Choice(**dict(zip(Choice.model_fields, values, strict=True)))
-
-
 POINTS = (
-    _choice("lobe", 32, "coarse", 4, "float32", 1),
-    _choice("quadrature", 16, "coarse", 4, "float32", 1),
-    _choice("quadrature", 16, "coarse", 4, "float64", 8),
-    _choice("quadrature", 16, "medium", 8, "float32", 1),
-    _choice("quadrature", 16, "medium", 8, "float64", 4),
-    _choice("quadrature", 16, "medium", 8, "float64", 8),
-    _choice("quadrature", 16, "fine", 8, "float32", 1),
-    _choice("quadrature", 32, "fine", 8, "float32", 4),
-    _choice("quadrature", 32, "fine", 8, "float64", 1),
-    _choice("quadrature", 32, "fine", 8, "float64", 4),
-    _choice("quadrature", 32, "fine", 8, "float64", 8),
-    _choice("quadrature", 64, "fine", 16, "float64", 8),
+    Choice("lobe", 32, "coarse", 4, "float32", 1),
+    Choice("quadrature", 16, "coarse", 4, "float32", 1),
+    Choice("quadrature", 16, "coarse", 4, "float64", 8),
+    Choice("quadrature", 16, "medium", 8, "float32", 1),
+    Choice("quadrature", 16, "medium", 8, "float64", 4),
+    Choice("quadrature", 16, "medium", 8, "float64", 8),
+    Choice("quadrature", 16, "fine", 8, "float32", 1),
+    Choice("quadrature", 32, "fine", 8, "float32", 4),
+    Choice("quadrature", 32, "fine", 8, "float64", 1),
+    Choice("quadrature", 32, "fine", 8, "float64", 4),
+    Choice("quadrature", 32, "fine", 8, "float64", 8),
+    Choice("quadrature", 64, "fine", 16, "float64", 8),
 )
 """Worth having, coarsest last steps first. What a fit's coarse stage takes, starts apart, is no choice
 (``run.COARSE``)."""

@@ -4,74 +4,74 @@
 """
 
 import difflib
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypedDict, Unpack
+from typing import Annotated, Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from ...merl_io.source import MerlError, toml
-from ...model.effects import PRESETS, TWO_SCALE, idle
-from ...model.priors import Constraint
+from ...model.apparatus import APPARATUS, Apparatus
+from ...model.effects import TWO_SCALE
+from ...model.priors import PRIORS, Constraint, Priors
 from ..support.choices import WEIGHT_SCHEDULES, Exponent
 from .sections import (
     AcquisitionSection,
-    ApparatusSection,
     EffectsSection,
     FitSection,
     InputSection,
     ModelSection,
-    ParameterSection,
     PosteriorSection,
-    PriorsSection,
-    Section,
+    effects_section,
+    model_section,
+    parameter_section,
 )
 
 UNIONS = {
     "acquisition.grazing_loss": "'auto', 'off', 'free', 'derived' or a number in [0, 1]",
     "model.name": "a model's name, or a list of them",
+    "posterior.enabled": "true, false or 'auto'",
 }
-
-MOVED = {"effects.acquisition": "acquisition.grazing_loss"}
+LEAST_FACTOR = 1.1  # of a prior: what is known better than that is fixed
 
 
 class ConfigError(MerlError):
     """Settings that cannot be used; the message is one line that names the key and the mend."""
 
 
-class Config(Section):
+@dataclass(frozen=True)
+class Config:
     """All settings. ``seed`` fixes the sampler's random numbers; fits use none."""
 
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
-    input: InputSection = InputSection()
-    model: ModelSection = ModelSection()
-    effects: EffectsSection = EffectsSection()
-    acquisition: AcquisitionSection = AcquisitionSection()
-    apparatus: ApparatusSection = ApparatusSection()
-    priors: PriorsSection = PriorsSection()
-    parameters: dict[str, ParameterSection] = {}  # noqa: RUF012 - pydantic copies it
-    fit: FitSection = FitSection()
-    posterior: PosteriorSection = PosteriorSection()
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    @model_validator(mode="after")
-    def _refuse_idle_keys(self) -> "Config":
-        """A setting that was changed from the preset and would have no effect is refused: it is a mistake."""
-        effects = self.effects
-        for key, where in idle(effects.diffraction).items():
-            if getattr(effects, key) != getattr(PRESETS[effects.preset], key):
-                raise ValueError(f"effects.{key} has an effect only where effects.{where}: leave it out")
-        if effects.index == "complex" and effects.body in ("plastic", "subsurface"):
-            raise ValueError(f"effects.body {effects.body!r} has a real index: leave effects.index out")
-        if self.apparatus != ApparatusSection() and self.acquisition.grazing_loss != "derived":
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    input: InputSection = field(default_factory=InputSection)
+    model: Annotated[ModelSection, BeforeValidator(model_section)] = field(default_factory=ModelSection)
+    effects: Annotated[EffectsSection, BeforeValidator(effects_section)] = field(default_factory=EffectsSection)
+    acquisition: AcquisitionSection = field(default_factory=AcquisitionSection)
+    apparatus: Apparatus = APPARATUS
+    priors: Priors = PRIORS
+    parameters: dict[str, Annotated[Constraint, BeforeValidator(parameter_section)]] = field(default_factory=dict)
+    fit: FitSection = field(default_factory=FitSection)
+    posterior: PosteriorSection = field(default_factory=PosteriorSection)
+
+    def __post_init__(self) -> None:
+        """A setting that was changed and would have no effect is refused: it is a mistake."""
+        if self.apparatus != APPARATUS and self.acquisition.grazing_loss != "derived":
             raise ValueError("[apparatus] has an effect only where acquisition.grazing_loss is derived: leave it out")
-        if TWO_SCALE not in self.model.names and (changes := _changed(effects)):
+        usual = EffectsSection()
+        changed = [key.name for key in fields(usual) if getattr(self.effects, key.name) != getattr(usual, key.name)]
+        if TWO_SCALE not in self.model.names and changed:
             raise ValueError(
-                f"effects.{changes[0]} is a setting of the two-scale model, which is not among the models to fit "
+                f"effects.{changed[-1]} is a setting of the two-scale model, which is not among the models to fit "
                 f"({', '.join(self.model.names)}): leave it out, or add the two-scale model to them"
             )
         for model in self.model.rivals:
@@ -79,17 +79,16 @@ class Config(Section):
                 raise ValueError(f"{model.name}: {model.objection}")
         if not self.has_lobes and self.acquisition != AcquisitionSection():
             raise ValueError("acquisition.grazing_loss has an effect only on sharp lobes, of which the model has none")
-        return self
+        priors = {f"priors.{key.name}": getattr(self.priors, key.name) for key in fields(self.priors)}
+        priors |= {f"parameters.{name}.prior": each.prior for name, each in self.parameters.items() if each.prior}
+        for place, prior in priors.items():
+            if prior.factor < LEAST_FACTOR:
+                raise ValueError(f"{place}.factor should be {LEAST_FACTOR} or more, not {prior.factor:g}")
 
     @property
     def has_lobes(self) -> bool:
         """Whether a model to fit has sharp lobes, as the two-scale one always does."""
         return TWO_SCALE in self.model.names or any(model.lobes for model in self.model.rivals)
-
-    @property
-    def constraints(self) -> dict[str, Constraint]:
-        """What is said of parameters, by their names."""
-        return {name: section.constraint for name, section in self.parameters.items()}
 
     @property
     def exponents(self) -> tuple[Exponent, ...]:
@@ -99,15 +98,19 @@ class Config(Section):
     @property
     def for_scattered(self) -> "Config":
         """The same for scattered directions: without MERL's loss unless it is asked for, and without a posterior."""
-        found = self.model_copy(update={"posterior": self.posterior.model_copy(update={"enabled": False})})
+        found = replace(self, posterior=replace(self.posterior, enabled=False))
         if self.acquisition.grazing_loss != "auto" or not self.has_lobes:
             return found
-        return found.model_copy(update={"acquisition": AcquisitionSection(grazing_loss="off")})
+        return replace(found, acquisition=AcquisitionSection(grazing_loss="off"))
+
+    def plain(self) -> dict[str, Any]:
+        """As plain data of JSON, from which `parse` makes the same."""
+        data = _SETTINGS.dump_python(self, mode="json")
+        data["model"] |= data["model"].pop("settings")
+        return data
 
 
-def _changed(effects: EffectsSection) -> list[str]:
-    """Keys that are not as they are by default."""
-    return [key for key in EffectsSection.model_fields if getattr(effects, key) != getattr(EffectsSection(), key)]
+_SETTINGS = TypeAdapter(Config)
 
 
 class Replaced(TypedDict, total=False):
@@ -194,56 +197,57 @@ def _copied(data: Mapping[str, Any]) -> dict[str, Any]:
     return {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
 
 
-def parse(data: dict[str, Any], where: str) -> Config:
+def parse(data: Mapping[str, Any], where: str) -> Config:
     """Settings from plain data; raises :class:`ConfigError` naming ``where`` and the key."""
     try:
-        return Config.model_validate(data)
+        return _SETTINGS.validate_json(
+            json.dumps(data, default=str)
+        )  # of JSON sections are objects, and no other value
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        for union, wanted in UNIONS.items():  # each alternative complains apart
-            if key.startswith(f"{union}."):
-                raise ConfigError(f"{where}: {union}: should be {wanted}, not {first.get('input')!r}") from None
-        if re.fullmatch(r"parameters\.[^.]+\.fixed\..*", key):
-            place = key.rsplit(".fixed", 1)[0]
-            said = f"should be a number, or a list with one for each channel, not {first.get('input')!r}"
-            raise ConfigError(f"{where}: {place}.fixed: {said}") from None
-        if first["type"] == "value_error":  # raised here, complete
-            said = first["msg"].removeprefix("Value error, ")
-            raise ConfigError(f"{where}: {said}" if not key else f"{where}: {key}: {said}") from None
-        if first["type"] == "extra_forbidden":
-            if key in MOVED:
-                raise ConfigError(f"{where}: {key!r} is called {MOVED[key]!r} now") from None
-            if key.startswith("parameters.") and key.count(".") == 2:
-                of, wrong = key.rsplit(".", 1)
-                (near,) = difflib.get_close_matches(wrong, ParameterSection.model_fields, n=1, cutoff=0.0)
-                raise ConfigError(
-                    f"{where}: unknown key {key!r}; the nearest known one is {f'{of}.{near}'!r}"
-                ) from None
-            near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.3) or difflib.get_close_matches(
-                str(first["loc"][-1]), [k.rsplit(".", 1)[-1] for k in known_keys()], n=1, cutoff=0.0
-            )
-            raise ConfigError(f"{where}: unknown key {key!r}; the nearest known one is {near[0]!r}") from None
-        raise ConfigError(f"{where}: {key}: {_in_words(first)}") from None
+        raise ConfigError(f"{where}: {_in_words(key, first)}") from None
 
 
-def _in_words(error: ErrorDetails) -> str:
+def _in_words(key: str, error: ErrorDetails) -> str:
     """What is wrong with a value, without the names of our classes."""
+    for union, wanted in UNIONS.items():  # each alternative complains apart
+        if key.startswith(f"{union}."):
+            return f"{union}: should be {wanted}, not {error['input']!r}"
+    if place := re.fullmatch(r"(parameters\.[^.]+\.fixed)\.\d+", key):
+        return f"{place[1]}: should be a number, or a list with one for each channel, not {error['input']!r}"
+    said = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "value_error":  # raised here, complete
+        return f"{key}: {said}" if key else said
+    if error["type"] == "unexpected_keyword_argument":
+        return f"unknown key {key!r}; the nearest known one is {_nearest(key)!r}"
     if error["type"] == "missing":
-        return "is missing"
+        return f"{key}: is missing"
     given = "a section" if isinstance(error["input"], dict) else repr(error["input"])
-    if error["type"] in ("model_type", "dict_type"):
-        return f"should be a section with keys of its own, not {given}"
-    said = error["msg"].replace("Input should be", "should be").replace("a valid integer", "an integer")
-    return f"{said.replace('a valid ', 'a ')}, not {given}"
+    if error["type"] in ("dataclass_type", "dict_type"):
+        return f"{key}: should be a section with keys of its own, not {given}"
+    said = said.replace("Input should be", "should be").replace("a valid integer", "an integer")
+    return f"{key}: {said.replace('a valid ', 'a ')}, not {given}"
+
+
+def _nearest(key: str) -> str:
+    """The known key that is most like one that is none."""
+    if key.startswith("parameters.") and key.count(".") == 2:
+        of, wrong = key.rsplit(".", 1)
+        return f"{of}.{difflib.get_close_matches(wrong, [each.name for each in fields(Constraint)], cutoff=0.0)[0]}"
+    known = known_keys()
+    near = difflib.get_close_matches(key, known, cutoff=0.3)
+    last = key.rsplit(".", 1)[-1]
+    return (near or difflib.get_close_matches(last, [k.rsplit(".", 1)[-1] for k in known], cutoff=0.0))[0]
 
 
 def known_keys() -> list[str]:
     """Every key with its section."""
-    keys = []
-    for name, field in Config.model_fields.items():
-        kind = field.annotation
-        inner = getattr(kind, "model_fields", None)
-        keys += [f"{name}.{k}" for k in inner] if inner else [name]
-        keys += [name] if inner else []
+    usual, keys = Config(), []
+    for section in fields(usual):
+        inner = getattr(usual, section.name)
+        keys.append(section.name)
+        if is_dataclass(inner):
+            keys += [f"{section.name}.{each.name}" for each in fields(inner)]
+    keys.remove("model.settings")  # its keys stand in the section itself
     return keys

@@ -2,6 +2,7 @@
 
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ def table(folder, count):
 def measure(path):
     """Of a fit: seconds, seconds of processors, the peak (MiB); after one of a step each, which compiles."""
     config = load(body=MATERIAL, posterior=False)
-    short = config.model_copy(update={"fit": config.fit.model_copy(update={"coarse_steps": 1, "max_steps": 1})})
+    short = replace(config, fit=replace(config.fit, coarse_steps=1, max_steps=1))
     with tempfile.TemporaryDirectory() as out:
         fit_file(path, out, short)
         Path("/proc/self/clear_refs").write_text("5")  # forgets the largest resident set so far

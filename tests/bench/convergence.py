@@ -1,5 +1,7 @@
 """How often the pipeline as shipped arrives at the best optimum known, its starting point replaced by a random one."""
 
+from dataclasses import replace
+
 import numpy as np
 from jax import numpy as jnp
 from merlfit.fitting.fit.outcome import Fitted
@@ -41,7 +43,7 @@ def measure(path, body, starts):
     for seed in range(int(starts)):
         values = layout.values(jnp.asarray(np.random.default_rng([20261122, seed]).standard_normal(layout.size)))
         found.append(run(config, {name: float(x) for name, x in values.items() if np.ndim(x) == 0}))
-    longer = config.model_copy(update={"fit": config.fit.model_copy(update={"starts": LONGER})})
+    longer = replace(config, fit=replace(config.fit, starts=LONGER))
     return {"random": found, "data": run(config), "longer": run(longer)}
 
 

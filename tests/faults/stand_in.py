@@ -51,7 +51,7 @@ def stand_in(path, out, settings, report, finish):
         found = made(path.stem, str(path), posterior=posterior, sha1=sha1)
         found = found.model_copy(
             update={
-                "config": settings.model_dump(mode="json"),
+                "config": settings.plain(),
                 "fit": found.fit.model_copy(update={"cost": int(sha1[:8], 16) / 2**32}),
             }
         )

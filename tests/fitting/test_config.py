@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
     [
         ('[effects]\nbodi = "auto"\n', "unknown key 'effects.bodi'; the nearest known one is 'effects.body'"),
         ("sede = 1\n", "'seed'"),
-        ("[effects]\norder = 1000\n", "effects.order"),
+        ("[effects]\norder = 1000\n", "effects: order 1000 of"),
         ('[effects]\nbody = "wood"\n', "effects.body"),
         ("[fit\n", "is not TOML"),
         ('[fit]\nmax_steps = "40"\n', "fit.max_steps"),
@@ -80,11 +80,6 @@ def test_default_toml_is_the_defaults():
 
 
 def test_settings_of_effects_are_those_of_the_model():
-    section = type(Config().effects).model_fields
-    for field in dataclasses.fields(TwoScale):
-        if field.name not in ("index", "body"):
-            assert section[field.name].default == field.default
-    assert set(section) == {field.name for field in dataclasses.fields(TwoScale)} | {"preset"}
     chosen = {"fresnel": "schlick", "masking": "none", "renormalised": False}
     found = parse({"effects": chosen, "acquisition": {"grazing_loss": 0.5}}, "here")
     assert two_scale(found, ("complex", "none")) == Measured(TwoScale(**chosen), 0.5)
@@ -92,12 +87,9 @@ def test_settings_of_effects_are_those_of_the_model():
 
 def test_settings_of_the_acquisition_are_those_of_the_model():
     assert {model.grazing_loss for model in candidates(Config())} == {Measured.grazing_loss}
-    assert set(Config().apparatus.model_dump()) == {field.name for field in dataclasses.fields(Apparatus)}
     derived = {"acquisition": {"grazing_loss": "derived"}, "apparatus": {"lamp_sigma_rad": 0.01}}
     lamp = two_scale(parse(derived, "here"), ("complex", "none"))
     assert lamp == Measured(TwoScale(), "derived", Apparatus(lamp_sigma_rad=0.01))
-    with pytest.raises(ConfigError, match=r"'effects.acquisition' is called 'acquisition.grazing_loss' now"):
-        parse({"effects": {"acquisition": "off"}}, "here")
 
 
 def preset(name, **changed):
@@ -209,12 +201,12 @@ def test_models_that_cannot_be_fitted_are_refused(data, words):
 
 @pytest.mark.parametrize("body", ["plastic", "subsurface"])
 def test_a_clear_interface_with_a_complex_index_is_refused(body):
-    with pytest.raises(ConfigError, match=f"effects.body '{body}' has a real index"):
+    with pytest.raises(ConfigError, match=f"effects: body '{body}' .*: its index is real"):
         load(index="complex", body=body)
 
 
 def test_presets_that_only_switch_things_off_are_not_refused():
-    assert parse({"effects": {"preset": "preview", "diffraction": "off"}}, "here").effects.colour == "fresnel"
+    assert parse({"effects": {"preset": "preview", "diffraction": "off"}}, "here").effects.fresnel == "schlick"
 
 
 def test_what_a_model_cannot_use_is_left_out_of_it():
@@ -237,8 +229,6 @@ def test_the_reference_is_refused_in_fits():
     ("data", "words"),
     [
         ({"effects": {"order": 48, "diffraction": "lobe"}}, "order has an effect only where .* is quadrature"),
-        ({"effects": {"zonal_order": 50}}, "zonal_order was a setting of .*: leave it out"),
-        ({"effects": {"diffraction": "zonal"}}, "effects: diffraction 'zonal' is no more: fit with quadrature"),
         ({"effects": {"preset": "microfacet", "colour": "fresnel"}}, "colour has an effect only where"),
         ({"effects": {"diffraction": "off", "renormalised": False}}, "renormalised has an effect only where"),
         ({"apparatus": {"lamp_sigma_rad": 0.01}}, "grazing_loss is derived"),

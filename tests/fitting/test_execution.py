@@ -215,7 +215,7 @@ def done(tmp_path):
 def put(unit, **changed):
     result = made("nickel", str(unit.path))
     result.source.sha1 = hashlib.sha1(unit.path.read_bytes()).hexdigest()
-    result.config = unit.settings.model_dump(mode="json")
+    result.config = unit.settings.plain()
     result.versions = versions()
     for name, value in changed.items():
         setattr(result, name, value)

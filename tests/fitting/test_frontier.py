@@ -13,7 +13,7 @@ from merlfit.fitting.cost.measure import ROWS, CostError, _kept
 from merlfit.fitting.cost.request import MARGIN, Request, needed, request, seconds_of
 from merlfit.fitting.pipeline.models import two_scale
 from merlfit.fitting.settings.choice import POINTS, REFERENCE, default_choice
-from merlfit.fitting.settings.config import Config, ConfigError, load
+from merlfit.fitting.settings.config import Config, ConfigError, load, parse
 from typer.testing import CliRunner
 
 from tests.support.frontiers import point
@@ -126,7 +126,7 @@ def test_the_defaults_are_a_point():
     assert default_choice().settings(Config()) == Config()
     assert len(set(POINTS)) == len(POINTS)
     for choice in POINTS:
-        Config.model_validate(choice.settings(Config()).model_dump())
+        parse(choice.settings(Config()).plain(), "here")
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_impossible_requests_are_one_line_and_exit_2(monkeypatch, tmp_path, word
 def test_settings_that_would_be_overruled_are_refused(monkeypatch, tmp_path):
     monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path))
     for section, key, value in (("fit", "starts", 2), ("effects", "order", 64)):
-        settings = Config.model_validate({section: {key: value}})
+        settings = parse({section: {key: value}}, "here")
         with pytest.raises(ConfigError, match=rf"{section}.{key} is chosen by --accuracy and --time"):
             accuracy.aim(Request(accuracy=0.5), settings)
 

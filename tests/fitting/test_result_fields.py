@@ -15,7 +15,7 @@ from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.results import schema
 from merlfit.fitting.results import storage as export
-from merlfit.fitting.settings.config import Config
+from merlfit.fitting.settings.config import Config, parse
 from merlfit.merl_io.binary import DIMS, write
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
@@ -87,7 +87,7 @@ def test_priors_for_programs_are_those_of_the_coordinates(effects):
 
 
 def test_a_prior_that_was_changed_is_told_as_it_is():
-    changed = Config.model_validate({"priors": {"b": {"median": 5.0, "factor": 2.0}}})
+    changed = parse({"priors": {"b": {"median": 5.0, "factor": 2.0}}}, "here")
     told = {p.parameter: p for p in priors(layout_for(changed, two_scale(changed, ("complex", "none"))))}
     assert (told["b"].median, told["b"].factor, told["b"].quantity) == (5.0, 2.0, "b")
     assert told["c"].offset == 1.0

@@ -54,7 +54,7 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
         seconds={"total": 2.5},
         seed=0,
         versions=export.versions(),
-        config=Config().model_dump(mode="json"),
+        config=Config().plain(),
     )  # fmt: skip
 
 
