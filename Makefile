@@ -19,7 +19,7 @@ demo: install
 	$(BIN)/merlfit demo -o demo-out
 
 schema: install
-	$(BIN)/python -m merlfit.fitting.results.storage
+	$(BIN)/python -m tests.result_schema
 
 # The pages of docs/, without a network; a warning, a dead link among them, is an error.
 docs: install

@@ -10,9 +10,9 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...merl_io.atomic import WriteError, append
 from ...merl_io.source import MerlError, is_regular, opened
@@ -38,51 +38,32 @@ class Ending(StrEnum):
     LOST = "lost"  # with the process that worked on it
 
 
-class _Line(BaseModel):
+class Line(BaseModel):
+    """What happened: a run ``began`` or ``ended``, or the work on a ``file`` did, or was not needed."""
+
     model_config = ConfigDict(extra="ignore", frozen=True)
 
     at: str
     """Date and time, UTC."""
-
-
-class Began(_Line):
-    """A run began."""
-
-    event: Literal["began"] = "began"
-    command: list[Text]
-    files: int
-    jobs: int | Literal["one a worker"]
+    event: Literal["began", "file", "ended"]
+    command: list[Text] = []  # of `began`, as all down to `versions`
+    files: int = 0
+    jobs: int | Literal["one a worker"] = 0
     """Files at once."""
-    executor: str
+    executor: str = ""
     """``Here``, ``Pool``, or the address of a cluster."""
-    settings: dict[str, Any]
-    versions: dict[str, str]
-
-
-class FileEnded(_Line):
-    """The work on a file ended, or was not needed."""
-
-    event: Literal["file"] = "file"
-    material: Text
-    file: Text
-    ended: Ending | Literal["kept"]
+    settings: dict[str, Any] = {}
+    versions: dict[str, str] = {}
+    material: Text = ""  # of `file`, as all down to `seconds`
+    file: Text = ""
+    ended: Ending | Literal["kept"] = "kept"
     """``kept``: a result of the same file, settings and versions was there."""
     status: str | None = None
     """Of the fit, if there is one."""
     error: Text | None = None
     sha1: str | None = None
+    stopped: bool = False  # of `ended`
     seconds: float | None = None
-
-
-class RunEnded(_Line):
-    """A run came to its end, or was stopped."""
-
-    event: Literal["ended"] = "ended"
-    stopped: bool
-    seconds: float
-
-
-Line = TypeAdapter[Began | FileEnded | RunEnded](Annotated[Began | FileEnded | RunEnded, Field(discriminator="event")])
 
 
 class Journal:
@@ -105,28 +86,25 @@ class Journal:
     def began(self, config: Config, files: int, jobs: int | Literal["one a worker"], executor: str) -> None:
         """A run begins."""
         self._write(
-            Began(
-                at=_now(), command=this_run().command, files=files, jobs=jobs, executor=executor,
-                settings=config.plain(), versions=versions(),
-            )
+            event="began", command=this_run().command, files=files, jobs=jobs, executor=executor,
+            settings=config.plain(), versions=versions(),
         )  # fmt: skip
 
     def ended(self, file: Path, ended: Ending | Literal["kept"], result: Result | None, error: str = "") -> None:
         """The work on a file ended, with a result or an error."""
         self._write(
-            FileEnded(
-                at=_now(), material=file.stem, file=str(file), ended=ended,
-                status=result.fit.status if result else None, error=error or None,
-                sha1=result.source.sha1 if result else None, seconds=result.seconds["total"] if result else None,
-            )
+            event="file", material=file.stem, file=str(file), ended=ended,
+            status=result.fit.status if result else None, error=error or None,
+            sha1=result.source.sha1 if result else None, seconds=result.seconds["total"] if result else None,
         )  # fmt: skip
 
     def closed(self, stopped: bool, seconds: float) -> None:
         """The run ends."""
-        self._write(RunEnded(at=_now(), stopped=stopped, seconds=round(seconds, 1)))
+        self._write(event="ended", stopped=stopped, seconds=round(seconds, 1))
 
-    def _write(self, line: Began | FileEnded | RunEnded) -> None:
-        append(self.path, (json.dumps(line.model_dump(mode="json"), ensure_ascii=True) + "\n").encode())
+    def _write(self, **told: Any) -> None:  # noqa: ANN401 - fields of a line
+        line = Line(at=datetime.now(UTC).isoformat(timespec="seconds"), **told)
+        append(self.path, (json.dumps(line.model_dump(mode="json", exclude_unset=True)) + "\n").encode())
 
 
 def _begun(path: Path) -> bool:
@@ -144,13 +122,9 @@ def _is_torn(path: Path) -> bool:
     return False
 
 
-def lines(out: Path) -> Iterator[Began | FileEnded | RunEnded]:
+def lines(out: Path) -> Iterator[Line]:
     """What the manifest of a folder says; lines that are torn or of another program are left out."""
     with suppress(MerlError), opened(out / NAME) as (file, _):
         while line := file.readline(LONGEST):
             with suppress(ValidationError):
-                yield Line.validate_json(line)
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
+                yield Line.model_validate_json(line)

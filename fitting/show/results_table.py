@@ -9,7 +9,7 @@ import typer
 
 from ...merl_io.atomic import write_text
 from ..results.manifest import NAME as MANIFEST
-from ..results.manifest import Ending, FileEnded, lines
+from ..results.manifest import Ending, Line, lines
 from ..results.schema import Metrics, Result
 from ..results.storage import read_result
 from ..support.outputs import refuse_others
@@ -88,11 +88,11 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
     write_text(path, as_csv(heads, rows))
 
 
-def _last(folder: Path) -> Iterator[tuple[Path, FileEnded]]:
+def _last(folder: Path) -> Iterator[tuple[Path, Line]]:
     """Where the result of a file should be, and how the last work on it ended, by the manifests."""
     for manifest in sorted(folder.rglob(MANIFEST)):
         for line in lines(manifest.parent):
-            if isinstance(line, FileEnded):
+            if line.event == "file":
                 yield manifest.parent / f"{line.material}.json", line
 
 
@@ -101,7 +101,7 @@ def _shown(path: Path, folder: Path) -> bool:
     return not hidden and not path.name.endswith(".material.json")  # of `merlfit export`
 
 
-def _row(path: Path, folder: Path, last: FileEnded | None) -> Row:
+def _row(path: Path, folder: Path, last: Line | None) -> Row:
     """Of a result; an error is that of a later run that did not replace it."""
     where = str(path.relative_to(folder))
     row = BLANK | {"material": path.stem, "result": where, "error": last.error if last else None}

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
-from merlfit.fitting.results.manifest import FileEnded, lines
+from merlfit.fitting.results.manifest import lines
 from merlfit.fitting.results.storage import ResultError, read_result
 from merlfit.merl_io.archive import arrays
 from merlfit.merl_io.atomic import UNFINISHED
@@ -100,7 +100,7 @@ def faults_of(folder, undisturbed):
         except ValueError as error:
             wrong.append(f"torn: {path.name}: {error}")
     for line in lines(folder):
-        if isinstance(line, FileEnded) and line.ended in FINISHED and found.get(line.material) is None:
+        if line.event == "file" and line.ended in FINISHED and found.get(line.material) is None:
             wrong.append(f"lost: {line.material}")
     for name, held in found.items():
         if held["posterior"] is not None and held != undisturbed.get(name):
