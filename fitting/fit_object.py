@@ -30,6 +30,7 @@ from .show.terminal_tables import parameters_as_latex, print_result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
 from .support.terminal import Screen, console
+from .support.weighted import resampled
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports] - where it is installed
@@ -224,8 +225,7 @@ class Fit:
             raise ImportError("to_arviz() needs arviz-base: pip install 'merlfit[arviz]'") from None
         chain = chain_file(self.result, self.path)
         weights = chain["weights"].ravel()
-        places = (np.arange(len(weights)) + 0.5) / len(weights)
-        taken = np.searchsorted(np.cumsum(weights) / weights.sum(), places).clip(max=len(weights) - 1)
+        taken = resampled(weights, len(weights))
         grouped: dict[str, list[np.ndarray]] = {}
         for k, q in enumerate(self.result.parameters):
             grouped.setdefault(q.parameter, []).append(chain["values"][taken, k])

@@ -55,13 +55,17 @@ def write_bytes(path: Path, data: bytes) -> None:
     write_atomically(path, write)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> Path:
     """Write UTF-8 atomically; what of a name is none is a question mark.
+
+    Returns:
+        the file.
 
     Raises:
         WriteError: as of `write_atomically`.
     """
     write_bytes(path, text.encode(errors="replace"))
+    return path
 
 
 def append(path: Path, data: bytes) -> None:

@@ -125,13 +125,12 @@ class Plan:
     """What a scene calls for of one material.
 
     Attributes:
-        name: of the material in the scene. reference: with all effects, at the finest tier. chosen: what is simulated.
-        rows: by effect. off_by: how far off the worst pixel is. pixels: that were looked at, of ``of``.
+        name: of the material in the scene. chosen: what is simulated; None of what was measured. rows: by effect.
+        off_by: how far off the worst pixel is. pixels: that were looked at, of ``of``.
         nanoseconds: a direction takes, with all effects and with those chosen.
     """
 
     name: str
-    reference: Reflectance | None
     chosen: Reflectance | None
     rows: tuple[Row, ...]
     off_by: float
@@ -239,7 +238,7 @@ def plan(scene: Scene, film: Film, given: Given, index: int, report: Callable[[s
     """What the scene calls for of the material ``index``."""
     trial = _Trial(scene, film, given, index)
     if given.model is None:
-        return Plan(given.name, None, None, (), 0.0, trial.count, len(trial.seen), (trial.slow, trial.slow))
+        return Plan(given.name, None, (), 0.0, trial.count, len(trial.seen), (trial.slow, trial.slow))
     whole, limit = finest(given.model), allowed(scene.tolerance)
     gone: list[Effect] = []
     worst, fast, rows = 0.0, trial.slow, []
@@ -255,6 +254,4 @@ def plan(scene: Scene, film: Film, given: Given, index: int, report: Callable[[s
                 gone.append(effect)
                 worst, fast = together, time_of_both
         rows.append(Row(effect, not dropped, alone, together, trial.slow - quick))
-    return Plan(
-        given.name, whole, without(whole, gone), tuple(rows), worst, trial.count, len(trial.seen), (trial.slow, fast)
-    )
+    return Plan(given.name, without(whole, gone), tuple(rows), worst, trial.count, len(trial.seen), (trial.slow, fast))

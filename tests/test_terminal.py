@@ -133,7 +133,7 @@ def plans():
         effects.Row(each, kept, 0.000255, together, -353.2)
         for each, kept, together in zip(effects.TWO_SCALE, [True, False] * 5, [0.106, None] * 5, strict=True)
     )
-    plan = effects.Plan(LONGEST, TwoScale(), TwoScale(), rows, 0.599, 6912, 39330, (804.0, 229.0))
+    plan = effects.Plan(LONGEST, TwoScale(), rows, 0.599, 6912, 39330, (804.0, 229.0))
     wanted = [LONGEST, "colour of diffraction", "that of reflection", "6912 of 39330 pixels", "moot", "-353"]
     return plan_tables([plan, plan], load(Path("configs/scenes/metal.toml"))), wanted
 

@@ -132,12 +132,8 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     use_persistent_cache()
     writable_folder(out)
     wanted = chosen_models(names)
-    try:
-        with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
-            rows, _ = compare_file(path, wanted, settings, out, told, False, placed)
-    except Stopped as stop:
-        note(f"stopped by {stop}")
-        raise typer.Exit(stop.code) from None
+    with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
+        rows, _ = compare_file(path, wanted, settings, out, told, False, placed)
     if not rows:
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)

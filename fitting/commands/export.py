@@ -127,7 +127,7 @@ def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path
     tables = out / f"{_word(name)}.mitsuba.npz"
     write_tables(tables, material)
     text = SCENE.format(said=_comment(said), tables=quoteattr(tables.name))
-    return [tables, _write_text(out / f"{name}.xml", text)]
+    return [tables, write_text(out / f"{name}.xml", text)]
 
 
 def parameters_of(result: Result) -> dict[str, Any]:
@@ -196,7 +196,7 @@ def to_openpbr(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
         said=_comment(f"{said}: {in_words(found, 'OpenPBR')}"), name=f"m_{plain}", metal=found["metallic"],
         base=", ".join(f"{x:.6g}" for x in found["base_color"]), roughness=found["roughness"], ior=found["ior"],
     )  # fmt: skip
-    return _write_text(out / f"{name}.mtlx", text)
+    return write_text(out / f"{name}.mtlx", text)
 
 
 def _word(name: str) -> str:
@@ -214,9 +214,4 @@ def _comment(text: str) -> str:
 
 
 def _write_json(path: Path, what: dict[str, Any]) -> Path:
-    return _write_text(path, json.dumps(what, indent=2, allow_nan=False) + "\n")
-
-
-def _write_text(path: Path, text: str) -> Path:
-    write_text(path, text)
-    return path
+    return write_text(path, json.dumps(what, indent=2, allow_nan=False) + "\n")

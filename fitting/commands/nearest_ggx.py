@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from ...merl_io.binary import DIMS
 from ...merl_io.grid import merl_grid
 from ...scene.colour import cielab
-from ...scene.spheres import PIXELS, compared, distances, render
+from ...scene.spheres import PIXELS, compared, render
 
 LARGEST_IOR = 3.0  # of a dielectric; what reflects more is a metal
 ROUGHNESSES, IORS = np.linspace(0.05, 1.0, 14), (1.0, 1.2, 1.5, 2.0, LARGEST_IOR)
@@ -116,15 +116,10 @@ def _looked_at() -> tuple[np.ndarray, Angles, list[csr_array]]:
     """The folded bins that pictures look at, their angles, and pixels of both spheres as sums over these bins."""
     spheres = [compared(lighting) for lighting in PIXELS]
     bins = np.unique(np.concatenate([pixels.indices for pixels in spheres]))
-    return bins, Angles(*(x.ravel()[bins] for x in _folded_angles())), [pixels[:, bins] for pixels in spheres]
-
-
-def _folded_angles() -> Angles:
-    """Of MERL's folded bins; below the horizon its cosine is that of the horizon."""
     grid, half = merl_grid(), DIMS[2] // 2
-    i, o = (np.clip(x[..., :half], 0, 1) for x in (grid.cos_i, grid.cos_o))
-    h, d = np.cos(grid.theta_h)[:, None, None], np.cos(grid.theta_d)[:, None]
-    return Angles(i, o, np.broadcast_to(h, i.shape), np.broadcast_to(d, i.shape))
+    i, o = (np.clip(x[..., :half], 0, 1) for x in (grid.cos_i, grid.cos_o))  # below the horizon that of the horizon
+    h, d = (np.broadcast_to(x, i.shape) for x in (np.cos(grid.theta_h)[:, None, None], np.cos(grid.theta_d)[:, None]))
+    return bins, Angles(*(x.ravel()[bins] for x in (i, o, h, d))), [pixels[:, bins] for pixels in spheres]
 
 
 def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
@@ -138,12 +133,10 @@ def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
     ours = (values[..., :half] + values[..., : half - 1 : -1]) / 2
     used = np.asarray(np.isfinite(ours).all(0))
     kinds = [_search(ours, used, draw, kind) for kind in ((True,) if metal else (True, False))]
-    _, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
-    slope, rest = draw(_folded_angles(), roughness, ior)
-    theirs = base[:, None, None, None] * slope + rest
+    apart, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
     return {
         "base_color": base.tolist(), "metallic": float(ior is None), "roughness": roughness,
-        "ior": 1.5 if ior is None else ior, "error": {"cielab": distances(ours, theirs, used)[0]},
+        "ior": 1.5 if ior is None else ior, "error": {"cielab": apart},
     }  # fmt: skip
 
 

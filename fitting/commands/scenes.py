@@ -136,7 +136,7 @@ def plan_tables(plans: Sequence[Plan], scene: Scene) -> list[Table]:
     """For people, one a material."""
     found, kind = [], "CIELAB" if scene.tolerance.cielab is not None else "of the radiance"
     for each in plans:
-        off = "measured, as it is" if each.reference is None else f"off by {each.off_by:.3g}"
+        off = "measured, as it is" if each.chosen is None else f"off by {each.off_by:.3g}"
         looked = "all" if each.pixels == each.of else f"{each.pixels} of"
         slow, fast = each.nanoseconds
         title = (

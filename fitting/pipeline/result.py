@@ -19,6 +19,7 @@ from ..fit.transforms import Layout
 from ..results import schema, storage
 from ..results.schema_posterior import sha1_of_draws
 from ..settings.config import Config
+from ..support.weighted import quantiles
 
 if TYPE_CHECKING:  # the sampler's libraries take a second to load
     from ..posterior.sampling import Sampled
@@ -110,8 +111,6 @@ def with_quantiles(parameters: list[schema.ParameterResult], sampled: "Sampled")
 
 def _intervals(sampled: "Sampled", values: np.ndarray) -> list[schema.Quantiles | None]:
     """Of every column of values (n, P) of the draws; none where the posterior is not to be trusted."""
-    from ..posterior.importance import quantiles
-
     if not sampled.posterior.sufficient:
         return [None] * values.shape[1]
     found = quantiles(values, sampled.posterior.weights)

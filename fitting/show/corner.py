@@ -9,8 +9,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter, NullLocator
 
-from ..posterior.importance import quantiles
 from ..results.schema import ParameterResult
+from ..support.weighted import quantiles
 from .style import COLUMN_INCHES, FITTED, LETTERS, PAGE_INCHES, SMALL, new, plain, printable, symbol
 from .subject import Subject
 

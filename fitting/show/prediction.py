@@ -17,6 +17,7 @@ from ...model.geometry import Geometry
 from ...model.reflectance import Reflectance, contributions, evaluate, prepared
 from ..fit.hints import general_of
 from ..results.schema import Model, Result
+from ..support.weighted import resampled
 
 WIDEST_DEG = 89.0  # of the viewers of a lobe
 BAND_DRAWS = 100  # of the posterior, for bands
@@ -124,10 +125,8 @@ def _place(part: str) -> tuple[int, str]:
 def draws_of(result: Result, chain: Mapping[str, np.ndarray]) -> Fitted:
     """Draws of the posterior, ready for :func:`band`: every array has a leading axis, tables are made once for each."""
     assert result.model is not None
-    count = np.arange(BAND_DRAWS) + 0.5
-    drawn = np.searchsorted(np.cumsum(chain["weights"]), count / BAND_DRAWS).clip(max=len(chain["weights"]) - 1)
     general = general_of(result.model.measured)
-    every = [general.values(result.values(chain["values"][k])) for k in drawn]
+    every = [general.values(result.values(chain["values"][k])) for k in resampled(chain["weights"].ravel(), BAND_DRAWS)]
     stacked = {name: np.asarray([each[name] for each in every]) for name in every[0]}
     wavelengths = tuple(result.model.wavelengths_um)
     return Fitted(result.model, _prepared_of_many(general.model, stacked, wavelengths))

@@ -11,9 +11,9 @@ from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.run import fit
-from merlfit.fitting.posterior.importance import quantiles
 from merlfit.fitting.posterior.sampling import draw
 from merlfit.fitting.settings.config import load
+from merlfit.fitting.support.weighted import quantiles
 from merlfit.merl_io.binary import read
 from scipy.optimize import least_squares
 

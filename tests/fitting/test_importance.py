@@ -14,7 +14,8 @@ from merlfit.fitting.pipeline.result import parameter_results, posterior_parts, 
 from merlfit.fitting.posterior import importance
 from merlfit.fitting.posterior.chain import WALKERS, Chain
 from merlfit.fitting.posterior.diagnosis import LEAST_SIZE, diagnose
-from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, quantiles, sizes, smoothed
+from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct, sizes, smoothed
+from merlfit.fitting.support.weighted import quantiles
 from merlfit.model.derived import quantities
 
 from tests.support.stand_ins import LAYOUT
