@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike
 from ..merl_io import inputs
 from ..merl_io.atomic import refused
 from ..merl_io.inputs import Input
-from ..merl_io.scattered import ScatteredMeasurement
 from .fit_object import Fit
 from .pipeline.place import claimed, place_of
-from .pipeline.run import fit_file, settings_for_scattered
+from .pipeline.run import fit_file
 from .results.storage import read_result
 from .settings.config import load as settings_of
 from .settings.config import parameters_of
@@ -85,8 +84,6 @@ def fit(
     use_cache()
     path = Path(file).absolute() if isinstance(file, str | os.PathLike) else file
     measurement = inputs.read(path, dims=config.input.allowed, name=name) if isinstance(path, Path | Mapping) else path
-    if isinstance(measurement, ScatteredMeasurement) and posterior:
-        settings_for_scattered(measurement.path, config, "--posterior")
     folder, place = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out), None
     with refused(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)

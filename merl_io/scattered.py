@@ -148,16 +148,21 @@ def order(points: np.ndarray) -> np.ndarray:
 
 
 def thin(samples: ScatteredSamples, count: int) -> ScatteredSamples:
-    """So many samples at the most: of every run of neighbours its middle one, which stands for the share of all.
-
-    Values are not averaged.
-    """
+    """So many samples at the most, each standing for as many neighbours (`keep_middles`)."""
     size = len(samples.theta_h)
     if size <= count:
         return samples
-    edges = np.round(np.linspace(0, size, count + 1)).astype(int)
+    return keep_middles(samples, np.round(np.linspace(0, size, count + 1)).astype(int))
+
+
+def keep_middles(samples: ScatteredSamples, edges: np.ndarray) -> ScatteredSamples:
+    """Of every run of neighbours its middle one, which stands for the share of all; values are not averaged.
+
+    Args:
+        edges: where runs begin, from 0 on, and the number of samples; rising.
+    """
     middle = (edges[:-1] + edges[1:]) // 2
     whole = np.add.reduceat(samples.share, edges[:-1])
-    found = samples.taken(middle)
-    factor = np.where(found.share > 0, whole / np.where(found.share > 0, found.share, 1.0), 0.0)
-    return replace(found, weight=found.weight * factor, share=whole)
+    kept = samples.taken(middle)
+    factor = np.where(kept.share > 0, whole / np.where(kept.share > 0, kept.share, 1.0), 0.0)
+    return replace(kept, weight=kept.weight * factor, share=whole)

@@ -224,7 +224,7 @@ def fit(
     )  # fmt: skip
     from .fit import aim_of, fit_files, refuse_unoffered, summarise
 
-    given = {"--accuracy": accuracy is not None, "--time": within is not None, "--posterior": bool(posterior)}
+    given = {"--accuracy": accuracy is not None, "--time": within is not None}
     refuse_unoffered(files, settings, *(option for option, asked in given.items() if asked))
     outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
     summarise(outcomes)

@@ -163,7 +163,8 @@ def _done(unit: Unit) -> Result | None:
         found = valid_result(path, sha1, settings)
         if found is None or not found.fit.succeeded or (found.accuracy is None) != (unit.finish is None):
             continue
-        if found.posterior is not None or not settings.posterior.enabled:
+        free = sum(q.fitted == "free" for q in found.parameters)
+        if found.posterior is not None or not settings.posterior.samples(free):
             return found
     return None
 

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from ...merl_io.samples import Samples
 from ..fit.levenberg_marquardt import Solution
 from ..fit.problem import make_problem
 from ..fit.residuals import Objective
@@ -23,7 +22,7 @@ def resample(
     """Sample the posterior of a result, or go on with the chain that lies beside it; the result is written anew.
 
     Args:
-        path: of the result. file: the MERL file that it is of. max_steps: at the most, beside those
+        path: of the result. file: what was fitted. max_steps: at the most, beside those
             of a finished chain; None for its own.
 
     Raises:
@@ -38,8 +37,6 @@ def resample(
         raise storage.ResultError(
             f"{path}: has a posterior, but its chain {chain_of(path).name} is not beside it: put it back, or fit again"
         )
-    if result.source.format != "MERL":
-        raise storage.ResultError(f"{path}: is of scattered directions, of which no posterior is sampled")
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = result.source.read(file)
@@ -48,7 +45,6 @@ def resample(
         config.exponents[0] if (exponent := result.fit.weights) is None else exponent,
         config.fit.theta_max,
     )
-    assert isinstance(samples, Samples)
     # the result's model, and not the settings': it may have been carried on with other ones
     layout = layout_for(config, result.model.measured, result.model.bands)
     chain = chain_of(path)

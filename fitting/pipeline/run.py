@@ -78,9 +78,6 @@ def fit_file(
         report("reading")
         measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
         if isinstance(measurement, ScatteredMeasurement):
-            if config.posterior.enabled is True:
-                said = "posterior.enabled is asked for, and of scattered directions no posterior is sampled"
-                measurement = replace(measurement, notes=(*measurement.notes, said))
             config = settings_for_scattered(measurement.path, config, *(["--accuracy"] if finish else []))
         samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
@@ -94,8 +91,7 @@ def fit_file(
     result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
     target = out / f"{measurement.name}.json"
     storage.write_result(target, result)  # before the sampling, which may be interrupted
-    if fitted is not None and config.posterior.enabled and fitted.status.succeeded:
-        assert isinstance(samples, Samples)
+    if fitted is not None and config.posterior.samples(fitted.layout.size) and fitted.status.succeeded:
         with clock.stage("posterior"):
             try:
                 from ..posterior.sampling import sample  # its libraries take a second to load
@@ -173,7 +169,6 @@ def descend(
 
 
 UNGRIDDED = {  # what there is not without a grid, by the option that asks for it
-    "--posterior": "of which no posterior is sampled",
     "--accuracy": "and what settings reach is calibrated on MERL's grid",
     "--time": "and what settings take is calibrated on MERL's grid",
     "weights adaptive": "of which no picture is rendered to choose by",

@@ -1,9 +1,9 @@
-"""The few rows of bins that stand for all of them: most where the parameters are read from.
+"""The few rows of bins, or few scattered samples, that stand for all of them: most where parameters are read from.
 
 What a row has to say is its leverage, trace((J^T J + S_0/N)^-1 J_row^T J_row): the number of parameters, as it were,
 that it determines of those that the likelihood of N residuals does. Neighbouring rows are put together in runs, one row
 for each (`merl_io.samples.thin`), so that no run has much of it. Of a narrow lobe with a sharp edge every row is kept
-near the edge, of a matt material rows all over.
+near the edge, of a matt material rows all over. Scattered samples are rows of one sample, in their order.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,9 @@ import jax
 import numpy as np
 from jax import Array
 
-from ...merl_io.samples import Runs, Samples, runs_for, thin
+from ...merl_io import scattered
+from ...merl_io.samples import Samples, runs_for, thin
+from ...merl_io.scattered import ScatteredSamples
 from ..fit.problem import Part, energy, make_problem
 from ..fit.residuals import weighted_prediction
 from ..fit.transforms import Layout
@@ -21,6 +23,7 @@ from ..support.threads import side_by_side
 
 ROWS = 18  # of theta_h that are kept
 COLUMNS, AZIMUTHS = 10, 2  # of theta_d: the length of a run; nodes of a row of azimuths
+CONSIDERED, KEPT = 2048, 288  # of scattered samples: those whose leverage is looked at, and those that are kept
 UNIFORM_SHARE = 0.5  # of what a row holds, the part that is not leverage
 BATCH = 16  # points of one call
 STEP = 0.02  # of the differences that make a Jacobian, in standard deviations of the prior
@@ -32,7 +35,9 @@ def _predicted(layout: Layout, points: Array, part: Part) -> Array:
 
     Not to be made float64 in here: jaxlib 0.10 then compiles wrong sums for a CPU (`tests/fitting/test_likelihood.py`).
     """
-    return jax.vmap(lambda z: weighted_prediction(layout.model, layout.values(z), part).ravel())(points)
+    predicted = lambda z: weighted_prediction(layout.model, layout.values(z), part).ravel()  # noqa: E731
+    # of many points at once nothing is `materialised`, which scattered directions want
+    return jax.lax.map(predicted, points) if part.directions.scattered else jax.vmap(predicted)(points)
 
 
 @dataclass(frozen=True)
@@ -48,11 +53,10 @@ class Rows:
     unit: float
 
     @classmethod
-    def of(cls, layout: Layout, samples: Samples, runs: tuple[Runs, Runs, Runs]) -> "Rows":
-        """The bins of ``samples`` that are left by ``runs``."""
-        few = thin(samples, runs)
+    def of(cls, layout: Layout, few: Samples | ScatteredSamples, whole: float) -> "Rows":
+        """A few samples of those with the energy ``whole``."""
         (part,) = make_problem(few, AZIMUTHS, "float32").parts
-        return cls(layout, part, float(np.sqrt(energy(few) / energy(samples))))
+        return cls(layout, part, float(np.sqrt(energy(few) / whole)))
 
     @property
     def target(self) -> np.ndarray:
@@ -73,22 +77,34 @@ class Rows:
         return at[0], (at[1 : len(z) + 1] - at[len(z) + 1 :]).T / (2 * STEP)
 
 
-def few_rows(layout: Layout, samples: Samples, z: np.ndarray, least: float) -> Rows:
+def few_rows(layout: Layout, samples: Samples | ScatteredSamples, z: np.ndarray, least: float) -> Rows:
     """Of all rows those to keep at a fit.
 
     Args:
         z: free coordinates of the fit, (P,). least: S_0/N, curvature that stands for the prior.
     """
-    columns = runs_for(samples, (1, COLUMNS, 1))[1]
-    every = Rows.of(layout, samples, (1, columns, 1))
+    whole = energy(samples)
+    if isinstance(samples, ScatteredSamples):
+        some = scattered.thin(samples, CONSIDERED)
+        held = _held(Rows.of(layout, some, whole), z, least, np.ones(len(some.theta_h)))
+        edges = np.searchsorted(np.cumsum(held), np.arange(1, KEPT) / KEPT, side="right") + 1
+        few = scattered.keep_middles(some, np.unique([0, *edges[edges < len(held)], len(held)]))
+    else:
+        columns = runs_for(samples, (1, COLUMNS, 1))[1]
+        # also without leverage rows near the mirror direction are kept: a lobe narrower than the first one is invisible
+        otherwise = 1 / np.arange(1, len(samples.theta_h) + 1)
+        held = _held(Rows.of(layout, thin(samples, (1, columns, 1)), whole), z, least, otherwise)
+        few = thin(samples, (runs(held, min(ROWS, len(held))), columns, 1))
+    return Rows.of(layout, few, whole)
+
+
+def _held(every: Rows, z: np.ndarray, least: float, otherwise: np.ndarray) -> np.ndarray:
+    """What each row has to say, their sum being 1; ``otherwise``: in proportion, of one without leverage."""
     _, jacobian = every.tangent(z)
     inverse = np.linalg.inv(jacobian.T @ jacobian + least * np.eye(len(z)))
     leverage = np.sum(jacobian @ inverse * jacobian, 1).reshape(every.part.target.shape)  # (N, C, h, D, K)
-    by_row = leverage.sum((1, 3, 4)).ravel()
-    # also without leverage rows near the mirror direction are kept: a lobe narrower than the first one is invisible
-    otherwise = 1 / np.arange(1, len(by_row) + 1)
-    held = (1 - UNIFORM_SHARE) * by_row / by_row.sum() + UNIFORM_SHARE * otherwise / otherwise.sum()
-    return Rows.of(layout, samples, (runs(held, min(ROWS, len(held))), columns, 1))
+    by_row = leverage.sum((1, 3, 4)).ravel()[: len(otherwise)]  # beyond are empty ones
+    return (1 - UNIFORM_SHARE) * by_row / by_row.sum() + UNIFORM_SHARE * otherwise / otherwise.sum()
 
 
 def runs(shares: np.ndarray, count: int) -> tuple[int, ...]:

@@ -16,6 +16,7 @@ from .diagnosis import LEAST_SIZE, Diagnosis, diagnose
 
 LARGEST_K = 0.7  # of the Pareto shape: above it the weights cannot be trusted
 DRAWS, MOST_DRAWS = 600, 2400  # on all bins: to begin with, and to come to the least size
+AT_ONCE = 8  # draws between two words of progress
 MARGIN = 1.1  # of what is expected to be enough
 GO_ON = "continue the chain with `merlfit sample`"
 FEWER = "a longer chain does not mend it, fewer parameters may (`--body`)"
@@ -87,14 +88,14 @@ def sizes(draws: np.ndarray, weights: np.ndarray, independent: np.ndarray) -> np
 def correct(
     chain: Chain,
     log_few: Callable[[np.ndarray], np.ndarray],
-    log_likelihood: Callable[[np.ndarray], float],
+    log_likelihood: Callable[[np.ndarray], np.ndarray],
     names: tuple[str, ...],
     progress: Callable[[int, int], None] = lambda done, most: None,
 ) -> Posterior:
     """Weigh draws from the chain, as many as make `LEAST_SIZE` if that is possible, and assess all.
 
     Args:
-        log_few: log L of the chain at points (N, P). log_likelihood: on all bins, of a point (P,).
+        log_few: log L of the chain at points (N, P), (N,). log_likelihood: the same on all bins.
         names: of the coordinates.
     """
     diagnosis, size = diagnose(chain.states), chain.states.shape[-1]
@@ -103,12 +104,12 @@ def correct(
     draws, log_ratio, of_all, wanted = np.empty((0, size)), np.empty(0), np.empty(0), DRAWS
     while True:
         new = flat[spread_over(len(flat), wanted, len(draws))]
-        whole = []
-        for z in new:
-            whole.append(log_likelihood(z))
+        whole = np.empty(0)
+        while len(whole) < len(new):
+            whole = np.concatenate([whole, log_likelihood(new[len(whole) :][:AT_ONCE])])
             progress(len(draws) + len(whole), wanted)
         draws, of_all = np.concatenate([draws, new]), np.concatenate([of_all, whole])
-        log_ratio = np.concatenate([log_ratio, np.array(whole) - log_few(new)])
+        log_ratio = np.concatenate([log_ratio, whole - log_few(new)])
         weights, k = smoothed(log_ratio)
         own = sizes(draws, weights, np.full(size, np.inf)).min()  # what more draws can mend; the chain is for itself
         good = k <= LARGEST_K and own >= LEAST_SIZE

@@ -16,25 +16,33 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.samples import Samples
+from ...merl_io.scattered import ScatteredSamples
 from ..fit.levenberg_marquardt import Solution
 from ..fit.problem import Problem
 from ..fit.residuals import Objective
 from ..fit.transforms import Layout
+from ..support.threads import side_by_side
 from .coreset import few_rows
 
 ORDER = 12  # of the convolution
 LIKELIHOOD_POWER = 0.85  # power of the stand-in: where it errs in the tails, weights of all bins are not large for that
 
 
-def log_likelihood(layout: Layout, z: np.ndarray, problem: Problem, count: float, lowest: float) -> float:
-    """log L at free coordinates ``z`` (P,), -inf where the model is not finite.
+def log_likelihood(layout: Layout, points: np.ndarray, problem: Problem, count: float, lowest: float) -> np.ndarray:
+    """log L at points (N, P) in free coordinates, (N,); -inf where the model is not finite.
 
     Args:
         count: effective sample count N. lowest: S at the fit.
     """
-    costs = Objective(layout, problem).costs(layout.values(z))
-    found = -count / 2 * float(jnp.sum(costs)) / lowest
-    return found if np.isfinite(found) else -np.inf
+    objective = Objective(layout, problem)
+
+    def cost(z: np.ndarray) -> float:
+        return float(jnp.sum(objective.costs(layout.values(z))))
+
+    # cores share the data of a point where it is much, and points where it is not
+    costs = side_by_side(cost, points) if len(problem.parts) == 1 else [cost(z) for z in points]
+    found = -count / 2 * np.array(costs) / lowest
+    return np.where(np.isfinite(found), found, -np.inf)
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,7 @@ class StandIn:
         return self.log_likelihood(points) - np.sum(points**2, 1) / 2
 
 
-def stand_in(layout: Layout, samples: Samples, solution: Solution, count: float) -> StandIn:
+def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solution, count: float) -> StandIn:
     """The likelihood on `coreset.few_rows`, in float32, with the gradient at the fit that all bins have.
 
     It is that to the power `LIKELIHOOD_POWER`: a proposal that is wider than the target has weights that are bounded.

@@ -14,6 +14,7 @@ from jax import Array
 from ...merl_io.archive import arrays
 from ...merl_io.atomic import WriteError
 from ...merl_io.samples import Samples
+from ...merl_io.scattered import ScatteredSamples
 from ...merl_io.source import opened
 from ...model.derived import derived
 from ..fit.laplace import laplace_covariance
@@ -63,7 +64,7 @@ def physical(layout: Layout, draws: np.ndarray) -> tuple[np.ndarray, dict[str, n
 
 def draw(
     fitted: Fitted,
-    samples: Samples,
+    samples: Samples | ScatteredSamples,
     max_steps: int,
     seed: int,
     path: Path,
@@ -108,8 +109,8 @@ def draw(
     def say_draw(done: int, most: int) -> None:
         report(Stage(f"posterior: all bins, draw {done} of {most}", done / most))
 
-    def whole(z: np.ndarray) -> float:
-        return log_likelihood(layout, z, problem, fitted.count, lowest)
+    def whole(points: np.ndarray) -> np.ndarray:
+        return log_likelihood(layout, points, problem, fitted.count, lowest)
 
     least = 0
     while True:
@@ -176,7 +177,7 @@ def _names(layout: Layout) -> dict[str, np.ndarray]:
 @one_core_a_call
 def sample(
     fitted: Fitted,
-    samples: Samples,
+    samples: Samples | ScatteredSamples,
     max_steps: int,
     seed: int,
     path: Path,
@@ -198,7 +199,13 @@ def sample(
 
 
 def _sampled(
-    fitted: Fitted, samples: Samples, max_steps: int, seed: int, path: Path, resume: bool, report: Report
+    fitted: Fitted,
+    samples: Samples | ScatteredSamples,
+    max_steps: int,
+    seed: int,
+    path: Path,
+    resume: bool,
+    report: Report,
 ) -> Sampled:
     found, layout = draw(fitted, samples, max_steps, seed, path, resume, report), fitted.layout
     values, quantities = physical(layout, np.concatenate([found.draws, fitted.solution.z[None]]))

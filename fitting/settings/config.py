@@ -97,11 +97,10 @@ class Config:
 
     @property
     def for_scattered(self) -> "Config":
-        """The same for scattered directions: without MERL's loss unless it is asked for, and without a posterior."""
-        found = replace(self, posterior=replace(self.posterior, enabled=False))
+        """The same for scattered directions: without MERL's loss unless it is asked for."""
         if self.acquisition.grazing_loss != "auto" or not self.has_lobes:
-            return found
-        return replace(found, acquisition=AcquisitionSection(grazing_loss="off"))
+            return self
+        return replace(self, acquisition=AcquisitionSection(grazing_loss="off"))
 
     def plain(self) -> dict[str, Any]:
         """As plain data of JSON, from which `parse` makes the same."""

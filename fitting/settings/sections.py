@@ -179,14 +179,21 @@ class FitSection:
     backend: Annotated[Backend, AfterValidator(_installed)] = "optimistix"
 
 
+AFFORDABLE = 40  # free numbers: a chain of as many takes half an hour, of those of thirty wavelengths a day
+
+
 @dataclass(frozen=True)
 class PosteriorSection:
     """[posterior]: the sampler.
 
     Attributes:
-        enabled: whether to sample at all; ``auto`` is yes for the command line, but of scattered directions no.
+        enabled: whether to sample at all; ``auto`` is yes for the command line, of no more than `AFFORDABLE` numbers.
         max_steps: at the most, after those of tuning; sampling stops when the chain is good enough.
     """
 
     enabled: bool | Literal["auto"] = "auto"
     max_steps: Annotated[int, Field(ge=10)] = 6000
+
+    def samples(self, free: int) -> bool:
+        """Whether the posterior of so many free numbers is sampled."""
+        return free <= AFFORDABLE if self.enabled == "auto" else self.enabled

@@ -164,7 +164,7 @@ def print_result(console: Console, result: Result) -> None:
     if result.accuracy is not None:
         console.print(accuracy_line(result.accuracy))
     if result.posterior is None:
-        console.print("posterior: not sampled" + ("" if grid else ": none of scattered directions is"))
+        console.print("posterior: not sampled")
         return
     if result.derived:
         console.print(derived_table(result))

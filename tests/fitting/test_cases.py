@@ -55,8 +55,3 @@ def test_the_far_infrared(fitted):
     result = fitted("13/co2.csv")
     assert (result.model.channels, result.fit.status) == (["10600nm"], "CONVERGED")
     close(result, alpha=0.149, F0_10600nm=0.04, albedo_10600nm=0.2)
-
-
-def test_a_posterior_that_settings_ask_for_is_said_not_to_be_sampled(cases, tmp_path):
-    result = fit_file(cases / "09" / "plain.csv", tmp_path, load({"posterior": {"enabled": True}}, model="ggx"))
-    assert any("no posterior is sampled" in each for each in result.fit.cautions)

@@ -131,7 +131,7 @@ def test_too_short_a_chain_goes_into_json():
 
 
 def test_draws_where_the_model_of_all_bins_is_not_finite_weigh_nothing():
-    found = corrected(gaussian_chain(), gaussian, lambda z: -np.inf if z[1] > 1.5 else gaussian(z, 0.05))
+    found = corrected(gaussian_chain(), gaussian, lambda z: np.where(z[:, 1] > 1.5, -np.inf, gaussian(z, 0.05)))
     assert np.all(found.weights[found.draws[:, 1] > 1.5] < 1e-12)
     assert found.weights.sum() == pytest.approx(1)
 

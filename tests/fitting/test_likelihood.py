@@ -47,11 +47,11 @@ def near(best, count, size):
 
 def test_the_likelihood_is_that_of_so_many_residuals_of_the_size_at_the_fit(fitted):
     _, problem, best = fitted
-    assert log_likelihood(LAYOUT, best.z, problem, COUNT, best.cost) == pytest.approx(-COUNT / 2)
+    assert log_likelihood(LAYOUT, best.z[None], problem, COUNT, best.cost) == pytest.approx(-COUNT / 2)
     z = best.z + 0.1
     expected = -COUNT / 2 * float(jnp.sum(Objective(LAYOUT, problem).costs(LAYOUT.values(jnp.asarray(z))))) / best.cost
-    assert log_likelihood(LAYOUT, z, problem, COUNT, best.cost) == pytest.approx(expected)
-    assert log_likelihood(LAYOUT, np.full(len(z), np.nan), problem, COUNT, best.cost) == -np.inf
+    assert log_likelihood(LAYOUT, z[None], problem, COUNT, best.cost) == pytest.approx(expected)
+    assert log_likelihood(LAYOUT, np.full((1, len(z)), np.nan), problem, COUNT, best.cost) == -np.inf
 
 
 def test_thinned_grids_see_the_mirror_direction():
@@ -94,7 +94,7 @@ def test_its_slope_at_the_fit_is_that_of_all_bins(fitted):
 def test_near_the_fit_it_is_that_of_all_bins_a_little_flatter(fitted, count):
     samples, problem, best = fitted
     few, draws = stand_in(LAYOUT, samples, best, count), near(best, count, 40)
-    whole = np.array([log_likelihood(LAYOUT, z, problem, count, best.cost) for z in draws])
+    whole = log_likelihood(LAYOUT, draws, problem, count, best.cost)
     assert np.std(few.log_likelihood(draws) - LIKELIHOOD_POWER * whole) < 0.5
     assert np.std(whole) > 1
     prior = few.log_posterior(draws) - few.log_likelihood(draws)
