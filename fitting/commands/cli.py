@@ -9,13 +9,7 @@ from typing import Annotated
 
 import typer
 
-from ..support.terminal import (
-    Commands,
-    console,
-    fail,
-    run,
-    writable_folder,
-)
+from ..support.terminal import Commands, console, fail, run, writable_folder
 
 # the commands import what they need: `merlfit --help` does not wait for JAX
 app = typer.Typer(
@@ -28,17 +22,18 @@ Files = Annotated[
     list[Path],
     typer.Argument(
         help="MERL .binary files, tables (.csv, .npz: docs/tables.md), or RGL's .bsdf files (docs/rgl.md).",
-        show_default=False,
         readable=False,
     ),
 ]
+Result = Annotated[Path, typer.Argument(help="RESULT.json of a fit.", readable=False)]
+Measured = Annotated[
+    Path | None, typer.Option("--file", help="The MERL file, if it moved since the fit.", readable=False)
+]
+Settings = Annotated[Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 Models = Annotated[
     str | None,
-    typer.Option(
-        help="Models to fit, by name and with commas between: see `merlfit models` \\[default: all].",
-        show_default=False,
-    ),
+    typer.Option(help="Models to fit, by name and with commas between: see `merlfit models` \\[default: all]."),
 ]
 Weights = Annotated[
     str | None,
@@ -51,12 +46,9 @@ SameWeights = Annotated[
     ),
 ]
 Dims = Annotated[
-    str | None,
-    typer.Option(
-        help="Bins that MERL-like files may have, if they are not MERL's 90x90x180: 45x45x90.", show_default=False
-    ),
+    str | None, typer.Option(help="Bins that MERL-like files may have, if they are not MERL's 90x90x180: 45x45x90.")
 ]
-Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", show_default=False, min=0, max=2**31 - 1)]
+Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", min=0, max=2**31 - 1)]
 
 
 Force = Annotated[
@@ -114,20 +106,13 @@ Jobs = Annotated[
         "--jobs",
         min=1,
         help="Files to fit at once, or workers of dask-slurm \\[default: as cores and memory allow].",
-        show_default=False,
     ),
 ]
 
 
 Pages = Annotated[
     int | None,
-    typer.Option(
-        "-j",
-        "--jobs",
-        min=1,
-        help="Pages to make at once \\[default: as cores and memory allow].",
-        show_default=False,
-    ),
+    typer.Option("-j", "--jobs", min=1, help="Pages to make at once \\[default: as cores and memory allow]."),
 ]
 
 
@@ -144,16 +129,12 @@ def check(files: Files, dims: Dims = None) -> None:
 def fit(
     files: Files,
     out: Out = Path("fits"),
-    config: Annotated[
-        Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
-    ] = None,
+    config: Settings = None,
     dims: Dims = None,
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Model to fit, one of `merlfit models`; given several times, they are compared "
-            "\\[default: two-scale].",
-            show_default=False,
+            help="Model to fit, one of `merlfit models`; given several times, they are compared \\[default: two-scale]."
         ),
     ] = None,
     preset: Annotated[
@@ -172,29 +153,21 @@ def fit(
     fix: Annotated[
         list[str] | None,
         typer.Option(
-            help="Parameter that is not fitted, with its value or one for each channel: eta=1.5, n=0.2,0.9,1.1.",
-            show_default=False,
+            help="Parameter that is not fitted, with its value or one for each channel: eta=1.5, n=0.2,0.9,1.1."
         ),
     ] = None,
     bounds: Annotated[
-        list[str] | None,
-        typer.Option(help="Bounds of a parameter, within the model's: p=0.5:2, b=1: .", show_default=False),
+        list[str] | None, typer.Option(help="Bounds of a parameter, within the model's: p=0.5:2, b=1: .")
     ] = None,
-    start: Annotated[
-        list[str] | None, typer.Option(help="Where the first fit starts: beta=0.1.", show_default=False)
-    ] = None,
-    tie: Annotated[
-        list[str] | None, typer.Option(help="Parameter with one value for all channels: eta.", show_default=False)
-    ] = None,
+    start: Annotated[list[str] | None, typer.Option(help="Where the first fit starts: beta=0.1.")] = None,
+    tie: Annotated[list[str] | None, typer.Option(help="Parameter with one value for all channels: eta.")] = None,
     posterior: Annotated[bool | None, typer.Option("--posterior/--no-posterior", help="Sample the posterior.")] = None,
     seed: Seed = None,
     origin: Annotated[
-        str | None,
-        typer.Option(help="What the files are, in words that results and pages repeat: synthetic, say."),
+        str | None, typer.Option(help="What the files are, in words that results and pages repeat: synthetic, say.")
     ] = None,
     accuracy: Annotated[
-        float | None,
-        typer.Option(help="Choose the fastest settings that are this accurate, such as 1e-2 (relative)."),
+        float | None, typer.Option(help="Choose the fastest settings that are this accurate, such as 1e-2 (relative).")
     ] = None,
     within: Annotated[
         str | None,
@@ -205,10 +178,7 @@ def fit(
         bool, typer.Option("--resume", help="Leave alone what is done, of the same file, settings and versions.")
     ] = False,
     executor: Annotated[
-        str | None,
-        typer.Option(
-            help="Fit on a cluster, dask://HOST:PORT or dask-slurm; see docs/clusters.md.", show_default=False
-        ),
+        str | None, typer.Option(help="Fit on a cluster, dask://HOST:PORT or dask-slurm; see docs/clusters.md.")
     ] = None,
 ) -> None:
     """Fit each file and write OUT/NAME.json, OUT/logs/NAME.log and a line of OUT/manifest.jsonl.
@@ -235,9 +205,7 @@ def compare(
     files: Files,
     models: Models = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the tables and all results.")] = Path("compared"),
-    config: Annotated[
-        Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)
-    ] = None,
+    config: Settings = None,
     dims: Dims = None,
     weights: SameWeights = None,
     published: Annotated[
@@ -259,7 +227,7 @@ def compare(
 
 @app.command(epilog="Example: merlfit which nickel.binary")
 def which(
-    file: Annotated[Path, typer.Argument(help="The file, as of `merlfit fit`.", show_default=False, readable=False)],
+    file: Annotated[Path, typer.Argument(help="The file, as of `merlfit fit`.", readable=False)],
     models: Models = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder to keep the results in \\[default: they are not kept].")
@@ -281,11 +249,10 @@ def which(
 
 @app.command(epilog="Example: merlfit metrics fits/nickel.json --against nickel.binary")
 def metrics(
-    results: Annotated[list[Path], typer.Argument(help="RESULT.json of fits.", show_default=False, readable=False)],
-    against: Annotated[Path, typer.Option(help="The MERL file to compare with.", show_default=False, readable=False)],
+    results: Annotated[list[Path], typer.Argument(help="RESULT.json of fits.", readable=False)],
+    against: Annotated[Path, typer.Option(help="The MERL file to compare with.", readable=False)],
     out: Annotated[
-        Path | None,
-        typer.Option("-o", "--out", help="Folder for metrics.csv and the RMSE by theta_i as CSV and PNG."),
+        Path | None, typer.Option("-o", "--out", help="Folder for metrics.csv and the RMSE by theta_i as CSV and PNG.")
     ] = None,
     force: Force = False,
 ) -> None:
@@ -297,15 +264,11 @@ def metrics(
 
 @app.command(epilog="Example: merlfit sample fits/nickel.json")
 def sample(
-    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
-    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
+    result: Result,
+    file: Measured = None,
     max_steps: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="Most steps, beside those of a finished chain \\[default: as the fit was told].",
-            show_default=False,
-        ),
+        typer.Option(min=1, help="Most steps, beside those of a finished chain \\[default: as the fit was told]."),
     ] = None,
 ) -> None:
     """Sample the posterior of a fit, or continue the chain that lies beside it, and update both files."""
@@ -317,9 +280,9 @@ def sample(
 @app.command(epilog="Example: merlfit synth nickel --source sgd -o nickel-sgd.binary")
 def synth(
     material: Annotated[str, typer.Argument(help="MATERIAL of a published table, or RESULT.json of a fit.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="The .binary file to write.", show_default=False)],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The .binary file to write.")],
     source: Annotated[
-        str | None, typer.Option(help="Published table, see `merlfit materials` \\[default: sgd].", show_default=False)
+        str | None, typer.Option(help="Published table, see `merlfit materials` \\[default: sgd].")
     ] = None,
     loss: Annotated[
         bool,
@@ -354,16 +317,15 @@ def models() -> None:
 
 @app.command(epilog="Example: merlfit inspect fits/nickel.json")
 def inspect(
-    result: Annotated[Path, typer.Argument(help="RESULT.json of a fit.", show_default=False, readable=False)],
-    file: Annotated[Path | None, typer.Option(help="The MERL file, if it moved since the fit.", readable=False)] = None,
+    result: Result,
+    file: Measured = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder for the pictures \\[default: beside it].")
     ] = None,
     pictures: Annotated[
         str | None,
         typer.Option(
-            help="Which pictures, with commas between: lobes,corner; none for the numbers alone \\[default: all].",
-            show_default=False,
+            help="Which pictures, with commas between: lobes,corner; none for the numbers alone \\[default: all]."
         ),
     ] = None,
     kind: Annotated[str, typer.Option("--format", help="png, pdf or svg.")] = "png",
@@ -380,9 +342,7 @@ def inspect(
 
 @app.command(epilog="Example: merlfit table fits")
 def table(
-    folder: Annotated[
-        Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", show_default=False, readable=False)
-    ],
+    folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", readable=False)],
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="The CSV file to write \\[default: RUN_DIR/table.csv].")
     ] = None,
@@ -399,18 +359,14 @@ def table(
 
 @app.command(epilog="Example: merlfit report fits")
 def report(
-    folder: Annotated[
-        Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", show_default=False, readable=False)
-    ],
+    folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", readable=False)],
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder for the pages \\[default: RUN_DIR/report].")
     ] = None,
     files: Annotated[
         Path | None, typer.Option(help="Folder with the MERL files, if they moved since the fits.", readable=False)
     ] = None,
-    origin: Annotated[
-        str | None, typer.Option(help="What the files are, in words, if the fits were not told.", show_default=False)
-    ] = None,
+    origin: Annotated[str | None, typer.Option(help="What the files are, in words, if the fits were not told.")] = None,
     jobs: Pages = None,
     force: Force = False,
 ) -> None:
@@ -424,9 +380,7 @@ def report(
 
 
 @app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")
-def effects(
-    scene: Annotated[Path, typer.Argument(help="SCENE.toml (docs/scenes.md).", show_default=False, readable=False)],
-) -> None:
+def effects(scene: Annotated[Path, typer.Argument(help="SCENE.toml (docs/scenes.md).", readable=False)]) -> None:
     """Find out which effects a scene calls for: each is left out in turn, on the directions that the scene uses."""
     from .scenes import plan_scene
 
@@ -435,23 +389,17 @@ def effects(
 
 @app.command(epilog="Example: merlfit render configs/scenes/metal.toml -o pictures")
 def render(
-    what: Annotated[
-        list[Path],
-        typer.Argument(help="SCENE.toml, or RESULT.json of fits.", show_default=False, readable=False),
-    ],
+    what: Annotated[list[Path], typer.Argument(help="SCENE.toml, or RESULT.json of fits.", readable=False)],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the pictures.")] = Path("pictures"),
     every: Annotated[bool, typer.Option("--all-effects", help="Leave no effect out.")] = False,
     check: Annotated[
         bool, typer.Option("--check/--no-check", help="Of a scene: render it with all effects, too, and compare.")
     ] = True,
-    samples: Annotated[int | None, typer.Option(min=1, help="Of each pixel.", show_default=False)] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the samples.", show_default=False)] = None,
+    samples: Annotated[int | None, typer.Option(min=1, help="Of each pixel.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the samples.")] = None,
     vary: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Of one fit: a parameter and factors of its value, as in b=0.5,1,2; given twice, a grid.",
-            show_default=False,
-        ),
+        typer.Option(help="Of one fit: a parameter and factors of its value, as in b=0.5,1,2; given twice, a grid."),
     ] = None,
     force: Force = False,
 ) -> None:
@@ -474,14 +422,12 @@ def render(
 @app.command(epilog="Example: merlfit export fits/nickel.json --to mitsuba -o exported")
 def export(
     result: Annotated[
-        Path,
-        typer.Argument(help="RESULT.json of a fit; --to mitsuba also a MERL file.", show_default=False, readable=False),
+        Path, typer.Argument(help="RESULT.json of a fit; --to mitsuba also a MERL file.", readable=False)
     ],
     to: Annotated[
         str,
         typer.Option(
-            help="mitsuba (scene and tables), merl (.binary), json (parameters alone), gltf or openpbr (nearest GGX).",
-            show_default=False,
+            help="mitsuba (scene and tables), merl (.binary), json (parameters alone), gltf or openpbr (nearest GGX)."
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),
