@@ -123,27 +123,23 @@ def fit_files(
         if found:
             done = f"{len(found)} of {counted(len(files), 'file')}"
             console.print(f"done already: {done}, of the same data, settings and versions")
-        run = _Run(units, left, progress, journal)
+        run = _Run(units, left, found, progress, journal)
         try:
             for k, ended in executor.ended([units[k] for k in left], run.tell):
+                run.book(left[k], ended)
                 if ended.kind is Ending.STOPPED:
-                    run.stopped.append((left[k], ended))
                     raise Stopped(ended.code - 128)
-                found[left[k]] = run.book(left[k], ended)
         except Stopped as stop:
-            for k, ended in executor.stop():
-                if ended.kind is Ending.STOPPED:
-                    run.stopped.append((left[k], ended))
-                else:  # it came to its end meanwhile
-                    found[left[k]] = run.book(left[k], ended)
+            for k, ended in executor.stop():  # some of them came to their end meanwhile
+                run.book(left[k], ended)
             journal.closed(True, time.perf_counter() - start)
-            _say_stopped(stop, run, [found[k] for k in sorted(found)])
+            words = [_kept(units[k], run.stopped[k]) for k in sorted(run.stopped)]
+            run.say_left(f"stopped by {stop}: ", words, "not begun")
             raise typer.Exit(stop.code) from None
         except ClusterError as error:
             journal.closed(True, time.perf_counter() - start)
             fail(str(error))
-            left = f"not fitted: {len(run.left) - run.done} of {counted(len(files), 'file')}"
-            _say_left([left], len(files), [found[k] for k in sorted(found)])
+            run.say_left("", [], "not fitted")
             raise typer.Exit(FAILED_FIT) from None
         except WriteError:  # of the manifest: nobody waits for what others still do
             executor.stop()
@@ -173,13 +169,15 @@ class _Run:
     """What is shown and written down while units are fitted.
 
     Attributes:
+        left: numbers of the units that were not done before. found: what came of each that is done.
         stopped: units that were not fitted to the end, and what there is of them.
     """
 
-    def __init__(self, units: list[Unit], left: list[int], progress: Progress, journal: Journal) -> None:
-        self.units, self.left, self.progress, self.journal = units, left, progress, journal
-        self.stopped: list[tuple[int, Ended]] = []
-        self.done = 0
+    def __init__(
+        self, units: list[Unit], left: list[int], found: dict[int, Outcome], progress: Progress, journal: Journal
+    ) -> None:
+        self.units, self.left, self.found, self.progress, self.journal = units, left, found, progress, journal
+        self.stopped: dict[int, Ended] = {}
         self.batch = progress.add_task("", total=len(left), visible=len(left) > 1)
         self._count()
         self.tasks: dict[int, tuple[TaskID, Callable[[str], None]]] = {}
@@ -194,8 +192,11 @@ class _Run:
             self.tasks[k] = task, reporter(self.progress, task, self.label(k))
         self.tasks[k][1](stage)
 
-    def book(self, k: int, ended: Ended) -> Outcome:
-        """Show and write down what came of a unit."""
+    def book(self, k: int, ended: Ended) -> None:
+        """Show and write down what came of a unit, unless it was stopped."""
+        if ended.kind is Ending.STOPPED:
+            self.stopped[k] = ended
+            return
         result, label = ended.result, self.label(k)
         self.journal.ended(self.units[k].path, ended.kind, ended.result, ended.error)
         if result is not None:
@@ -208,13 +209,24 @@ class _Run:
             note(ended.said)
         if k in self.tasks:
             self.progress.remove_task(self.tasks.pop(k)[0])
-        self.done += 1
+        self.found[k] = Outcome(self.units[k].path, result, ended.error or None, ended.kind is Ending.BAD_INPUT)
         self._count()
-        return Outcome(self.units[k].path, result, ended.error or None, ended.kind is Ending.BAD_INPUT)
 
     def _count(self) -> None:
-        words = f"{self.done} of {counted(len(self.left), 'file')}"
-        self.progress.update(self.batch, completed=self.done, description=words)
+        done = len(self.found.keys() & self.left)
+        self.progress.update(self.batch, completed=done, description=f"{done} of {counted(len(self.left), 'file')}")
+
+    def say_left(self, why: str, words: list[str], rest: str) -> None:
+        """What was not done of a run that ends before all of it is, and a table of what was."""
+        if left := len(self.units) - len(self.found) - len(self.stopped):
+            words = [*words, f"{rest}: {left} of {counted(len(self.units), 'file')}"]
+        if len(self.units) > 1:
+            words = [*words, "the same command with --resume goes on"]
+        note(why + "; ".join(words))
+        outcomes = [self.found[k] for k in sorted(self.found)]
+        outcomes += [Outcome(self.units[k].path, each.result) for k, each in self.stopped.items() if each.result]
+        if outcomes:
+            console.print(summary_table(outcomes))
 
 
 def _with_command(path: Path, error: str) -> str:
@@ -222,25 +234,6 @@ def _with_command(path: Path, error: str) -> str:
     if not path.is_dir() or not any(path.glob("*.binary")):
         return error
     return f"{path}: is a folder; name its files: merlfit fit {shlex.quote(str(path))}/*.binary"
-
-
-def _say_stopped(stop: Stopped, run: _Run, outcomes: list[Outcome]) -> None:
-    """What is kept of a run that was stopped, and how it goes on."""
-    begun = {k for k, _ in run.stopped}
-    left = len(run.left) - run.done - len(begun)
-    words = [_kept(run.units[k], ended) for k, ended in sorted(run.stopped, key=lambda each: each[0])]
-    if left:
-        words.append(f"not begun: {left} of {counted(len(run.units), 'file')}")
-    outcomes = outcomes + [Outcome(run.units[k].path, e.result) for k, e in run.stopped if e.result is not None]
-    _say_left(words, len(run.units), outcomes, f"stopped by {stop}: ")
-
-
-def _say_left(words: list[str], files: int, outcomes: list[Outcome], why: str = "") -> None:
-    """What was not done of a run that ends before all of it is, and a table of what was."""
-    more = ["the same command with --resume goes on"] if files > 1 else []
-    note(why + "; ".join(words + more))
-    if outcomes:
-        console.print(summary_table(outcomes))
 
 
 def _kept(unit: Unit, ended: Ended) -> str:

@@ -14,7 +14,7 @@ from merlfit.fitting.fit.problem import energy
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.results.schema import Accuracy, Result, Tried
-from merlfit.fitting.results.storage import read_result, schema
+from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.settings.choice import POINTS, REFERENCE
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.show.terminal_tables import accuracy_line
@@ -22,6 +22,7 @@ from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from typer.testing import CliRunner
 
+from tests.result_schema import schema
 from tests.support.frontiers import fit, measurement, point
 
 runner = CliRunner()
