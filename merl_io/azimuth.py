@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
+from .grid import cosines, trigonometry
 from .samples import Samples
 
 AZIMUTHS = 8  # nodes of a row of 180 bins; accuracy in `gather`
@@ -71,8 +72,8 @@ def gather(samples: Samples, nodes: int) -> Rows:
     root, target = _triangular(np.stack(squares, 1), np.stack(products, 1))
     energy = np.sum(samples.weight * samples.value**2, (1, 2, 3))
     rest = np.maximum(energy - np.sum(target**2, (1, 2, 3)), 0.0)
-    cosines = _cosines(samples.theta_h, samples.theta_d, np.stack(at_nodes))
-    return Rows(samples.theta_h, samples.theta_d, *cosines, root, target, rest)
+    cos_i, cos_o = _at_nodes(samples.theta_h, samples.theta_d, np.stack(at_nodes))
+    return Rows(samples.theta_h, samples.theta_d, cos_i, cos_o, root, target, rest)
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def nodes_of(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray, nodes:
     the value of another azimuth near it.
     """
     basis, cos2 = zip(*(_row(h, theta_d, phi_d, nodes) for h in theta_h), strict=True)
-    return Nodes(*_cosines(theta_h, theta_d, np.stack(cos2)), np.stack(basis))
+    return Nodes(*_at_nodes(theta_h, theta_d, np.stack(cos2)), np.stack(basis))
 
 
 def _row(theta_h: float, theta_d: np.ndarray, phi_d: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -111,11 +112,9 @@ def _row(theta_h: float, theta_d: np.ndarray, phi_d: np.ndarray, nodes: int) -> 
     return basis, horizon * (1 - (low + (x + 1) / 2 * (high - low)) ** 2)
 
 
-def _cosines(theta_h: np.ndarray, theta_d: np.ndarray, cos2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _at_nodes(theta_h: np.ndarray, theta_d: np.ndarray, cos2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """cos_i and cos_o of rows (H, D) at some cos^2 phi_d, (H, D, K)."""
-    even, odd = (f(theta_h)[:, None, None] * f(theta_d)[:, None] for f in (np.cos, np.sin))
-    odd = odd * np.sqrt(cos2)
-    return even - odd, even + odd
+    return cosines(trigonometry(theta_h[:, None, None]), trigonometry(theta_d[:, None]), np.sqrt(cos2))
 
 
 def _positions(

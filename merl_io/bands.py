@@ -62,5 +62,5 @@ def filled(values: np.ndarray, bands: Bands) -> tuple[np.ndarray, Bands, list[st
     empty = [name for name, k in zip(bands.names, some, strict=True) if not k]
     more = f" and {len(empty) - SHOWN} more" if len(empty) > SHOWN else ""
     are = "channels {} are" if len(empty) > 1 else "channel {} is"
-    said = f"{are.format(', '.join(empty[:SHOWN]) + more)} zero everywhere or blank, and left out"
-    return some, kept, [said]
+    remark = f"{are.format(', '.join(empty[:SHOWN]) + more)} zero everywhere or blank, and left out"
+    return some, kept, [remark]

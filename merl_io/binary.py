@@ -50,8 +50,8 @@ def dims_of(text: str) -> Dims:
     Raises:
         ValueError: it is no such thing.
     """
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})x(\d{1,5})", text)
-    h, d, p = (int(x) for x in found.groups()) if found else (0, 0, 0)
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})x(\d{1,5})", text)
+    h, d, p = (int(x) for x in match.groups()) if match else (0, 0, 0)
     if not all(FEWEST <= n <= MOST for n in (h, d, p)) or p % 2:
         raise ValueError(
             f"dims {text!r} should be three numbers of bins like 45x45x90, of theta_h, theta_d and phi_d, each "
@@ -60,7 +60,7 @@ def dims_of(text: str) -> Dims:
     return h, d, p
 
 
-def said(dims: Dims) -> str:
+def dims_text(dims: Dims) -> str:
     """As they are written."""
     return "x".join(map(str, dims))
 
@@ -89,6 +89,7 @@ class Measurement:
         sha1: of the whole file.
         blob_sha1: the same as git names its blob, by which genuine files are known.
         bands: of the planes of ``values``: fewer than three where others are zero everywhere. notes: on those.
+        format, colour_space, left_out: as of `scattered.ScatteredMeasurement`.
     """
 
     path: Path
@@ -101,6 +102,9 @@ class Measurement:
     blob_sha1: str
     bands: Bands = MERL
     notes: tuple[str, ...] = ()
+    format: Literal["MERL"] = "MERL"
+    colour_space: ColourSpace = "linear RGB of MERL, as stored"
+    left_out: int = 0
 
     @property
     def name(self) -> str:
@@ -112,21 +116,6 @@ class Measurement:
         """Numbers of bins."""
         h, d, p = self.valid.shape
         return h, d, p
-
-    @property
-    def format(self) -> Literal["MERL"]:
-        """Of the file."""
-        return "MERL"
-
-    @property
-    def colour_space(self) -> ColourSpace:
-        """Of the channels."""
-        return "linear RGB of MERL, as stored"
-
-    @property
-    def left_out(self) -> int:
-        """How many wavelengths of the file are not read."""
-        return 0
 
     @cached_property
     def outliers(self) -> int:
@@ -163,7 +152,7 @@ def read(path: str | os.PathLike[str], fitted_sha1: str | None = None, dims: Dim
     """
     path = Path(path)
     if dims is not None and not _usable(dims):
-        raise MerlError(f"{path}: dims {said(dims)} are not read: {FEWEST} to {MOST} bins an axis, phi_d even")
+        raise MerlError(f"{path}: dims {dims_text(dims)} are not read: {FEWEST} to {MOST} bins an axis, phi_d even")
     with opened(path) as (file, size):
         return _read(path, file, size, fitted_sha1, (DIMS, dims or DIMS))
 
@@ -220,20 +209,20 @@ def _dims_in(path: Path, head: bytes, size: int, allowed: tuple[Dims, ...]) -> D
             raise MerlError(
                 f"{path}: not a MERL .binary file: its first 12 bytes are not three dimensions (tables are .csv, .npz)"
             )
-        mend = f"; --dims {said(dims)} allows them" if size == file_bytes(dims) and _usable(dims) else ""
-        raise MerlError(f"{path}: its dimensions are {said(dims)}, those of MERL {said(DIMS)}{mend}")
+        mend = f"; --dims {dims_text(dims)} allows them" if size == file_bytes(dims) and _usable(dims) else ""
+        raise MerlError(f"{path}: its dimensions are {dims_text(dims)}, those of MERL {dims_text(DIMS)}{mend}")
     expected = file_bytes(dims)
     if size < expected:
         raise MerlError(f"{path}: truncated: {size} of {expected} bytes; download or copy it again")
     if size > expected:
-        whose = "MERL has" if dims == DIMS else f"{said(dims)} bins are"
+        whose = "MERL has" if dims == DIMS else f"{dims_text(dims)} bins are"
         raise MerlError(f"{path}: too long: {size} bytes where {whose} {expected}; it was altered or joined")
     return dims
 
 
 def _usable(dims: Dims) -> bool:
     try:
-        return dims_of(said(dims)) == dims
+        return dims_of(dims_text(dims)) == dims
     except ValueError:
         return False
 

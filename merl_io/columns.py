@@ -51,15 +51,15 @@ class Columns:
 
 def known(cell: str) -> tuple[str, float] | None:
     """Our name of an angle or weight, and the unit of its numbers in degrees; None if it is neither."""
-    found = re.fullmatch(r"(.+?)[\s_]*(?:[\[(]?\s*(deg|degrees?|°|rad|radians)?\s*[\])]?)", cell.strip().lower())
-    if found is None or (name := MEANT.get(re.sub(r"[\s\-]+", "_", found[1]))) is None:
+    match = re.fullmatch(r"(.+?)[\s_]*(?:[\[(]?\s*(deg|degrees?|°|rad|radians)?\s*[\])]?)", cell.strip().lower())
+    if match is None or (name := MEANT.get(re.sub(r"[\s\-]+", "_", match[1]))) is None:
         return None
-    return name, 1.0 if name == WEIGHT else DEGREES[found[2] or ""]
+    return name, 1.0 if name == WEIGHT else DEGREES[match[2] or ""]
 
 
 def names_angles(cells: list[str]) -> int:
     """How many of the angles are named."""
-    return len({each[0] for each in map(known, cells) if each is not None} & {*ANGLES})
+    return len({column[0] for column in map(known, cells) if column is not None} & {*ANGLES})
 
 
 def columns_of(path: Path, cells: list[str]) -> Columns:
@@ -69,14 +69,16 @@ def columns_of(path: Path, cells: list[str]) -> Columns:
         MerlError: one is missing, has no name, is there twice, or is nothing that a table has; all of that in one line.
     """
     names = [cell.strip() for cell in cells]
-    meant = {k: each for k, name in enumerate(names) if (each := known(name)) is not None}
+    meant = {k: column for k, name in enumerate(names) if (column := known(name)) is not None}
     wrong = []
-    if missing := [name for name in ANGLES if name not in {each for each, _ in meant.values()}]:
+    if missing := [name for name in ANGLES if name not in {angle for angle, _ in meant.values()}]:
         commas = "" if len(names) > 1 else " with commas between"
         wrong.append(f"its first line names no column {', '.join(missing)}; it needs {', '.join(ANGLES)}{commas}")
     if "" in names:
         wrong.append(f"column {names.index('') + 1} has no name; is there a comma too many?")
-    repeated = Counter([each for each, _ in meant.values()] + [n for k, n in enumerate(names) if n and k not in meant])
+    repeated = Counter(
+        [angle for angle, _ in meant.values()] + [n for k, n in enumerate(names) if n and k not in meant]
+    )
     wrong += [f"column {name!r} is there twice" for name, count in repeated.items() if count > 1]
     others = {k: name for k, name in enumerate(names) if name and k not in meant}
     colours = {name for name in others.values() if name in MERL.names}

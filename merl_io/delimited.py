@@ -37,8 +37,8 @@ class Lines:
     def take(self, number: int, line: str) -> None:
         """Read another line of the file."""
         if line.lstrip().startswith("#"):
-            if self.columns is None and named(said := line.strip().lstrip("#").strip()) == 3:
-                self.remark = said  # as ``np.savetxt(header=...)`` writes names
+            if self.columns is None and named(names := line.strip().lstrip("#").strip()) == 3:
+                self.remark = names  # as ``np.savetxt(header=...)`` writes names
         elif self.columns is None:
             behind = bool(self.remark) and all(map(_is_number, cells_of(line, delimiter_of(self.remark))))
             self._head(self.remark if behind else line)
@@ -59,14 +59,14 @@ class Lines:
             self.wrong.append(f"line {number} has {len(cells)} cells, and there are {len(self.names)} columns")
             return
         try:
-            found = [float(cell) for cell in cells]
+            row = [float(cell) for cell in cells]
         except ValueError:
-            found = [self._number(cell) for cell in cells]
-        bad = [k for k, x in enumerate(found) if not math.isfinite(x) and not self._blank(k, cells[k])]
+            row = [self._number(cell) for cell in cells]
+        bad = [k for k, x in enumerate(row) if not math.isfinite(x) and not self._blank(k, cells[k])]
         if bad:
-            self.wrong += [self._said(number, k, cells[k]) for k in bad]
+            self.wrong += [self._complaint(number, k, cells[k]) for k in bad]
             return
-        self.numbers.extend(found)
+        self.numbers.extend(row)
         self.lines.append(number)
 
     def _number(self, cell: str) -> float:
@@ -79,7 +79,7 @@ class Lines:
     def _blank(self, k: int, cell: str) -> bool:
         return k in self.optional and cell.strip().lower() in NO_DATUM
 
-    def _said(self, number: int, k: int, cell: str) -> str:
+    def _complaint(self, number: int, k: int, cell: str) -> str:
         mend = "; leave the cell of a missing value blank" if k in self.optional else ""
         return f"line {number}: {self.names[k].strip()} is {cell.strip()!r}, not a finite number{mend}"
 
@@ -90,19 +90,19 @@ def read_lines(path: Path, data: bytes) -> Lines:
     Raises:
         MerlError: it is no such text, or has no line of names or of numbers.
     """
-    found = Lines(path)
+    lines = Lines(path)
     try:
         for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig"), 1):
             if line.strip(" \t\r\n,;"):
-                found.take(number, line.rstrip("\r\n"))
+                lines.take(number, line.rstrip("\r\n"))
     except UnicodeDecodeError:
         raise MerlError(f"{path}: is not a table: it is no UTF-8 text") from None
     except csv.Error as error:
         raise MerlError(f"{path}: is not a table: {error}") from None
-    if found.columns is None or not (found.numbers or found.wrong):
-        lacking = "lines of numbers" if found.columns else "line of names"
+    if lines.columns is None or not (lines.numbers or lines.wrong):
+        lacking = "lines of numbers" if lines.columns else "line of names"
         raise MerlError(f"{path}: is not a table: it has no {lacking}")
-    return found
+    return lines
 
 
 def refuse(path: Path, wrong: list[str], names: list[str]) -> None:
@@ -129,7 +129,7 @@ def named(line: str) -> int:
 
 def delimiter_of(line: str) -> str | None:
     """What stands between the names of a line: with what most of the angles are found, the first of these."""
-    return max(DELIMITERS, key=lambda each: names_angles(cells_of(line, each)))
+    return max(DELIMITERS, key=lambda delimiter: names_angles(cells_of(line, delimiter)))
 
 
 def _is_number(cell: str) -> bool:

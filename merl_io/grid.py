@@ -42,20 +42,17 @@ class MerlGrid:
     weight: np.ndarray
 
 
-def cosines(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """cos_i and cos_o of half and difference angles (rad)."""
-    return _cosines(_trigonometry(theta_h), _trigonometry(theta_d), _trigonometry(phi_d))
-
-
 Trigonometry = tuple[np.ndarray, np.ndarray]  # sine and cosine
 
 
-def _trigonometry(angle: np.ndarray) -> Trigonometry:
+def trigonometry(angle: np.ndarray) -> Trigonometry:
+    """Of an angle (rad)."""
     return np.sin(angle), np.cos(angle)
 
 
-def _cosines(h: Trigonometry, d: Trigonometry, phi: Trigonometry) -> tuple[np.ndarray, np.ndarray]:
-    even, odd = h[1] * d[1], h[0] * d[0] * phi[1]
+def cosines(h: Trigonometry, d: Trigonometry, cos_phi_d: np.ndarray) -> Trigonometry:
+    """cos_i and cos_o of half and difference angles."""
+    even, odd = h[1] * d[1], h[0] * d[0] * cos_phi_d
     return even - odd, even + odd
 
 
@@ -84,8 +81,8 @@ def _grid(dims: Dims) -> MerlGrid:
     edges = ((steps[0] / dims[0]) ** 2 * np.pi / 2, steps[1] / dims[1] * np.pi / 2, steps[2] / dims[2] * np.pi)
     theta_h = ((steps[0][:-1] + 0.5) / dims[0]) ** 2 * np.pi / 2
     theta_d, phi_d = ((s[:-1] + 0.5) * (e[1] - e[0]) for s, e in zip(steps[1:], edges[1:], strict=True))
-    axes = np.ix_(theta_h, theta_d, phi_d)
-    cos_i, cos_o = cosines(*axes)
+    h, d, phi = map(trigonometry, np.ix_(theta_h, theta_d, phi_d))
+    cos_i, cos_o = cosines(h, d, phi[1])
     volume = bin_volume(edges)
     weight = volume * _cotangent(cos_i, cos_o)
     lower, larger = np.minimum(cos_i, cos_o), max(1.0, *(m / n for m, n in zip(DIMS, dims, strict=True)))
@@ -107,10 +104,10 @@ def _integrate(edges: tuple[np.ndarray, ...], bins: np.ndarray, nodes: int) -> n
     x, w = np.polynomial.legendre.leggauss(nodes)
     size = [np.diff(e) for e in edges]
     # sines and cosines by node and bin of every axis: there are far fewer than points
-    axes = [[_trigonometry(e[:-1] + (u + 1) / 2 * s) for u in x] for e, s in zip(edges, size, strict=True)]
+    axes = [[trigonometry(e[:-1] + (u + 1) / 2 * s) for u in x] for e, s in zip(edges, size, strict=True)]
     total = np.zeros(len(bins))
     for node in np.ndindex(nodes, nodes, nodes):
         at = [axis[k] for axis, k in zip(axes, node, strict=True)]
         h, d, p = ((sine[i], cosine[i]) for (sine, cosine), i in zip(at, bins.T, strict=True))
-        total += np.prod(w[list(node)]) / 8 * d[1] * d[0] * h[0] * _cotangent(*_cosines(h, d, p))
+        total += np.prod(w[list(node)]) / 8 * d[1] * d[0] * h[0] * _cotangent(*cosines(h, d, p[1]))
     return 4 * total * np.prod([s[i] for s, i in zip(size, bins.T, strict=True)], axis=0)

@@ -14,7 +14,7 @@ LEAST = 8  # pairs, or samples of an incidence, to say anything by
 MOST = 400  # samples that are looked at for their partners
 DRAWN = 1500  # directions of a hemisphere
 PAIRS = 4_000_000  # of these and samples that are looked at together: 100 MB
-AZIMUTHS = 3  # of an incidence, at least: a plane says nothing of the hemisphere
+FEWEST_AZIMUTHS = 3  # of an incidence, at least: a plane says nothing of the hemisphere
 NEAR = np.radians(3.0)  # of two samples that count as one pair of directions
 
 
@@ -26,11 +26,11 @@ def hints(measured: Measurement | ScatteredMeasurement) -> list[str]:
     used = np.isfinite(plane)
     if not used.any():
         return []
-    if said := _radians(measured):
-        return said
+    if lines := _radians(measured):
+        return lines
     angles = np.stack([measured.theta_i, measured.theta_o, measured.phi])[:, used]
-    said = _reciprocity(angles, plane[used]) + _side(angles, plane[used])
-    return said + (_bright(largest) if (largest := reflected(angles, plane[used])) > BRIGHT else [])
+    lines = _reciprocity(angles, plane[used]) + _side(angles, plane[used])
+    return lines + (_bright(largest) if (largest := reflected(angles, plane[used])) > BRIGHT else [])
 
 
 def _of_bins(measured: Measurement) -> list[str]:
@@ -87,13 +87,13 @@ def _partners(angles: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.nda
     apart = np.abs(np.log(np.cos(o) / np.cos(i))) > SPREAD
     rows = np.flatnonzero(apart & (value > 0))
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST)).astype(int))] if len(rows) else rows
-    folded, found = np.arccos(np.cos(phi)), []
+    folded, pairs = np.arccos(np.cos(phi)), []
     for k in rows:
         away = np.maximum(np.maximum(np.abs(i - o[k]), np.abs(o - i[k])), np.abs(folded - folded[k]))
         other = int(np.argmin(away))
         if away[other] < NEAR and value[other] > 0:
-            found.append((np.log(value[k] / value[other]), np.log(np.cos(o[k]) / np.cos(i[k]))))
-    ratio, cosines = np.array(found).reshape(-1, 2).T
+            pairs.append((np.log(value[k] / value[other]), np.log(np.cos(o[k]) / np.cos(i[k]))))
+    ratio, cosines = np.array(pairs).reshape(-1, 2).T
     return ratio, cosines
 
 
@@ -103,15 +103,15 @@ def reflected(angles: np.ndarray, value: np.ndarray) -> float:
     Directions are drawn as the cosine has them, each has the least of its three nearest samples: what a single sample
     says of a highlight is not taken for all around it.
     """
-    theta_i, found = np.round(angles[0], 6), [0.0]
-    for each in np.unique(theta_i) if len(np.unique(theta_i)) <= MOST else []:
-        rows = np.flatnonzero(theta_i == each)
+    theta_i, albedos = np.round(angles[0], 6), [0.0]
+    for incidence in np.unique(theta_i) if len(np.unique(theta_i)) <= MOST else []:
+        rows = np.flatnonzero(theta_i == incidence)
         at, f = angles[1:, rows], value[rows]
         azimuths = len(np.unique(np.round(np.degrees(np.arccos(np.cos(at[1]))))))
         wide = np.ptp(at[0]) > 1.0 and np.ptp(np.abs(np.cos(at[1]) - 1)) > 1.0
-        if len(rows) >= LEAST and azimuths >= AZIMUTHS and wide:
-            found.append(_hemisphere(at, f))
-    return max(found)
+        if len(rows) >= LEAST and azimuths >= FEWEST_AZIMUTHS and wide:
+            albedos.append(_hemisphere(at, f))
+    return max(albedos)
 
 
 def _hemisphere(at: np.ndarray, f: np.ndarray) -> float:
@@ -135,8 +135,8 @@ def _side(angles: np.ndarray, value: np.ndarray) -> list[str]:
     """Whether the highlight is where the light comes from."""
     tilted = angles[0] > TILTED
     theta_h, theta_d, _ = half_difference(*angles)
-    mirror, own = (value[tilted & (np.abs(x) < np.radians(10))] for x in (theta_h, theta_d))
-    if own.size < 3 or own.max() < RETRO * (np.median(value[tilted]) if not mirror.size else mirror.max()):
+    mirror, light = (value[tilted & (np.abs(x) < np.radians(10))] for x in (theta_h, theta_d))
+    if light.size < 3 or light.max() < RETRO * (np.median(value[tilted]) if not mirror.size else mirror.max()):
         return []
     return [
         "the brightest samples are on the light's own side, at azimuth 0: if that is the mirror's side in your file, "

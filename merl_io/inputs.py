@@ -49,6 +49,6 @@ def read(
     return binary.read(path, fitted_sha1, dims)
 
 
-def told(measured: Input) -> list[str]:
+def remarks(measured: Input) -> list[str]:
     """What a user should know of a file whatever is made of it: what was left out, and what it looks like."""
     return [*measured.notes, *hints(measured)]

@@ -22,15 +22,15 @@ def examined(measured: ScatteredMeasurement, place: Callable[[int], str]) -> Sca
     Args:
         place: where a sample stands in the file, in words.
     """
-    found = hot(measured)
+    outlying = hot(measured)
     values, notes = measured.values, list(measured.notes)
-    if found.any():
-        values = np.where(found, np.nan, values)
-        notes.append(_told(measured, found, place))
-    kept, bands, said = filled(values, measured.bands)
-    if said:
+    if outlying.any():
+        values = np.where(outlying, np.nan, values)
+        notes.append(_remark(measured, outlying, place))
+    kept, bands, emptied = filled(values, measured.bands)
+    if emptied:
         values = values[kept]
-    return replace(measured, values=values, bands=bands, notes=(*notes, *said))
+    return replace(measured, values=values, bands=bands, notes=(*notes, *emptied))
 
 
 def hot(measured: ScatteredMeasurement) -> np.ndarray:
@@ -41,17 +41,17 @@ def hot(measured: ScatteredMeasurement) -> np.ndarray:
     """
     angles = np.stack(half_difference(measured.theta_i, measured.theta_o, measured.phi))
     cosines = np.cos(measured.theta_i) * np.cos(measured.theta_o)
-    found = np.zeros(measured.values.shape, bool)
-    for plane, hot_ones in zip(measured.values, found, strict=True):
+    outlying = np.zeros(measured.values.shape, bool)
+    for plane, hot_ones in zip(measured.values, outlying, strict=True):
         there = np.isfinite(plane)
         hot_ones[there] = _hot(np.abs(plane[there] * cosines[there]), *angles[:, there])
-    return found
+    return outlying
 
 
 def _hot(size: np.ndarray, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-    found, least = np.zeros(size.shape, bool), float(np.median(size)) if size.size else 0.0
+    outlying, least = np.zeros(size.shape, bool), float(np.median(size)) if size.size else 0.0
     if size.size <= NEIGHBOURS or least == 0:
-        return found
+        return outlying
     at = np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2)
     away_from_both = (theta_h > MISALIGNED) & (theta_d > MISALIGNED)
     for k in np.flatnonzero(away_from_both & _suspects(size, order(at))):
@@ -59,8 +59,8 @@ def _hot(size: np.ndarray, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.n
         away[k] = np.inf
         near = np.argpartition(away, NEIGHBOURS)[:NEIGHBOURS]
         inside = [np.sum(x[near] <= x[k] + 1e-6) >= INSIDE for x in (theta_h, theta_d)]
-        found[k] = all(inside) and size[k] > HOT * max(size[near].max(), least)
-    return found
+        outlying[k] = all(inside) and size[k] > HOT * max(size[near].max(), least)
+    return outlying
 
 
 def _suspects(size: np.ndarray, ranked: np.ndarray) -> np.ndarray:
@@ -68,20 +68,20 @@ def _suspects(size: np.ndarray, ranked: np.ndarray) -> np.ndarray:
     half, count = BESIDE // 2, len(size)
     padded = np.pad(size[ranked], half)
     beside = np.max([padded[half + k : half + k + count] for k in range(-half, half + 1) if k], axis=0)
-    found = np.empty(count, bool)
-    found[ranked] = size[ranked] > HOT * beside
-    return found
+    bright = np.empty(count, bool)
+    bright[ranked] = size[ranked] > HOT * beside
+    return bright
 
 
-def _told(measured: ScatteredMeasurement, found: np.ndarray, place: Callable[[int], str]) -> str:
-    samples = np.flatnonzero(found.any(0))
-    said = []
+def _remark(measured: ScatteredMeasurement, outlying: np.ndarray, place: Callable[[int], str]) -> str:
+    samples = np.flatnonzero(outlying.any(0))
+    places = []
     for k in samples[:SHOWN]:
-        channel = int(np.flatnonzero(found[:, k])[0])
-        said.append(f"{place(int(k))} ({measured.bands.names[channel]} {measured.values[channel, k]:g})")
+        channel = int(np.flatnonzero(outlying[:, k])[0])
+        places.append(f"{place(int(k))} ({measured.bands.names[channel]} {measured.values[channel, k]:g})")
     more = f" and {len(samples) - SHOWN} more" if len(samples) > SHOWN else ""
     one = len(samples) == 1
     return (
-        f"{', '.join(said)}{more}: {'an outlier' if one else 'outliers'}, over {HOT:g} times as large as all "
+        f"{', '.join(places)}{more}: {'an outlier' if one else 'outliers'}, over {HOT:g} times as large as all "
         f"samples beside {'it' if one else 'them'}, and left out"
     )

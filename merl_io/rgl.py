@@ -39,18 +39,18 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
     file = tensors(path, data)
     parts = _parts(file)
     spectra, chosen, bands = _spectra(file, parts["luminance"].shape, most)
-    found, at = list(slices(parts)), 0
-    values = np.empty((len(bands), sum(len(each.phi) for each in found)))
-    for each in found:
-        rows = slice(at, at := at + len(each.phi))
+    incidences, at = list(slices(parts)), 0
+    values = np.empty((len(bands), sum(len(part.phi) for part in incidences)))
+    for part in incidences:
+        rows = slice(at, at := at + len(part.phi))
         for plane, k in zip(values, chosen, strict=True):
             with np.errstate(over="ignore", invalid="ignore"):  # no data, below
-                value = each.values(spectra[each.azimuth, each.incidence, k])
+                value = part.values(spectra[part.azimuth, part.incidence, k])
                 plane[rows] = np.where(np.abs(value) < BRIGHTEST, value, np.nan)
     if not any(np.isfinite(plane).any() for plane in values):
         raise MerlError(f"{path}: holds no datum: every value is not finite, or below the horizon")
     theta_i, theta_o, phi, share = (
-        np.concatenate([getattr(each, name) for each in found]) for name in ("theta_i", "theta_o", "phi", "share")
+        np.concatenate([getattr(part, name) for part in incidences]) for name in ("theta_i", "theta_o", "phi", "share")
     )
     left_out = spectra.shape[2] - len(bands)
     kept, bands, notes = filled(values, bands)
@@ -66,32 +66,32 @@ def _parts(file: Tensors) -> dict[str, np.ndarray]:
     Raises:
         MerlError: one is missing, of another type or shape, or holds what it cannot.
     """
-    found = {name: file.array(name, "float32", dimensions) for name, dimensions in PARTS.items()}
-    found["jacobian"] = file.array("jacobian", "uint8", 1)
-    azimuths, incidences = len(found["phi_i"]), len(found["theta_i"])
+    parts = {name: file.array(name, "float32", dimensions) for name, dimensions in PARTS.items()}
+    parts["jacobian"] = file.array("jacobian", "uint8", 1)
+    azimuths, incidences = len(parts["phi_i"]), len(parts["theta_i"])
     if azimuths > ISOTROPIC:
         raise MerlError(
             f"{file.path}: is anisotropic: it has {azimuths} azimuths of light (phi_i); isotropic files have one or two"
         )
     for name in ("vndf", "luminance"):
-        shape = found[name].shape
+        shape = parts[name].shape
         if shape[:2] != (azimuths, incidences) or (name == "luminance" and shape[2] != shape[3]):
             raise MerlError(
                 f"{file.path}: field {name} has shape {shape}, which does not fit {azimuths} phi_i, {incidences} "
                 "theta_i and a square of nodes"
             )
-    for name, x in found.items():
+    for name, x in parts.items():
         if max(x.shape) > NODES:
             raise MerlError(f"{file.path}: field {name} has shape {x.shape}, more than {NODES} along an axis")
         if name not in ("theta_i", "phi_i", "jacobian") and min(x.shape[-2:]) < 2:
             raise MerlError(f"{file.path}: field {name} has shape {x.shape}, without two nodes along each side")
         if name not in ("phi_i", "luminance") and not (np.isfinite(x).all() and (x >= 0).all()):
             raise MerlError(f"{file.path}: field {name} holds a number that is negative or not finite")
-    if not found["vndf"].any((2, 3)).all():
+    if not parts["vndf"].any((2, 3)).all():
         raise MerlError(f"{file.path}: field vndf holds no normal that light sees, at some incidence")
-    if (np.diff(found["theta_i"]) <= 0).any() or not np.isfinite(found["phi_i"]).all():
+    if (np.diff(parts["theta_i"]) <= 0).any() or not np.isfinite(parts["phi_i"]).all():
         raise MerlError(f"{file.path}: the angles theta_i do not rise, or those of phi_i are not finite")
-    return found
+    return parts
 
 
 def _spectra(file: Tensors, luminance: tuple[int, ...], most: int) -> tuple[np.ndarray, np.ndarray, Bands]:

@@ -46,11 +46,11 @@ def read_arrays(arrays: Mapping[str, ArrayLike], name: str) -> ScatteredMeasurem
     if wrong := [key for key, x in arrays.items() if np.iscomplexobj(x)]:
         raise MerlError(f"{path}: array {wrong[0]} holds complex numbers")
     try:  # copies: what is no datum becomes NaN, and these are the caller's
-        found = {key: np.ma.filled(np.ma.array(x, float, copy=True), np.nan) for key, x in arrays.items()}
+        numbers = {key: np.ma.filled(np.ma.array(x, float, copy=True), np.nan) for key, x in arrays.items()}
     except (ValueError, TypeError, OverflowError) as error:
         raise MerlError(f"{path}: holds what is no number ({error})") from None
-    digest = hashlib.sha1(b"".join(key.encode() + found[key].tobytes() for key in sorted(found))).hexdigest()
-    return _measured(path, _of_arrays(path, found), digest, digest)
+    digest = hashlib.sha1(b"".join(key.encode() + numbers[key].tobytes() for key in sorted(numbers))).hexdigest()
+    return _measured(path, _of_arrays(path, numbers), digest, digest)
 
 
 def _measured(path: Path, read: "Read", sha1: str, blob: str) -> ScatteredMeasurement:
@@ -61,8 +61,8 @@ def _measured(path: Path, read: "Read", sha1: str, blob: str) -> ScatteredMeasur
         raise MerlError(
             f"{path}: holds no datum: every value is blank, NaN or above {BRIGHTEST:g}/sr, or has no weight"
         )
-    found = ScatteredMeasurement(path, "table", *upright(columns), values, share, bands, sha1, blob)
-    return examined(found, places)
+    measured = ScatteredMeasurement(path, "table", *upright(columns), values, share, bands, sha1, blob)
+    return examined(measured, places)
 
 
 # Angles and weights by name (N,), values (C, N), bands, and where each sample stands in the file, in words.
@@ -70,48 +70,48 @@ Read = tuple[dict[str, np.ndarray], np.ndarray, Bands, Callable[[int], str]]
 
 
 def _csv(path: Path, data: bytes) -> Read:
-    found = read_lines(path, data)
-    assert found.columns is not None
-    table = np.frombuffer(found.numbers).reshape(-1, len(found.names)).T
-    columns = {name: table[k] * unit for name, (k, unit) in found.columns.degrees.items()}
-    wrong = found.wrong + impossible(columns, place := lambda k: f"line {found.lines[k]}")
-    refuse(path, wrong, found.names)
-    return columns, table[found.columns.values], found.columns.bands, place
+    lines = read_lines(path, data)
+    assert lines.columns is not None
+    table = np.frombuffer(lines.numbers).reshape(-1, len(lines.names)).T
+    columns = {name: table[k] * unit for name, (k, unit) in lines.columns.degrees.items()}
+    wrong = lines.wrong + impossible(columns, place := lambda k: f"line {lines.lines[k]}")
+    refuse(path, wrong, lines.names)
+    return columns, table[lines.columns.values], lines.columns.bands, place
 
 
 def _npz(path: Path, data: bytes) -> Read:
     try:
-        found = {name: x.astype(float) for name, x in arrays(io.BytesIO(data), NAMES.__contains__).items()}
+        numbers = {name: x.astype(float) for name, x in arrays(io.BytesIO(data), NAMES.__contains__).items()}
     except ValueError as error:
         raise MerlError(f"{path}: is not a readable NPZ archive of numbers ({error})") from None
-    return _of_arrays(path, found)
+    return _of_arrays(path, numbers)
 
 
-def _of_arrays(path: Path, found: dict[str, np.ndarray]) -> Read:
-    if missing := [name for name in NAMES if name not in found and name != WEIGHT]:
+def _of_arrays(path: Path, columns: dict[str, np.ndarray]) -> Read:
+    if missing := [name for name in NAMES if name not in columns and name != WEIGHT]:
         raise MerlError(f"{path}: has no array {missing[0]}; it needs {', '.join(NAMES[:-1])}")
-    count, channels = len(np.atleast_1d(found[ANGLES[0]])), found["wavelengths_um"].size
+    count, channels = len(np.atleast_1d(columns[ANGLES[0]])), columns["wavelengths_um"].size
     shapes = {**dict.fromkeys((*ANGLES, WEIGHT), (count,)), "wavelengths_um": (channels,), "values": (count, channels)}
-    for name, x in found.items():
+    for name, x in columns.items():
         if x.shape != shapes[name]:
             raise MerlError(f"{path}: array {name} has shape {x.shape}, not {shapes[name]}")
         if (bad := np.argwhere(~np.isfinite(x) & ~(np.isnan(x) & (name == "values")))).size:
             raise MerlError(f"{path}: array {name} is not a finite number at {tuple(bad[0].tolist())}")
     if not count:
         raise MerlError(f"{path}: holds no samples")
-    bands = spectral(path, found.pop("wavelengths_um").tolist())
-    values = found.pop("values").T
-    refuse(path, impossible(found, place := lambda k: f"sample {k + 1}"), list(found))
-    return found, values, bands, place
+    bands = spectral(path, columns.pop("wavelengths_um").tolist())
+    values = columns.pop("values").T
+    refuse(path, impossible(columns, place := lambda k: f"sample {k + 1}"), list(columns))
+    return columns, values, bands, place
 
 
 def impossible(columns: dict[str, np.ndarray], place: Callable[[int], str]) -> list[str]:
     """Directions below the horizon, and weights that are none."""
-    found = [(k, f"{name} {columns[name][k]:g} is not in (-90, 90)")
+    wrong = [(k, f"{name} {columns[name][k]:g} is not in (-90, 90)")
              for name in ANGLES[:2] for k in np.flatnonzero(np.abs(columns[name]) >= 90)]  # fmt: skip
     if WEIGHT in columns:
-        found += [(k, f"weight {columns[WEIGHT][k]:g} is negative") for k in np.flatnonzero(columns[WEIGHT] < 0)]
-    return [f"{place(int(k))}: {said}" for k, said in sorted(found)]
+        wrong += [(k, f"weight {columns[WEIGHT][k]:g} is negative") for k in np.flatnonzero(columns[WEIGHT] < 0)]
+    return [f"{place(int(k))}: {why}" for k, why in sorted(wrong)]
 
 
 def upright(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

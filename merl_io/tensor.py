@@ -5,10 +5,12 @@ of its name (uint16), its name, the number of its dimensions (uint16), its type 
 file (uint64), and its sizes (uint64 each). All is little-endian.
 """
 
+import io
 import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,21 +26,16 @@ MOST_FIELDS, MOST_DIMENSIONS = 256, 16  # RGL's files have 10 of 5 at the most; 
 
 
 @dataclass(frozen=True)
-class Field:
-    """Where an array is in the file: its type by number, its first byte, its sizes."""
-
-    type: int
-    offset: int
-    shape: tuple[int, ...]
-
-
-@dataclass(frozen=True)
 class Tensors:
-    """The arrays of a file, which are read where they lie."""
+    """The arrays of a file, which are read where they lie.
+
+    Attributes:
+        fields: by name: number of the type, first byte, sizes.
+    """
 
     path: Path
     data: bytes
-    fields: dict[str, Field]
+    fields: dict[str, tuple[int, int, tuple[int, ...]]]
 
     def array(self, name: str, type_: str, dimensions: int) -> np.ndarray:
         """One of them, without a copy.
@@ -48,40 +45,20 @@ class Tensors:
         """
         if name not in self.fields:
             raise MerlError(f"{self.path}: has no field {name}")
-        field = self.fields[name]
-        found = TYPES[field.type] if field.type < len(TYPES) else f"of unknown type {field.type}"
-        if found != type_:
-            raise MerlError(f"{self.path}: field {name} is {found}, not {type_}")
-        if len(field.shape) != dimensions or 0 in field.shape:
-            raise MerlError(f"{self.path}: field {name} has shape {field.shape}, not {dimensions} sizes above 0")
-        kind = np.dtype(type_).newbyteorder("<")
-        count = math.prod(field.shape)
-        end = field.offset + count * kind.itemsize
+        number, first, shape = self.fields[name]
+        stored = TYPES[number] if number < len(TYPES) else f"of unknown type {number}"
+        if stored != type_:
+            raise MerlError(f"{self.path}: field {name} is {stored}, not {type_}")
+        if len(shape) != dimensions or 0 in shape:
+            raise MerlError(f"{self.path}: field {name} has shape {shape}, not {dimensions} sizes above 0")
+        kind, count = np.dtype(type_).newbyteorder("<"), math.prod(shape)
+        end = first + count * kind.itemsize
         if end > len(self.data):
             raise MerlError(
                 f"{self.path}: truncated: field {name} ends at byte {end}, the file at {len(self.data)}; "
                 "download or copy it again"
             )
-        return np.frombuffer(self.data, kind, count, field.offset).reshape(field.shape)
-
-
-class _Cursor:
-    """What is read of the header, one thing after the other."""
-
-    def __init__(self, path: Path, data: bytes) -> None:
-        self.path, self.data, self.at = path, data, 0
-
-    def bytes(self, count: int) -> bytes:
-        found = self.data[self.at : self.at + count]
-        self.at += count
-        if len(found) < count:
-            raise MerlError(
-                f"{self.path}: truncated in its header, at byte {len(self.data)}; download or copy it again"
-            )
-        return found
-
-    def numbers(self, kinds: str) -> tuple[int, ...]:
-        return struct.unpack(f"<{kinds}", self.bytes(struct.calcsize(f"<{kinds}")))
+        return np.frombuffer(self.data, kind, count, first).reshape(shape)
 
 
 def tensors(path: Path, data: bytes) -> Tensors:
@@ -95,27 +72,28 @@ def tensors(path: Path, data: bytes) -> Tensors:
             raise MerlError(f"{path}: is {what}, not a tensor file")
     if not MAGIC.startswith(data[: len(MAGIC)]):
         raise MerlError(f"{path}: is not a tensor file: it does not begin with 'tensor_file'")
-    cursor = _Cursor(path, data)
-    cursor.bytes(len(MAGIC))
-    version = cursor.numbers("BB")
-    if version != VERSION:
+    header = io.BytesIO(data)
+    header.seek(len(MAGIC))
+
+    def numbers(kinds: str) -> tuple[Any, ...]:
+        packed = header.read(struct.calcsize(f"<{kinds}"))
+        if len(packed) < struct.calcsize(f"<{kinds}"):
+            raise MerlError(f"{path}: truncated in its header, at byte {len(data)}; download or copy it again")
+        return struct.unpack(f"<{kinds}", packed)
+
+    if (version := numbers("BB")) != VERSION:
         raise MerlError(f"{path}: is a tensor file of version {version[0]}.{version[1]}; 1.0 is read")
-    (count,) = cursor.numbers("I")
+    (count,) = numbers("I")
     if count > MOST_FIELDS:
         raise MerlError(f"{path}: is damaged: its header tells of {count} fields")
-    found = {}
+    fields = {}
     for _ in range(count):
-        name, field = _field(cursor)
-        if name in found:
+        (length,) = numbers("H")
+        name = ascii(numbers(f"{length}s")[0].decode("utf-8", "replace"))[1:-1]
+        dimensions, kind, first = numbers("HBQ")
+        if dimensions > MOST_DIMENSIONS:
+            raise MerlError(f"{path}: is damaged: field {name[:40]} has {dimensions} dimensions")
+        if name in fields:
             raise MerlError(f"{path}: field {name} is there twice")
-        found[name] = field
-    return Tensors(path, data, found)
-
-
-def _field(cursor: _Cursor) -> tuple[str, Field]:
-    (length,) = cursor.numbers("H")
-    name = ascii(cursor.bytes(length).decode("utf-8", "replace"))[1:-1]
-    dimensions, kind, offset = cursor.numbers("HBQ")
-    if dimensions > MOST_DIMENSIONS:
-        raise MerlError(f"{cursor.path}: is damaged: field {name[:40]} has {dimensions} dimensions")
-    return name, Field(kind, offset, cursor.numbers(f"{dimensions}Q"))
+        fields[name] = kind, first, numbers(f"{dimensions}Q")
+    return Tensors(path, data, fields)

@@ -19,7 +19,7 @@ from functools import lru_cache
 import jax.numpy as jnp
 import numpy as np
 
-from .apparatus import APPARATUS, Apparatus
+from .apparatus import Apparatus
 from .geometry import Geometry
 from .numerics import Real, Scalar
 
@@ -28,7 +28,9 @@ FIT_ANGLES_RAD = np.radians(np.arange(10.0, 81.0, 5.0))  # where the power law i
 LOG_STEP = 0.05  # of theta_h: trapezoid error 3e-9 at p = 5, whose edge exp(-x^10) is the sharpest in the fit's bounds
 # From 1e-4 of the narrowest lobe of the fit's bounds (its share is the square of that) to just short of the horizon.
 RINGS_RAD = np.exp(np.arange(np.log(1e-7), np.log(1.5), LOG_STEP))
-AZIMUTHS = 1024  # of a ring: a footprint's width is 1/40 of the largest radius it reaches, at 80 degrees
+RING_AZIMUTHS = (
+    1024  # of a ring of normals: a footprint's width is 1/40 of the largest radius it reaches, at 80 degrees
+)
 
 
 def grazing_log_base(geometry: Geometry) -> Real:
@@ -64,7 +66,7 @@ def ring_weights(apparatus: Apparatus, angles: tuple[float, ...]) -> np.ndarray:
     the image, without those beyond its limb or in its shadow. The lamp's spread and finite distances are of first
     order, as Gaussian widths.
     """
-    azimuth = (np.arange(AZIMUTHS // 2) + 0.5) * 2 * np.pi / AZIMUTHS  # the other half mirrors it
+    azimuth = (np.arange(RING_AZIMUTHS // 2) + 0.5) * 2 * np.pi / RING_AZIMUTHS  # the other half mirrors it
     sin, cos = np.sin(RINGS_RAD)[:, None], np.cos(RINGS_RAD)[:, None]
     versine = 2 * np.sin(RINGS_RAD / 2)[:, None] ** 2  # 1 - cos, with all its digits
     weights = []
@@ -79,7 +81,7 @@ def ring_weights(apparatus: Apparatus, angles: tuple[float, ...]) -> np.ndarray:
         width_across = math.hypot(apparatus.footprint_rad * stretch_across, half_lamp / cos_t)
         response = np.exp(-((along / width_along) ** 2 + (across / width_across) ** 2) / 2)
         response *= np.maximum(cos_o, 0.0) * (cos_i > 0) / (2 * np.pi * width_along * width_across)
-        weights.append(2 * np.sum(response, 1) * 2 * np.pi / AZIMUTHS)
+        weights.append(2 * np.sum(response, 1) * 2 * np.pi / RING_AZIMUTHS)
     return np.stack(weights) * (sin[:, 0] * RINGS_RAD * LOG_STEP)
 
 
@@ -103,26 +105,18 @@ def loss_of_lobe(theta: tuple[float, ...], lobe: Real, apparatus: Apparatus) -> 
     return signal[1:] / signal[0]
 
 
-def derived_exponent(beta: Scalar, p: Scalar, apparatus: Apparatus = APPARATUS) -> Real:
-    """The exponent k(beta, p) in [0, 1] that the apparatus implies (HP17 Eq. 60).
+def exponent_of_lobe(lobe: Real, apparatus: Apparatus) -> Real:
+    """The exponent k in [0, 1] that the apparatus implies (HP17 Eq. 60) for a lobe given at RINGS_RAD, of any unit.
 
     Least squares of log loss against log p1(theta)^2 = 2 k log(1 - 4 theta^2/pi^2) over 10 to 80 degrees. Near 0 for
     lobes wider than the footprint; for much narrower ones 0.57 with a point lamp, and 0.86 with one of twice the
     footprint's spread, which blurs h as much as the footprint blurs n.
 
-    Args:
-        beta, p: the EPD. apparatus: sphere, pixel and lamp; static.
-
-    Accuracy: 3e-4 of the simulated apparatus (``test_exponent_to_3e_4``); computed in float64, whatever beta is. The
-    masking of facets and the diffraction lobe are left out: with Beckmann's masking k differs by less than 0.006.
-    The law itself misses the loss by up to 0.13 where the lobe is a few footprints wide, whose loss sets in abruptly;
-    least squares on the loss instead of its logarithm would give k lower by up to 0.03 there.
+    Accuracy, of the lobe D: 3e-4 of the simulated apparatus (``test_exponent_to_3e_4``); computed in float64. The
+    masking of facets is left out: with Beckmann's k differs by less than 0.006. The law itself misses the loss by up to
+    0.13 where the lobe is a few footprints wide, whose loss sets in abruptly; least squares on the loss instead of its
+    logarithm would give k lower by up to 0.03 there.
     """
-    return exponent_of_lobe(epd_of_rings(beta, p), apparatus).astype(jnp.result_type(beta))
-
-
-def exponent_of_lobe(lobe: Real, apparatus: Apparatus) -> Real:
-    """The exponent of any lobe, given at RINGS_RAD: of (S * D) for diffracted light, whose lobe is the wider one."""
     log_base = 2 * np.log(1 - (2 * FIT_ANGLES_RAD / np.pi) ** 2)
     loss = jnp.log(loss_of_lobe(tuple(FIT_ANGLES_RAD.tolist()), lobe, apparatus))
     # a wide, flat lobe with D growing as 1/cos^4 would give -0.0003

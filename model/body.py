@@ -6,7 +6,8 @@ All return a BRDF (1/sr) without the surface lobes. ``n`` is the real index of t
 import jax.numpy as jnp
 
 from .fresnel import fresnel
-from .numerics import Real, safe_divide, safe_sqrt, total
+from .geometry import Geometry
+from .numerics import Real, Scalar, safe_divide, safe_sqrt, total
 from .quadrature import gauss_legendre
 
 DIFFUSE_ORDER = 64  # 1e-12 for n in [1, 4] (tests/hard_cases/cases.toml)
@@ -88,3 +89,30 @@ def subsurface(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
     Gives back up to 1.38 of the light by itself, as albedo and index tend to 1; the split ``conserving`` mends it.
     """
     return transmittance(cos_i, cos_o, n) * scattered(cos_i, cos_o, n, albedo)
+
+
+def rough_lambert(g: Geometry, roughness: Scalar, albedo: Real) -> Real:
+    """Rough Lambertian facets in V-cavities with interreflection (Oren & Nayar 1994, Eq. 14-16), 1/sr.
+
+    With alpha and beta the larger and the smaller of theta_i and theta_o and phi the azimuth between them,
+
+        albedo/pi [C1 + C2 cos(phi) tan(beta) + C3 (1 - |cos phi|) tan((alpha + beta)/2)]
+        + 0.17 albedo^2/pi s2/(s2 + 0.13) (1 - cos(phi) (2 beta/pi)^2),    s2 = sigma^2;
+        C1 = 1 - s2/(2 (s2 + 0.33)), C3 = 0.125 s2/(s2 + 0.09) (4 alpha beta/pi^2)^2,
+        C2 = 0.45 s2/(s2 + 0.09) (sin(alpha) - [(2 beta/pi)^3 where cos(phi) < 0]).
+
+    Opposite the light and near the horizon it is negative, down to -0.21 albedo/pi: to renderers it is 0 there.
+    """
+    square = roughness**2
+    alpha, beta = jnp.maximum(g.theta_i, g.theta_o), jnp.minimum(g.theta_i, g.theta_o)
+    sin_alpha, cos_beta = jnp.sin(alpha), jnp.maximum(g.cos_i, g.cos_o)
+    sines = sin_alpha * jnp.sin(beta)
+    cos_phi = jnp.clip(safe_divide(g.projected_dot, sines), -1.0, 1.0)
+    share = square / (square + 0.09)
+    behind = jnp.where(cos_phi < 0, (2 * beta / jnp.pi) ** 3, 0.0)
+    C2 = 0.45 * share * (sin_alpha - behind)
+    C3 = 0.125 * share * (4 * alpha * beta / jnp.pi**2) ** 2
+    direct = 1 - square / (2 * (square + 0.33)) + C2 * cos_phi * jnp.sin(beta) / cos_beta
+    direct = direct + C3 * (1 - jnp.abs(cos_phi)) * jnp.tan((alpha + beta) / 2)
+    again = 0.17 * square / (square + 0.13) * (1 - cos_phi * (2 * beta / jnp.pi) ** 2)
+    return albedo / jnp.pi * (direct + albedo * again)

@@ -30,8 +30,8 @@ def series(coefficients: Real, x: Real) -> Real:
     """The sum of the polynomials with these coefficients: :func:`evaluate`, if they are known already."""
     x = jnp.clip(2 * x - 1, -1.01, 1.01)
     later = last = jnp.zeros((), coefficients.dtype)
-    for each in coefficients[:0:-1]:
-        later, last = last, 2 * x * last - later + each
+    for coefficient in coefficients[:0:-1]:
+        later, last = last, 2 * x * last - later + coefficient
     return x * last - later + coefficients[0]
 
 

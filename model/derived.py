@@ -60,7 +60,7 @@ def derived(
         return {}
     v = {name: jnp.asarray(x) for name, x in values.items()}
     n, k = (v["n"], v["k"]) if "n" in v else (v["eta"], jnp.zeros_like(v["eta"]))
-    found = {
+    quantities_by_name = {
         LOBE.name: jnp.degrees(jnp.arctan(v["beta"] * np.log(2.0) ** (1 / (2 * v["p"])))),
         F0.name: fresnel(jnp.ones(()), n, k),
     }
@@ -70,7 +70,7 @@ def derived(
         if material.renormalised:
             share = diffraction.renormalisation(jnp.zeros(()), v["b"] / wavelength, v["c"])
         phase = diffraction.phase_variance(share * v["sigma_s"] ** 2, jnp.ones(()), wavelength)
-        found[DIFFRACTED.name] = -jnp.expm1(-phase)
+        quantities_by_name[DIFFRACTED.name] = -jnp.expm1(-phase)
     incidences = jnp.radians(jnp.asarray(ALBEDO_INCIDENCES_DEG, float))
     albedos = directional_albedo(material, v, incidences, wavelengths_um)
-    return found | dict(zip((q.name for q in ALBEDOS), albedos.T, strict=True))
+    return quantities_by_name | dict(zip((q.name for q in ALBEDOS), albedos.T, strict=True))

@@ -1,18 +1,18 @@
-"""A split of the energy that never gives back more than it receives (``TwoScale.split = "conserving"``).
+"""The conserving split of the energy: no material gives back more light than it receives.
 
-HP17 Eq. 25 dims the specular term by A_spec(theta_d), but A depends on the direction of the viewer: towards grazing
-incidence the diffraction lobe takes more light than the specular term gives up. Three remedies, all reciprocal:
+HP17 Eq. 25 leaves A_spec(theta_d) of the specular light to the facets' mirror term. Towards grazing angles the
+diffraction lobe takes more than the rest. Here, in three steps, each the same for light and viewer exchanged:
 
-1. **On the facet.** A facet meets the light at theta_d, so the specular term is dimmed by A'(theta_d) = 1 -
-   E(theta_d), E being the directional albedo at |F| = 1 of the facet's own diffraction lobe (`lobe_albedo`), a table
-   over theta_d.
-2. **On the surface.** Eq. 33 drops the facets' foreshortening, Q/2 of a metal is not bounded at grazing angles, and
-   masking may be switched off. Let E(theta) be the surface's directional albedo (`terms.surface_albedo`): the
-   lobes are divided by max(1, E(theta_i)) max(1, E(theta_o)), which is 1 where nothing is in excess.
-3. **Under it.** A body gets and gives back what the surface lets through: T(theta) = 1 - min(1, E(theta)) takes the
-   place of the smooth interface's transmittance, T(i) T(o) over its mean, as in Kelemen & Szirmay-Kalos 2001.
+1. **On the facet** the mirror term keeps 1 - E(theta_d). E is the albedo, at |F| = 1, of the facet's own diffraction
+   lobe for light at theta_d (:func:`lobe_albedo`).
+2. **On the surface** all lobes are divided by max(1, E(theta_i)) max(1, E(theta_o)). E is the albedo of the surface's
+   lobes (`two_scale.TwoScale.surface_albedo`), which exceeds 1 as Eq. 33 drops the facets' foreshortening, as Q/2 of a
+   metal has no bound at grazing angles, or without masking.
+3. **Under the surface** a body gets T(theta_i), and gives back T(theta_o) over the mean of T, with T = 1 - min(1, E):
+   what the surface lets through, as in Kelemen & Szirmay-Kalos 2001.
 
-Both tables are quadratures, interpolated, differentiable in every parameter but for kinks where max() changes sides.
+Both albedos are quadratures, tabulated and interpolated; they have slopes in every parameter, and kinks where max()
+changes sides.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,11 +30,11 @@ from .quadrature import gauss_legendre
 
 SHARES = 24  # nodes of the renormalisation as a function of the facet's incidence: 1e-5
 LOBE_INCIDENCES = 24  # nodes of a facet's lobe albedo: see `lobe_albedo`
-LOBE_RADII, LOBE_AZIMUTHS = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
+LOBE_RADII, LOBE_HALF_RING = 20, 8  # Gauss nodes: of the complete inner disc and of the cut rings each; of half a ring
 INCIDENCES = 48  # nodes of the surface's albedo
 ORDER = 24  # of the convolution in the surface's albedo
 RADII = (18, 32, 48, 32)  # Gauss nodes in log tan(theta_h): below, around, beyond the edge of D, and above 45 degrees
-AZIMUTHS = 8  # of half a ring of half vectors, up to the viewer's horizon
+HALF_RING = 8  # Gauss nodes of half a ring of half vectors, up to the viewer's horizon
 STEEPEST = np.radians(89.9)  # the largest theta_h of the surface's albedo
 
 
@@ -68,29 +68,8 @@ def _place(b_over_lambda: Real, longest: Real, one_minus_sin: Real) -> Real:
     return jnp.arcsinh(b_over_lambda * one_minus_sin) / longest
 
 
-def lobe_albedo(
-    theta_d: Real, b_um: Scalar, c: Scalar, sigma_s: Scalar, wavelength_um: Array, renormalised: bool, exact: bool,
-    table: Array | None = None,
-) -> Array:  # fmt: skip
-    """E(theta_d): directional albedo at |F| = 1 of a facet's own diffraction lobe, per wavelength.
-
-    E = Int over |o_p| <= 1 of (1 - A) S_HS(|i_p + o_p|/lambda) d^2 o_p for light at theta_d from the facet's normal.
-    The facet sees what the model makes of it: sigma_rel and A at half the angle between i and o; with the approximation
-    1 - A = (1 - A_spec) cos^2(theta_h) of HP17 Eq. 30 unless ``exact``, when A is that of Eq. 23.
-
-    Args:
-        theta_d: incidence on the facet (rad), any shape. b_um, sigma_s: micrometres. c: falloff of the spectrum.
-        wavelength_um: shape ``(C, 1, ..., 1)``, as many ones as ``theta_d`` has axes.
-        renormalised: whether sigma_rel and the lobe's amplitude are renormalised (Eq. 17-19).
-        table: :func:`lobe_albedo_table`, if it is known already.
-
-    Returns:
-        shape ``(C, *theta_d.shape)``. Accuracy: 5e-4 (``tests/model/test_energy.py``); 2e-3 at b/lambda > 100, or
-        where c > 4 and sigma_s > lambda/2 beyond 75 degrees (8.7e-4 at b/lambda 42, c 4.4, sigma_s 0.8 lambda, 77
-        degrees).
-    """
-    if table is None:
-        table = lobe_albedo_table(b_um, c, sigma_s, wavelength_um, renormalised, exact)
+def lobe_albedo(theta_d: Real, table: Array) -> Array:
+    """E at incidences on the facet (rad), of any shape, from :func:`lobe_albedo_table`: (C, *theta_d.shape)."""
     x = jnp.asarray(theta_d) * (2 / jnp.pi)
     return chebyshev.evaluate(table.T.reshape(LOBE_INCIDENCES, -1, *(1,) * x.ndim), x)
 
@@ -98,20 +77,27 @@ def lobe_albedo(
 def lobe_albedo_table(
     b_um: Scalar, c: Scalar, sigma_s: Scalar, wavelength_um: Array, renormalised: bool, exact: bool
 ) -> Array:
-    """E at the Chebyshev nodes of theta_d/(pi/2), (C, LOBE_INCIDENCES); arguments as for :func:`lobe_albedo`."""
-    wavelengths = wavelength_um.reshape(-1)
-    return _lobe_albedo_table(b_um / wavelengths, c, sigma_s / wavelengths, renormalised, exact)
+    """E(theta_d): directional albedo at |F| = 1 of a facet's own diffraction lobe, per wavelength.
 
+    E = Int over |o_p| <= 1 of (1 - A) S_HS(|i_p + o_p|/lambda) d^2 o_p for light at theta_d from the facet's normal.
+    The facet sees what the model makes of it: sigma_rel and A at half the angle between i and o; with the approximation
+    1 - A = (1 - A_spec) cos^2(theta_h) of HP17 Eq. 30 unless ``exact``, when A is that of Eq. 23.
 
-def _lobe_albedo_table(
-    b_over_lambda: Array, c: Scalar, sigma_over_lambda: Array, renormalised: bool, exact: bool
-) -> Array:
-    """E at the Chebyshev nodes of theta_d/(pi/2), (C, K).
+    Args:
+        b_um, sigma_s: micrometres. c: falloff of the spectrum. wavelength_um: (C,), or with more axes of length one.
+        renormalised: whether sigma_rel and the lobe's amplitude are renormalised (Eq. 17-19).
+
+    Returns:
+        at the Chebyshev nodes of theta_d/(pi/2), (C, LOBE_INCIDENCES). Accuracy of :func:`lobe_albedo`: 5e-4
+        (``tests/model/test_energy.py``); 2e-3 at b/lambda > 100, or where c > 4 and sigma_s > lambda/2 beyond 75
+        degrees (8.7e-4 at b/lambda 42, c 4.4, sigma_s 0.8 lambda, 77 degrees).
 
     The plane of projected directions, polar around the lobe's centre: radius r = sinh(t)/(b/lambda); the complete disc
     r < 1 - s, and the rings cut by the horizon, s = sin(theta_d). Nodes of the azimuth, counted from the nearest point
     of the horizon, crowd where the ring crosses it and cos_o has its root.
     """
+    wavelengths = wavelength_um.reshape(-1)
+    b_over_lambda, sigma_over_lambda = b_um / wavelengths, sigma_s / wavelengths
     theta = np.pi / 2 * chebyshev.nodes(LOBE_INCIDENCES)[:, None]
     s, cos_i = jnp.sin(theta), jnp.cos(theta)
     gap = 2 * jnp.sin((np.pi / 2 - theta) / 2) ** 2  # 1 - s
@@ -124,7 +110,7 @@ def _lobe_albedo_table(
     bl, s, cos_i, gap = bl[..., None], s[..., None], cos_i[..., None], gap[..., None]
     r = jnp.sinh(t) / bl
     # 1 - |o_p|^2 = 1 - s^2 - r^2 - 2 s r cos(azimuth)
-    v, wv = gauss_legendre(LOBE_AZIMUTHS)
+    v, wv = gauss_legendre(LOBE_HALF_RING)
     ahead = safe_acos(jnp.clip(safe_divide(gap * (1 + s) - r * r, 2 * s * r), -1.0, 1.0))
     azimuth = ahead + (jnp.pi - ahead) * v**2
     cos_o = safe_sqrt(gap * (1 + s) - r * r - 2 * s * r * jnp.cos(azimuth))
@@ -189,7 +175,7 @@ def panels(edges: Sequence[Array | float], counts: Sequence[int]) -> tuple[Array
     return y, jnp.concatenate([(b - a) * w for a, b, (_, w) in zip(edges, edges[1:], rules, strict=False)])
 
 
-def half_vectors(theta_i: Real, y: Array, dy: Array, azimuths: int = AZIMUTHS) -> tuple[Geometry, Array]:
+def half_vectors(theta_i: Real, y: Array, dy: Array, azimuths: int = HALF_RING) -> tuple[Geometry, Array]:
     """Half vectors for light at the angles ``theta_i`` (rad), (A,), and the measure cos_o domega_o of their viewers.
 
     The same theta_h for every incidence. Azimuths from the plane of incidence to where the viewer sets,
@@ -227,10 +213,10 @@ def at_incidence(table: Array, beta: Scalar, theta: Real, masked: bool) -> Array
     ``masked``.
     """
     theta = jnp.asarray(theta)
-    found = jnp.expm1(piecewise.interpolate(jnp.log1p(table), _position(theta, beta)))
+    albedo = jnp.expm1(piecewise.interpolate(jnp.log1p(table), _position(theta, beta)))
     if masked:
-        return found
-    return found * jnp.maximum(jnp.cos(incidences(beta)[-1]) / jnp.maximum(jnp.cos(theta), 1e-9), 1.0)
+        return albedo
+    return albedo * jnp.maximum(jnp.cos(incidences(beta)[-1]) / jnp.maximum(jnp.cos(theta), 1e-9), 1.0)
 
 
 def mean_transmittance(table: Array, beta: Scalar, masked: bool) -> Array:

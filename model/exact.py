@@ -29,7 +29,7 @@ from .quadrature import gauss_legendre
 PANELS = 28  # radial panels of a finished mesh
 FIRST = 12  # of them before bisection
 TOLERANCE = 1e-5  # of the integral: difference of the pair at which bisection stops; the value is far better
-AZIMUTHS = 20  # Gauss nodes between two cuts of a ring
+BETWEEN_CUTS = 20  # Gauss nodes between two cuts of a ring
 TAIL = 11.0  # log-radii below the narrower of D and S: what is left out is e^-22 of the lobe
 BATCH = 32  # directions integrated at a time
 
@@ -57,8 +57,8 @@ WEIGHTS_7[1::2] = np.concatenate([_GAUSS_WEIGHTS, _GAUSS_WEIGHTS[-2::-1]])
 class Pair(NamedTuple):
     """One pair of directions in the frame of n whose x axis points along h, and what its facets' lobe is made of.
 
-    All scalars. ``sin_d_cos`` and ``sin_d_sin`` are sin(theta_d) times cosine and sine of phi_d; ``phase`` is
-    (4 pi sigma_rel cos_d/lambda)^2.
+    All scalars; c, beta and p are the same for all pairs. ``sin_d_cos`` and ``sin_d_sin`` are sin(theta_d) times cosine
+    and sine of phi_d; ``phase`` is (4 pi sigma_rel cos_d/lambda)^2.
     """
 
     sin_h: Array
@@ -70,11 +70,6 @@ class Pair(NamedTuple):
     phase: Array
     n: Array
     k: Array
-
-
-class _Surface(NamedTuple):
-    """Scalars that all pairs share."""
-
     c: Array
     beta: Array
     p: Array
@@ -98,7 +93,6 @@ def lobe(
     """
     arrays = jnp.broadcast_arrays(theta_h, theta_d, cos_i, cos_o, B, phase, n, k)
     shape = arrays[0].shape
-    surface = _Surface(c, beta, p)
 
     def at(point: tuple[Array, ...]) -> Array:
         theta_h, theta_d, cos_i, cos_o, B, phase, n, k = point
@@ -106,26 +100,28 @@ def lobe(
         # cos_o - cos_i = 2 sin_h sin_d cos(phi_d); where either vanishes the azimuth means nothing
         cos_phi = jnp.clip(safe_divide((cos_o - cos_i) / 2, sin_h * sin_d), -1.0, 1.0)
         sin_phi = safe_sqrt((1 - cos_phi) * (1 + cos_phi))
-        pair = Pair(sin_h, jnp.cos(theta_h), jnp.cos(theta_d), sin_d * cos_phi, sin_d * sin_phi, B, phase, n, k)
-        return _integral(pair, surface, coloured) / (cos_i * cos_o)
+        pair = Pair(
+            sin_h, jnp.cos(theta_h), jnp.cos(theta_d), sin_d * cos_phi, sin_d * sin_phi, B, phase, n, k, c, beta, p
+        )  # fmt: skip
+        return _integral(pair, coloured) / (cos_i * cos_o)
 
     return jax.lax.map(at, tuple(jnp.ravel(x) for x in arrays), batch_size=BATCH).reshape(shape)
 
 
-def _integral(pair: Pair, surface: _Surface, coloured: bool) -> Array:
+def _integral(pair: Pair, coloured: bool) -> Array:
     """Mesh without derivatives, then the sum on it."""
-    fixed, still = jax.tree.map(jax.lax.stop_gradient, (pair, surface))
-    left, right = _mesh(lambda y: _rings(y, fixed, still, coloured), *_range(fixed, still))
-    value, _ = _panels(lambda y: _rings(y, pair, surface, coloured), left, right)
+    fixed = jax.tree.map(jax.lax.stop_gradient, pair)
+    left, right = _mesh(lambda y: _rings(y, fixed, coloured), *_range(fixed))
+    value, _ = _panels(lambda y: _rings(y, pair, coloured), left, right)
     return jnp.sum(value)
 
 
-def _range(pair: Pair, surface: _Surface) -> tuple[Array, Array]:
+def _range(pair: Pair) -> tuple[Array, Array]:
     """Ends of y = log tan(theta_m): D outlasts the power law of S by e^-60."""
-    log_beta = jnp.log(surface.beta)
-    fall = 60 + (surface.c + 1) * jnp.log1p(pair.B)
+    log_beta = jnp.log(pair.beta)
+    fall = 60 + (pair.c + 1) * jnp.log1p(pair.B)
     low = jnp.minimum(log_beta, -jnp.log1p(pair.B)) - TAIL
-    return low, jnp.minimum(log_beta + jnp.log(fall + 3 / surface.p * jnp.log(fall)) / (2 * surface.p), 30.0)
+    return low, jnp.minimum(log_beta + jnp.log(fall + 3 / pair.p * jnp.log(fall)) / (2 * pair.p), 30.0)
 
 
 def _panels(f: Callable[[Array], Array], left: Array, right: Array) -> tuple[Array, Array]:
@@ -162,17 +158,17 @@ def _mesh(f: Callable[[Array], Array], low: Array, high: Array) -> tuple[Array, 
     return left, right
 
 
-def _rings(y: Array, pair: Pair, surface: _Surface, coloured: bool) -> Array:
+def _rings(y: Array, pair: Pair, coloured: bool) -> Array:
     """Integrand over y = log tan(theta_m): the rings' azimuth integrals times P22 tan^2 / cos_m."""
     tan = jnp.exp(y)
     cos_m = 1 / jnp.sqrt(1 + tan * tan)
     sin_m = tan * cos_m
-    exponent = jnp.exp(jnp.minimum(2 * surface.p * (y - jnp.log(surface.beta)), 6.6))
-    density = jnp.exp(log_p22_peak(surface.beta, surface.p) - exponent + 2 * y) / cos_m
-    return density * _ring(sin_m, cos_m, pair, surface.c, coloured)
+    exponent = jnp.exp(jnp.minimum(2 * pair.p * (y - jnp.log(pair.beta)), 6.6))
+    density = jnp.exp(log_p22_peak(pair.beta, pair.p) - exponent + 2 * y) / cos_m
+    return density * _ring(sin_m, cos_m, pair, coloured)
 
 
-def _ring(sin_m: Array, cos_m: Array, pair: Pair, c: Array, coloured: bool) -> Array:
+def _ring(sin_m: Array, cos_m: Array, pair: Pair, coloured: bool) -> Array:
     """Integral over the azimuth of m, counted from h, of Q/2 (1 - A) S (i.m)+ (o.m)+."""
     sin_h, cos_h = pair.sin_h, pair.cos_h
     phi, weight = _azimuths(sin_m, cos_m, pair)
@@ -188,7 +184,7 @@ def _ring(sin_m: Array, cos_m: Array, pair: Pair, c: Array, coloured: bool) -> A
     i_m, o_m = even + tilt, even - tilt
     seen = (i_m > 0) & (o_m > 0)
     i_m, o_m = jnp.where(seen, i_m, 1.0), jnp.where(seen, o_m, 1.0)
-    value = i_m * o_m * jnp.exp(-(c + 1) / 2 * jnp.log1p(pair.B**2 * versed * (2 - versed)))
+    value = i_m * o_m * jnp.exp(-(pair.c + 1) / 2 * jnp.log1p(pair.B**2 * versed * (2 - versed)))
     value *= -jnp.expm1(-pair.phase * cos_psi**2)
     if coloured:
         dot = jnp.where(seen, 2 * pair.cos_d**2 - 1 - i_m * o_m, 0.0)
@@ -197,7 +193,7 @@ def _ring(sin_m: Array, cos_m: Array, pair: Pair, c: Array, coloured: bool) -> A
 
 
 def _azimuths(sin_m: Array, cos_m: Array, pair: Pair) -> tuple[Array, Array]:
-    """Azimuths in (-pi, pi) and weights, (..., 6 AZIMUTHS): Gauss nodes between the cuts, in s of phi = w sinh(s)."""
+    """Azimuths in (-pi, pi) and weights, (..., 6 BETWEEN_CUTS): Gauss nodes between cuts, in s of phi = w sinh(s)."""
     sin_h, cos_h = pair.sin_h, pair.cos_h
     product = sin_h * sin_m
     offset = (sin_m * cos_h - cos_m * sin_h) ** 2 + 1 / (1 + pair.B**2)
@@ -214,7 +210,7 @@ def _azimuths(sin_m: Array, cos_m: Array, pair: Pair) -> tuple[Array, Array]:
             cuts.append(jnp.where(length > 0, (end + jnp.pi) % (2 * jnp.pi) - jnp.pi, 0.0))
     # the cuts move with the parameters of the directions only, and the integrand vanishes at them
     s = jnp.arcsinh(jnp.sort(jax.lax.stop_gradient(jnp.stack(cuts, -1)), -1) / width[..., None])
-    nodes, weights = gauss_legendre(AZIMUTHS)
+    nodes, weights = gauss_legendre(BETWEEN_CUTS)
     start, size = s[..., :-1, None], jnp.diff(s, axis=-1)[..., None]
     s = (start + size * nodes).reshape(*sin_m.shape, -1)
     weight = (size * weights).reshape(*sin_m.shape, -1)

@@ -8,16 +8,21 @@ dims what is sharp, each lobe as its width has it, and leaves the body as it is 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from numbers import Real
 from typing import ClassVar, get_args
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from . import acquisition
 from .apparatus import APPARATUS, Apparatus, GrazingLoss
+from .effects import Effects
+from .geometry import Geometry
 from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
-from .reflectance import Factor, Lobes, Reflectance, Setting, Values, Wavelengths
+from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values, Wavelengths, lobes_of, setting
 
 
 @dataclass(frozen=True)
@@ -59,16 +64,20 @@ class Measured(Reflectance):
         return self.grazing_loss != "off"
 
     @property
-    def lobes(self) -> tuple[str, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
+    def lobes(self) -> Mapping[str, Profile | None]:  # noqa: D102 - as declared in `Reflectance`, like what follows
         return self.material.lobes
 
     @property
+    def variant(self) -> str:  # noqa: D102
+        return self.material.variant
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
-        own = self.material.parameters
+        declared = self.material.parameters
         if self.grazing_loss != "free":
-            return own
-        shared = tuple(q for q in own if not q.per_channel)
-        return shared + tuple(LOSSES[lobe] for lobe in self.lobes) + own[len(shared) :]
+            return declared
+        shared = tuple(q for q in declared if not q.per_channel)
+        return shared + tuple(LOSSES[lobe] for lobe in self.lobes) + declared[len(shared) :]
 
     def exponent(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:
         """k of one sharp lobe at these parameter values; 0 where nothing is lost."""
@@ -80,63 +89,63 @@ class Measured(Reflectance):
         return jnp.asarray(float(self.grazing_loss) if self.loses else 0.0)
 
     def _derived(self, lobe: str, v: Values, wavelengths_um: Wavelengths) -> Array:
-        return acquisition.exponent_of_lobe(self.material.profile(lobe, v, wavelengths_um), self.apparatus)
+        return acquisition.exponent_of_lobe(profile(self.material, lobe, v, wavelengths_um), self.apparatus)
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
-        losses: dict[str, Factor] = {f"{lobe}_loss": self._loss(lobe) for lobe in self.lobes if self.loses}
-        return self._inside(self.material.factors()) | losses
+        losses = {f"{lobe}_loss": partial(self._loss, lobe) for lobe in self.lobes if self.loses}
+        return {**self.material.factors(), **losses}
+
+    def _loss(self, lobe: str, v: Values, s: Setting) -> Array:
+        """HP17 Eq. 59-60."""
+        log_base = acquisition.grazing_log_base(s.geometry) if s.log_base is None else s.log_base
+        return jnp.exp(self.exponent(lobe, v, s.wavelength_um.reshape(-1)) * log_base)
 
     def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
-        return self._inside(self.material.tables(scattered)) | self._exponents()
-
-    def _exponents(self) -> dict[str, Factor]:
-        """Derived ones, which are the same in all directions."""
-        found: dict[str, Factor] = {}
-        if self.grazing_loss == "derived":
-            found |= {
-                f"{lobe}_exponent": lambda v, s, lobe=lobe: self._derived(lobe, v, s.wavelength_um.reshape(-1))
-                for lobe in self.lobes
-            }
-        return found
-
-    def _inside(self, functions: Mapping[str, Factor]) -> dict[str, Factor]:
-        """Functions of the material, which look at its settings."""
-        return {name: lambda v, s, f=f: f(v, s._replace(model=self.material)) for name, f in functions.items()}
-
-    def _loss(self, lobe: str) -> Factor:
-        def p(v: Values, s: Setting) -> Array:
-            """HP17 Eq. 59-60."""
-            log_base = acquisition.grazing_log_base(s.geometry) if s.log_base is None else s.log_base
-            return jnp.exp(self.exponent(lobe, v, s.wavelength_um.reshape(-1)) * log_base)
-
-        return p
+        lobes = self.lobes if self.grazing_loss == "derived" else ()
+        exponents = {
+            f"{lobe}_exponent": lambda v, s, lobe=lobe: self._derived(lobe, v, s.wavelength_um.reshape(-1))
+            for lobe in lobes
+        }
+        return {**self.material.tables(scattered), **exponents}
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
-        found = self.material.assemble(at, s._replace(model=self.material))
+        lobes = self.material.assemble(at, s)
         if not self.loses:
-            return found
-        return found._replace(sharp={lobe: at[f"{lobe}_loss"] * x for lobe, x in found.sharp.items()})
-
-    def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:  # noqa: D102
-        return self.material.profile(lobe, v, wavelengths_um)
-
-    @property
-    def variant(self) -> str:  # noqa: D102
-        return self.material.variant
-
-    def cheap_variant(self, order: int) -> "Measured":  # noqa: D102
-        return replace(self, material=self.material.cheap_variant(order))
-
-    @property
-    def switches(self) -> Mapping[str, int]:  # noqa: D102
-        return self.material.switches
-
-    def ignored(self) -> frozenset[str]:  # noqa: D102
-        return self.material.ignored() | {f"{lobe}_exponent" for lobe in LOSSES}
+            return lobes
+        return lobes._replace(sharp={lobe: at[f"{lobe}_loss"] * x for lobe, x in lobes.sharp.items()})
 
     def __str__(self) -> str:
         """Those of the material."""
         return str(self.material)
+
+
+def profile(material: Reflectance, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:
+    """A sharp lobe over theta_h at ``acquisition.RINGS_RAD``, at theta_d = 0 and of any unit: its width matters.
+
+    In the middle channel, whose lobe stands for all. Masking and foreshortening are left out, which vary little over a
+    lobe that is narrow, and so are derivatives by parameters per channel; the masking of V-grooves stays in where it is
+    part of the model's sharp lobe.
+    """
+    middle = np.size(wavelengths_um) // 2
+    if (closed := material.lobes[lobe]) is not None:
+        return closed(v, jnp.asarray(wavelengths_um)[middle])
+    zero, one = jnp.zeros((1, 1)), jnp.ones((1, 1))
+    s = setting(Geometry(jnp.asarray(acquisition.RINGS_RAD)[:, None], zero, one, one), wavelengths_um)
+    still = jax.lax.stop_gradient
+    values = {q.name: still(jnp.reshape(v[q.name], -1)) if q.per_channel else v[q.name] for q in material.parameters}
+    sharp = lobes_of(material, values, s).sharp[lobe]
+    return jnp.broadcast_to(sharp, (len(s.wavelength_um), len(acquisition.RINGS_RAD), 1))[middle, :, 0]
+
+
+def of_order(model: Reflectance, order: int) -> Reflectance:
+    """The same with quadratures of no higher order, and without the tier that takes hours."""
+    if isinstance(model, Measured):
+        return replace(model, material=of_order(model.material, order))
+    if not isinstance(model, Effects):
+        return model
+    return model.changed(
+        diffraction="quadrature" if model.diffraction == "exact" else model.diffraction, order=min(order, model.order)
+    )
 
 
 def material_of(model: Reflectance) -> Reflectance:

@@ -16,12 +16,12 @@ Scalar = Float[Array, ""]
 TINY = 1e-300  # smallest substitute; far below any square of an angle or reflectance in float64
 
 
-def floats(*given: ArrayLike) -> tuple[Array, ...]:
+def floats(*numbers: ArrayLike) -> tuple[Array, ...]:
     """Arrays of floating-point numbers, shapes kept: integers in the precision of those that are no integers.
 
     That is the default precision where all are integers; floating-point numbers keep their own.
     """
-    arrays = [jnp.asarray(x) for x in given]
+    arrays = [jnp.asarray(x) for x in numbers]
     precision = jnp.result_type(*(x for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)), 0.0)
     return tuple(x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(precision) for x in arrays)
 

@@ -113,6 +113,8 @@ INTERFACE = (
 )  # fmt: skip
 ALBEDO = Parameter("albedo", r"\rho_d", "albedo of the body", "1", 0.3, 0.0, 1.0, "linear", per_channel=True,
                    source="HP17 Eq. 43, 44", quantity="odds")  # fmt: skip
+TWO_SCALE = (*SURFACE, *DIFFRACTION, *CONDUCTOR, *INTERFACE, ALBEDO)
+WHICH_BODY = "which_body"  # beside parameters, where a model leaves it open: the body's number in `effects.BODIES`
 GRAZING = Parameter("grazing_exponent", "g", "exponent of the acquisition's loss of specular light at grazing angles",
                     "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
 GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "g_d",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from .parameters import Parameter
-from .reflectance import Factor, Lobes, Reflectance, Setting, Values
+from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
 
 
 @dataclass(frozen=True)
@@ -28,31 +28,20 @@ class Part(Reflectance):
             raise ValueError(f"{self.material} has no lobe {', '.join(unknown)}")
 
     @property
-    def lobes(self) -> tuple[str, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
-        return self.kept
+    def lobes(self) -> Mapping[str, Profile | None]:  # noqa: D102 - as declared in `Reflectance`, like what follows
+        return {lobe: self.material.lobes[lobe] for lobe in self.kept}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
         return self.material.parameters
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
-        return self._whole(self.material.factors())
+        return self.material.factors()
 
     def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
-        return self._whole(self.material.tables(scattered))
-
-    def _whole(self, functions: Mapping[str, Factor]) -> dict[str, Factor]:
-        """Functions of the material, which look at its settings."""
-        return {name: lambda v, s, f=f: f(v, s._replace(model=self.material)) for name, f in functions.items()}
+        return self.material.tables(scattered)
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
-        found = self.material.assemble(at, s._replace(model=self.material))
-        sharp = {lobe: found.sharp[lobe] for lobe in self.kept}
-        return Lobes(sharp, found.common if sharp else None, found.body if self.with_body else None)
-
-    @property
-    def switches(self) -> Mapping[str, int]:  # noqa: D102
-        return self.material.switches
-
-    def ignored(self) -> frozenset[str]:  # noqa: D102
-        return self.material.ignored()
+        lobes = self.material.assemble(at, s)
+        sharp = {lobe: lobes.sharp[lobe] for lobe in self.kept}
+        return Lobes(sharp, lobes.common if sharp else None, lobes.body if self.with_body else None)

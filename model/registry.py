@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from .effects import ANY, BODIES, KINDS
 from .reflectance import Reflectance
 from .two_scale import TwoScale
 
@@ -17,23 +18,24 @@ from .two_scale import TwoScale
 @cache
 def models() -> Mapping[str, type[Reflectance]]:
     """Classes of models by name, the two-scale one first; a new file in ``rivals/`` is found without being named."""
-    found: dict[str, type[Reflectance]] = {TwoScale.name: TwoScale}
+    by_name: dict[str, type[Reflectance]] = {TwoScale.name: TwoScale}
     for path in sorted((Path(__file__).parent / "rivals").glob("[!_]*.py")):
         module = import_module(f".rivals.{path.stem}", __package__)
-        own = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == module.__name__]
-        for kind in own:
+        kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == module.__name__]
+        for kind in kinds:
             if issubclass(kind, Reflectance) and not (inspect.isabstract(kind) or kind.__name__.startswith("_")):
-                if kind.name in found:
-                    raise ValueError(f"two reflectance models are named {kind.name}: {found[kind.name]}, {kind}")
-                found[kind.name] = kind
-    return MappingProxyType(found)
+                if kind.name in by_name:
+                    raise ValueError(f"two reflectance models are named {kind.name}: {by_name[kind.name]}, {kind}")
+                by_name[kind.name] = kind
+    return MappingProxyType(by_name)
 
 
 def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
     """A model by its name and its settings, as a result or a configuration has them.
 
     Raises:
-        ValueError: there is no such model, or setting, or value of it; the message is one line that says what there is.
+        ValueError: there is no such model, or setting, or value of it, or none that can be fitted; the message is one
+            line that says what there is.
     """
     known = models()
     if name not in known:
@@ -41,13 +43,24 @@ def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
         nearest = f"; the nearest is {near[0]!r}" if near else ""
         raise ValueError(f"there is no {name!r}{nearest} (`merlfit models` lists the models)")
     declared, hints = [field.name for field in fields(known[name])], get_type_hints(known[name])  # pyright: ignore[reportArgumentType] - models are dataclasses
-    given = {}
+    checked = {}
     for key, value in settings.items():
         if key not in declared:
-            said = f"its settings are {', '.join(declared)}" if declared else "it has no settings"
-            raise ValueError(f"{name} has no setting {key!r}: {said}")
-        given[key] = _checked(f"{name}: {key}", value, hints[key])
-    return known[name](**given)
+            known_settings = f"its settings are {', '.join(declared)}" if declared else "it has no settings"
+            raise ValueError(f"{name} has no setting {key!r}: {known_settings}")
+        checked[key] = _checked(f"{name}: {key}", value, hints[key])
+    model = known[name](**checked)
+    if isinstance(model, TwoScale) and model.body == ANY:
+        raise ValueError(f"body should be {', '.join(BODIES)}, not {ANY!r}")
+    if isinstance(model, TwoScale) and model.diffraction == "exact":
+        raise ValueError("diffraction 'exact' is a reference that takes hours; no fit uses it")
+    return model
+
+
+def variants(name: str) -> tuple[Reflectance, ...]:
+    """Those variants of a model that a fit may compare, the simplest first."""
+    kind = models()[name]
+    return tuple(kind(body, index=index) for index, body in KINDS) if kind is TwoScale else (kind(),)
 
 
 def _checked(where: str, value: object, kind: Any) -> object:  # noqa: ANN401 - a type, or a form of several

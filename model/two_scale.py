@@ -10,45 +10,42 @@ It is evaluated as factors, each a function of a part of the directions and of a
     rho = masking (specular / (cos_i cos_o) + colour diffracted) + body,
 
 specular being A_spec F D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). On a grid specular and diffracted live on
-(theta_h, theta_d) alone and masking is a one-dimensional table. The conserving split (:mod:`merlfit.model.energy`)
-multiplies lobes and body once more.
+(theta_h, theta_d) alone and masking is a one-dimensional table. The conserving split (:mod:`.energy`) multiplies lobes
+and body once more.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import ClassVar
+from functools import cache, partial
+from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from . import energy, terms
 from . import parameters as declared
-from . import terms
 from .acquisition import epd_of_rings
-from .effects import ANY, BODIES, KINDS, TWO_SCALE, Effects, Kind
+from .effects import ANY, BODIES, TWO_SCALE, Effects, Kind
 from .geometry import Geometry
 from .masking.smith import masking_table
 from .measured import Measured
+from .numerics import safe_divide
 from .parameters import WAVELENGTHS_UM, Parameter
-from .reflectance import (
-    Factor,
-    Lobes,
-    Reflectance,
-    Setting,
-    Values,
-    Wavelengths,
-    evaluate,
-)
-from .terms import WHICH
+from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values, Wavelengths, evaluate, setting
+
+TABLES = (
+    "masking_curve", "relative_variance", "variance_curve", "surface_albedo", "lobe_surface", "facet_albedo",
+)  # fmt: skip
+Term = Callable[[Any, Values, Setting], Array]
 
 
 @dataclass(frozen=True)
 class TwoScale(Effects, Reflectance):
     """A two-scale material by the effects it has; what is not chosen is absent from the compiled program.
 
-    Its fields are those of :class:`merlfit.model.effects.Effects`.
+    Its fields are those of :class:`merlfit.model.effects.Effects`. Values of a material do for fewer effects as well.
     """
 
     name: ClassVar[str] = TWO_SCALE
@@ -57,69 +54,57 @@ class TwoScale(Effects, Reflectance):
         "doi:10.1145/3072959.3073621"
     )
     bodies: ClassVar[tuple[str, ...]] = BODIES
+    passed_over: ClassVar[frozenset[str]] = (
+        Reflectance.passed_over | {q.name for q in declared.TWO_SCALE} | frozenset(TABLES)
+    )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
         return _parameters(self)
 
     @property
-    def lobes(self) -> tuple[str, ...]:  # noqa: D102
-        return ("specular",) if self.diffraction == "off" else ("specular", "diffracted")
+    def lobes(self) -> Mapping[str, Profile]:  # noqa: D102
+        profiles: dict[str, Profile] = {"specular": lambda v, middle_um: epd_of_rings(v["beta"], v["p"])}
+        if self.diffraction != "off":
+            profiles["diffracted"] = partial(terms.blurred_over_rings, self)
+        return profiles
 
     @property
     def variant(self) -> str:  # noqa: D102
         return " ".join(self.kind)
 
-    @classmethod
-    def variants(cls) -> "tuple[TwoScale, ...]":  # noqa: D102
-        return tuple(cls(body, index=index) for index, body in KINDS)
-
-    @property
-    def words(self) -> str:  # noqa: D102
-        interface = "conductor" if self.index == "complex" else "dielectric"
-        return f"{self.name}, {interface}" + ("" if self.body == "none" else f" over {self.body}")
-
-    @property
-    def details(self) -> tuple[str, ...]:  # noqa: D102
-        return f"diffraction by {self.diffraction}", f"energy split {self.split}"
-
-    @property
-    def objection(self) -> str | None:  # noqa: D102
-        if self.body == ANY:
-            return f"body should be {', '.join(BODIES)}, not {ANY!r}"
-        if self.diffraction == "exact":
-            return "diffraction 'exact' is a reference that takes hours; no fit uses it"
-        return None
-
     def factors(self) -> dict[str, Factor]:  # noqa: D102
-        diffracts = self.diffraction != "off"
-        table: dict[str, Factor] = {} if self.masking == "none" else {"masking": terms.masking_G}
-        table["specular"] = terms.undiffracted if diffracts else terms.specular
-        if diffracts:
+        chosen: dict[str, Term] = {} if self.masking == "none" else {"masking": terms.masking_G}
+        if self.diffraction == "off":
+            chosen["specular"] = terms.specular
+        else:
             exact = self.diffraction == "exact"
-            table["diffracted"] = terms.exact_diffracted if exact else terms.diffracted
+            chosen |= {
+                "specular": terms.undiffracted,
+                "diffracted": terms.exact_diffracted if exact else terms.diffracted,
+            }
             if not exact or self.colour == "fresnel":
-                table["colour"] = terms.diffraction_colour_Q
+                chosen["colour"] = terms.diffraction_colour_Q
         if self.body != "none":
-            table["body"] = terms.body_term
+            chosen["body"] = terms.body_term
         if self._renormalises:
-            table["conservation"] = terms.conservation
-        return table
+            chosen["conservation"] = TwoScale.conservation
+        return {name: partial(term, self) for name, term in chosen.items()}
 
     def tables(self, scattered: bool = False) -> dict[str, Factor]:  # noqa: D102
-        found: dict[str, Factor] = {}
+        chosen: dict[str, Term] = {}
         if self.masking != "none":
-            found["masking_curve"] = lambda v, s: masking_table(v["p"])
+            chosen["masking_curve"] = lambda e, v, s: masking_table(v["p"])
         if self.diffraction != "off" and self.renormalised:
             variance = "variance_curve" if scattered else "relative_variance"
-            found[variance] = terms.variance_curve if scattered else terms.relative_variance
+            chosen[variance] = terms.variance_curve if scattered else terms.relative_variance
         if self._renormalises:
-            found["surface_albedo"] = terms.surface_albedo
+            chosen["surface_albedo"] = TwoScale.surface_albedo
         if scattered and self.diffraction == "quadrature":
-            found["lobe_surface"] = terms.lobe_surface
+            chosen["lobe_surface"] = terms.lobe_surface
         if scattered and self.diffraction != "off" and self.split == "conserving":
-            found["facet_albedo"] = terms.facet_albedo
-        return found
+            chosen["facet_albedo"] = terms.facet_albedo
+        return {name: partial(term, self) for name, term in chosen.items()}
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
         sharp = {"specular": at["specular"] / (s.geometry.cos_i * s.geometry.cos_o)}
@@ -132,22 +117,44 @@ class TwoScale(Effects, Reflectance):
             body = None if body is None else through[0] * body
         return Lobes(sharp, common, body)
 
-    def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:  # noqa: D102
-        if lobe == "specular":
-            return epd_of_rings(v["beta"], v["p"])
-        middle_um = jnp.asarray(wavelengths_um)[np.size(wavelengths_um) // 2]
-        return terms.blurred_over_rings(v, self.changed(diffraction="quadrature", order=terms.RING_ORDER), middle_um)
-
     @property
     def _renormalises(self) -> bool:
         """Whether the conserving split needs the surface's albedo; Cook-Torrance with masking conserves by itself."""
         by_itself = self.body == "none" and self.diffraction == "off" and self.masking != "none"
         return self.split == "conserving" and not by_itself
 
-    def cheap_variant(self, order: int) -> "TwoScale":  # noqa: D102
-        if self.diffraction == "exact":
-            return self.changed(diffraction="quadrature", order=order)
-        return self.changed(order=min(order, self.order))
+    def surface_albedo(self, v: Values, s: Setting) -> Array:
+        """Directional albedo of the lobes at :func:`merlfit.model.energy.incidences`, (C, INCIDENCES).
+
+        Args:
+            v: parameters, those per channel as ``(C,)`` or with more axes of length one.
+        """
+        read = {q.name: v[q.name] for q in self.parameters if q.name != declared.ALBEDO.name}
+        values = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in read.items()}
+        wavelengths_um = s.wavelength_um.reshape(-1)
+        largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
+        incidences = energy.incidences(v["beta"])
+        placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
+        geometry, measure = energy.half_vectors(incidences, *energy.slopes(*placed))
+        s = setting(geometry, wavelengths_um)
+        if self.renormalised and self.diffraction != "off":
+            one_minus_sin = 2 * jnp.sin(jnp.pi / 4 - geometry.theta_d[None] / 2) ** 2
+            values["relative_variance"] = energy.share_of(v["b"] / wavelengths_um, v["c"])(one_minus_sin)
+        inner = self.changed(order=min(energy.ORDER, self.order))
+        lobes = {name: f(values, s) for name, f in inner.factors().items() if name not in ("body", "conservation")}
+        return jnp.sum(inner.assemble(lobes, s).brdf(s) * measure, (-2, -1))
+
+    def conservation(self, v: Values, s: Setting) -> Array:
+        """What the lobes are multiplied by (0) and what the body is multiplied by (1), stacked: see `energy`."""
+        table = v["surface_albedo"] if "surface_albedo" in v else self.surface_albedo(v, s)
+        g, masked = s.geometry, self.masking != "none"
+        lit, seen = (energy.at_incidence(table, v["beta"], theta, masked) for theta in (g.theta_i, g.theta_o))
+        kept = 1 / (jnp.maximum(lit, 1.0) * jnp.maximum(seen, 1.0))
+        if self.body == "none":
+            return kept[None]
+        through = jnp.maximum(1 - lit, 0.0) * jnp.maximum(1 - seen, 0.0)
+        mean = energy.mean_transmittance(table, v["beta"], masked).reshape((-1,) + (1,) * (through.ndim - 1))
+        return jnp.stack([kept, safe_divide(through, mean)])
 
     @property
     def kind(self) -> Kind:
@@ -157,19 +164,12 @@ class TwoScale(Effects, Reflectance):
     @property
     def general(self) -> "TwoScale":
         """Effects of which these are a special case, whatever the kind; no material has them."""
-        return _general(self)
-
-    @property
-    def switches(self) -> dict[str, int]:  # noqa: D102
-        return {WHICH: 0} if self.body == ANY else {}
-
-    def ignored(self) -> frozenset[str]:  # noqa: D102
-        return super().ignored() | _names_of_all()
+        return self if self.split == "conserving" else _general(self)
 
 
 @cache
 def _general(model: TwoScale) -> TwoScale:
-    return model if model.split == "conserving" else replace(model, index="complex", body=ANY)
+    return replace(model, index="complex", body=ANY)
 
 
 @cache
@@ -181,20 +181,11 @@ def _parameters(model: TwoScale) -> tuple[Parameter, ...]:
     return shared + interface + (() if model.body == "none" else (declared.ALBEDO,))
 
 
-@cache
-def _names_of_all() -> frozenset[str]:
-    """Names that parameters and tables may have, so that values of a material do for fewer effects as well."""
-    every = [TwoScale(body, index=index) for index, body in KINDS]
-    whole = TwoScale("lambert", split="conserving")
-    tables = [*whole.tables(), *whole.tables(scattered=True)]
-    return frozenset([*(q.name for model in every for q in model.parameters), *tables])
-
-
 def two_scale(
     params: Mapping[str, ArrayLike],
     geometry: Geometry,
     model: TwoScale | Measured,
-    wavelengths_um: ArrayLike | Sequence[float] = WAVELENGTHS_UM,
+    wavelengths_um: Wavelengths = WAVELENGTHS_UM,
 ) -> Array:
     """BRDF (1/sr) of a two-scale material for any directions and any number of wavelengths.
 

@@ -82,14 +82,14 @@ def without(model: Reflectance, effects: Sequence[Effect]) -> Reflectance:
     if not isinstance(model, TwoScale):
         kept = tuple(lobe for lobe in model.lobes if lobe not in gone)
         body = not any(effect.body for effect in effects)
-        return model if kept == model.lobes and body else Part(model, kept, body)
+        return model if kept == (*model.lobes,) and body else Part(model, kept, body)
     changes = dict(change for effect in reversed(effects) for change in effect.changes)
     if model.diffraction != "quadrature" and changes.get("diffraction") == "lobe":
         del changes["diffraction"]  # another tier is what the material was fitted with
     index = {"index": model.index}  # that of "usual" depends on the body
     found = model.changed(**index, **changes)
     kept = tuple(lobe for lobe in found.lobes if lobe not in gone)
-    if kept == found.lobes:
+    if kept == (*found.lobes,):
         return found
     if not kept:
         found = found.changed(diffraction="off", masking="none", fresnel="schlick", split=_split(found))

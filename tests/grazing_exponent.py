@@ -13,11 +13,11 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.support.compilation import use_persistent_cache
-from merlfit.model.acquisition import derived_exponent
 from merlfit.model.apparatus import APPARATUS, Apparatus
 from merlfit.model.measured import Measured
 
 from .support import refit
+from .support.lobes import derived_exponent
 from .support.reconstructions import make
 
 RESULTS = Path(__file__).parents[1] / "results"

@@ -28,8 +28,8 @@ from merlfit.fitting.show.pictures import PICTURES
 from merlfit.fitting.show.terminal_tables import Outcome, pictures_table, print_result, summary_table
 from merlfit.fitting.support import compilation, terminal
 from merlfit.fitting.support.clock import Stage
+from merlfit.fitting.support.numbers import number
 from merlfit.fitting.support.terminal import Screen
-from merlfit.merl_io.check import FileReport, ScatteredReport
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from merlfit.scene import effects
@@ -81,21 +81,19 @@ def row(model="interfaced-lambertian", material=LONGEST):
 
 
 def gridded():
-    largest = (1.2345e-12, 1187.25, 998.125)
-    reports = [
-        FileReport(Path(f"{k}/{LONGEST}.binary"), (90, 90, 180), 0.731, 123456, 7, 3, 12, largest, genuine, [])
-        for k, genuine in enumerate(("gold-metallic-paint2", None))
-    ]
-    return [check_table(reports)], [f"1/{LONGEST}.binary", "90x90x180", "123456", "1.235e-12", "yes: gold-metallic"]
+    counts, largest = ("73.1%", "123456", "7", "3", "12"), map(number, (1.2345e-12, 1187.25, 998.125))
+    same = "90x90x180", *counts, *largest
+    rows = [(f"{k}/{LONGEST}.binary", *same, genuine) for k, genuine in enumerate(("yes: gold-metallic-paint2", "no"))]
+    return [check_table(rows)], [f"1/{LONGEST}.binary", "90x90x180", "123456", "1.235e-12", "yes: gold-metallic"]
 
 
 def scattered():
-    report = ScatteredReport(
-        Path(f"measured/{LONGEST}.csv"), "table", 123456, ("400nm", "1000nm", 195), 1860, 0.987, (0.0, 89.9),
-        (0.0, 88.8), (0.0, 77.7), 1.2345e-12, (45.1, 46.2, 359.3), [],
+    row = (
+        f"measured/{LONGEST}.csv", "table", "123456", "195 of 2055: 400nm to 1000nm", "98.7%", "0.0 89.9", "0.0 88.8",
+        "0.0 77.7", "1.235e-12", "45.1 46.2 359.3",
     )  # fmt: skip
     wanted = [f"measured/{LONGEST}.csv", "123456", "195 of 2055", "400nm to 1000nm", "0.0 89.9", "45.1 46.2 359.3"]
-    return [scattered_table([report])], wanted
+    return [scattered_table([row])], wanted
 
 
 def summary():

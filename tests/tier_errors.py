@@ -64,8 +64,8 @@ def evaluate(effects, values, wavelength, geometry):
     def one(case):
         v, wavelength, g = case
         v = {name: x[None] if name in ("n", "k") else x for name, x in v.items()}
-        s = setting(g, effects, wavelength[None])
-        at = factor_values(shaped(v, s), s)
+        s = setting(g, wavelength[None])
+        at = factor_values(effects, shaped(effects, v, s), s)
         diffracted = {**at, "specular": jnp.zeros_like(at["specular"])}
         return tuple(effects.assemble(each, s).brdf(s)[0] for each in (at, diffracted))
 

@@ -2,7 +2,7 @@
 
 from rich.table import Table
 
-from ...model.registry import models
+from ...model.registry import models, variants
 from ..support.numbers import unit
 from ..support.tables import table
 
@@ -17,10 +17,10 @@ def models_table() -> Table:
         heads, heads,
     )  # fmt: skip
     for name, kind in models().items():
-        variants = kind.variants()
-        counts = sorted({sum(3 if q.per_channel else 1 for q in model.parameters) for model in variants})
+        compared = variants(name)
+        counts = sorted({sum(3 if q.per_channel else 1 for q in model.parameters) for model in compared})
         numbers = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else str(counts[0])
         found.add_row(name, "", f"{numbers} numbers; body {', '.join(kind.bodies)}; {kind.citation}")
-        for q in {q.name: q for model in variants for q in model.parameters}.values():
+        for q in {q.name: q for model in compared for q in model.parameters}.values():
             found.add_row(f"  {q.name} (RGB)" if q.per_channel else f"  {q.name}", unit(q.unit), q.meaning)
     return found

@@ -1,67 +1,87 @@
 """`merlfit check`: what files hold, as tables. A look at a file needs no model, and does not wait for jax."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 import typer
 from rich.table import Table
 
-from ...merl_io.binary import BRIGHTEST, OUTLIER, Dims, MerlError, said
-from ...merl_io.check import FileReport, ScatteredReport, inspect_file
+from ...merl_io.bands import MERL
+from ...merl_io.binary import BRIGHTEST, OUTLIER, Dims, Measurement, MerlError, dims_text
+from ...merl_io.inputs import read, remarks
+from ...merl_io.scattered import ScatteredMeasurement, half_difference
 from ..support.numbers import number
 from ..support.tables import table
 from ..support.terminal import BAD_INPUT, console, fail, note
 
+Row = tuple[str, ...]
+
 
 def check_files(files: list[Path], allowed: Dims | None) -> None:
     """Print what files hold; whatever is wrong with one, the others have their turn. Exits with 2 after bad input."""
-    reports, bad = [], 0
+    gridded, listed, notes, bad = [], [], [], 0
     for path in files:
         try:
-            reports.append(inspect_file(path, allowed))
+            measured = read(path, dims=allowed)
         except MerlError as error:
             bad += 1
             fail(str(error))
-    gridded = [each for each in reports if isinstance(each, FileReport)]
-    listed = [each for each in reports if not isinstance(each, FileReport)]
+            continue
+        if isinstance(measured, Measurement):
+            gridded.append(row_of_bins(measured))
+        else:
+            listed.append(row_of_directions(measured))
+        notes += [f"{path}: {line}" for line in remarks(measured)]
+        del measured  # before the next one takes its memory
     if gridded:
         console.print(check_table(gridded))
     if listed:
         console.print(scattered_table(listed))
-    for each in reports:
-        for line in each.told:
-            note(f"{each.path}: {line}")
+    for line in notes:
+        note(line)
     if bad:
         raise typer.Exit(BAD_INPUT)
 
 
-def check_table(reports: Sequence[FileReport]) -> Table:
+def check_table(rows: Iterable[Row]) -> Table:
     """What `merlfit check` prints."""
     title = (
         f"MERL files (bins: of theta_h, theta_d and phi_d; inf: infinite, or above {BRIGHTEST:g}/sr; "
         f"outliers: over {OUTLIER:g} times as bright as their neighbours; max: largest value, 1/sr; genuine: by SHA-1)"
     )
     numbers = ("valid", "negative", "NaN", "inf", "outliers", "max R", "max G", "max B")
-    return table(title, ("file", "bins", *numbers, "genuine MERL"), ("file", "genuine MERL"), (
-        (str(r.path), said(r.dims), f"{r.fraction_valid:.1%}", str(r.negative), str(r.nan), str(r.inf), str(r.outliers),
-         *(number(x) for x in r.largest), f"yes: {r.genuine}" if r.genuine else "no")
-        for r in reports
-    ))  # fmt: skip
+    return table(title, ("file", "bins", *numbers, "genuine MERL"), ("file", "genuine MERL"), rows)
 
 
-def scattered_table(reports: Sequence[ScatteredReport]) -> Table:
+def row_of_bins(m: Measurement) -> Row:
+    """A file's row in it."""
+    largest = dict(zip(m.bands.names, (float(np.nanmax(plane)) for plane in m.values), strict=True))
+    counts = (f"{m.valid.mean():.1%}", str(m.negative), str(m.nan), str(m.inf), str(m.outliers))
+    brightest = (number(largest.get(name, 0.0)) for name in MERL.names)
+    return str(m.path), dims_text(m.dims), *counts, *brightest, f"yes: {m.genuine}" if m.genuine else "no"
+
+
+def scattered_table(rows: Iterable[Row]) -> Table:
     """What `merlfit check` prints of files of scattered directions."""
-    found = table(
+    title = (
         "files of scattered directions (angles: least and largest, degrees; max: largest value, 1/sr, and its theta_i, "
-        "theta_o, phi)",
-        ("file", "format", "samples", "channels", "valid", "theta_i", "theta_o", "theta_h", "max", "max at"),
-        ("file", "channels"),
+        "theta_o, phi)"
     )
-    for r in reports:
-        first, last, count = r.channels
-        many = f"{count} of {count + r.left_out}" if r.left_out else str(count)
-        channels = f"{many}: {first} to {last}" if count > 1 else first
-        angles = (f"{low:.1f} {high:.1f}" for low, high in (r.theta_i, r.theta_o, r.theta_h))
-        row = (str(r.path), r.format, str(r.samples), channels, f"{r.fraction_valid:.1%}")
-        found.add_row(*row, *angles, number(r.largest), " ".join(f"{x:.1f}" for x in r.brightest))
-    return found
+    heads = ("file", "format", "samples", "channels", "valid", "theta_i", "theta_o", "theta_h", "max", "max at")
+    return table(title, heads, ("file", "channels"), rows)
+
+
+def row_of_directions(m: ScatteredMeasurement) -> Row:
+    """A file's row in it."""
+    names, count = m.bands.names, len(m.bands)
+    many = f"{count} of {count + m.left_out}" if m.left_out else str(count)
+    channels = f"{many}: {names[0]} to {names[-1]}" if count > 1 else names[0]
+    theta_h = half_difference(m.theta_i, m.theta_o, m.phi)[0]
+    angles = (f"{np.degrees(x.min()):.1f} {np.degrees(x.max()):.1f}" for x in (m.theta_i, m.theta_o, theta_h))
+    k = int(np.argmax(np.max(np.nan_to_num(m.values, nan=-np.inf), axis=0)))
+    brightest = (np.degrees(m.theta_i[k]), np.degrees(m.theta_o[k]), np.degrees(m.phi[k]) % 360)
+    return (
+        str(m.path), m.format, str(len(m.theta_i)), channels, f"{m.valid.mean():.1%}", *angles,
+        number(float(np.nanmax(m.values))), " ".join(f"{x:.1f}" for x in brightest),
+    )  # fmt: skip

@@ -14,7 +14,7 @@ from rich.table import Table
 from ...merl_io.atomic import write_text
 from ...merl_io.binary import read
 from ...merl_io.samples import folded
-from ...model.reflectance import Reflectance
+from ...model.reflectance import Reflectance, innermost
 from ...model.registry import made
 from ...scene import images
 from ...scene.description import Scene, SceneError, Source, load
@@ -49,8 +49,6 @@ def given_of(name: str, source: Source, folder: Path) -> Given:
             return of_result(name, result, folder / source.result, source.parameters)
         assert source.model is not None
         model = made(source.model, source.settings)
-        if model.objection is not None:
-            raise SceneError(f"{where}: {model.objection}")
         return Given(name, model, values_of(model, source.parameters, where))
     except ValueError as error:
         raise SceneError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
@@ -71,7 +69,7 @@ def of_result(
 def values_of(model: Reflectance, given: Mapping[str, Any], where: str, channels: int = 3) -> dict[str, np.ndarray]:
     """Parameters checked: all there, as many as there are channels, within what is possible."""
     declared = {q.name: q for q in model.parameters}
-    if unknown := given.keys() - declared.keys() - model.ignored():
+    if unknown := given.keys() - declared.keys() - innermost(model).passed_over:
         raise SceneError(f"{where}: {model} has no parameter {min(unknown)}; it has {', '.join(declared)}")
     found = {}
     for name, q in declared.items():

@@ -19,8 +19,8 @@ from ...model.effects import BODIES
 from ...model.fresnel import fresnel, fresnel_of_dielectric, schlick, schlick_of_dielectric, schlick_of_F0
 from ...model.measured import Measured
 from ...model.ndf.epd import HALF
+from ...model.parameters import WHICH_BODY
 from ...model.reflectance import Reflectance
-from ...model.terms import WHICH
 
 TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # of a two-scale material, where fits start
 STRATA = 3  # of every shared parameter with a logarithmic scale
@@ -148,7 +148,7 @@ def general_of(model: Reflectance) -> General:
             given["k"] = np.zeros_like(given["n"])
         if material.body == "none":
             given["albedo"] = np.zeros_like(given["n"])
-        return given | {WHICH: np.int32(BODIES.index(material.body))}
+        return given | {WHICH_BODY: np.int32(BODIES.index(material.body))}
 
     whole = replace(model, material=material.general) if isinstance(model, Measured) else material.general
     return General(whole, values, tuple("n" if name == "eta" else name for name in names))

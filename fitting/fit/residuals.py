@@ -20,7 +20,9 @@ from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...model import reflectance
 from ...model.materialised import materialised, true_of
-from ...model.reflectance import Factor, Reflectance, Setting, reads
+from ...model.parameters import WHICH_BODY
+from ...model.reads import reads
+from ...model.reflectance import Factor, Reflectance, Setting
 from ..support.threads import side_by_side
 from .hints import General, general_of
 from .problem import LEAST_SHARE, Directions, Part, Problem, directions_of, shares
@@ -150,8 +152,8 @@ def _compact(model: Reflectance, values: Mapping[str, Array], part: Part) -> Arr
 
 
 def _compact_of_many(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
-    """The same of M points, one after the other; values with a leading axis, but for the model's switches."""
-    fixed = {name: values[name] for name in model.switches}
+    """The same of M points, one after the other; values with a leading axis, but for the number of the body."""
+    fixed = {name: values[name] for name in (WHICH_BODY,) if name in values}
     moving = {name: x for name, x in values.items() if name not in fixed}
     return jax.lax.map(lambda v: _compact(model, {**v, **fixed}, part), moving)
 
@@ -186,17 +188,17 @@ def _places(structure: Structure) -> np.ndarray:
 
 def evaluate_block(model: Reflectance, values: Mapping[str, Array], b: Directions) -> Array:
     """BRDF of one block (1/sr), with tables if given."""
-    s = _setting(model, b)
-    return reflectance.assembled(reflectance.shaped(values, s), s)
+    s = _setting(b)
+    return reflectance.lobes_of(model, values, s).brdf(s)
 
 
-def _setting(model: Reflectance, b: Directions) -> Setting:
-    return reflectance.setting(b.geometry, model, b.bands.wavelengths_um, b.log_base)
+def _setting(b: Directions) -> Setting:
+    return reflectance.setting(b.geometry, b.bands.wavelengths_um, b.log_base)
 
 
 def with_tables(model: Reflectance, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
     """Values and what all blocks look up."""
-    s = _setting(model, jax.tree.map(lambda x: x[0], where))
+    s = _setting(jax.tree.map(lambda x: x[0], where))
     return {**values, **{name: table(values, s) for name, table in _tables(model, where).items()}}
 
 
@@ -208,7 +210,7 @@ def _rates(
     model: Reflectance, values: Mapping[str, Array], where: Directions
 ) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
     """Values with tables, and by parameter the rates at which they change when it moves, in all channels at once."""
-    s = _setting(model, jax.tree.map(lambda x: x[0], where))
+    s = _setting(jax.tree.map(lambda x: x[0], where))
     rates = {q.name: {q.name: jnp.ones_like(values[q.name])} for q in model.parameters}
     found = {}
     for name, table in _tables(model, where).items():
@@ -229,8 +231,8 @@ def _block_gram(
     """Normal equations of one block, one row and column a parameter group and one for the residual."""
 
     def factor_derivatives(values: Mapping[str, Array], b: Directions) -> tuple[dict[str, Array], dict[str, Array]]:
-        s, read = _setting(model, b), reads(model, b.scattered)
-        shaped = reflectance.shaped(values, s)
+        s, read = _setting(b), reads(model, b.scattered)
+        shaped = reflectance.shaped(model, values, s)
         at, slopes = {}, {}
         for name, factor in model.factors().items():
             names, tables = read.parameters[name], read.tables[name]
@@ -243,7 +245,7 @@ def _block_gram(
         return at, slopes
 
     def columns(at: dict[str, Array], slopes: dict[str, Array], b: Part) -> list[Array]:
-        s = _setting(model, b.directions)
+        s = _setting(b.directions)
         result = []
         for q in model.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}

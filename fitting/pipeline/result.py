@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...merl_io.bands import ColourSpace
-from ...merl_io.inputs import Input, told
+from ...merl_io.inputs import Input, remarks
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...model.derived import quantities
@@ -61,7 +61,7 @@ def make_result(
         cost=s.cost, cost_per_channel=fitted.costs.tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=storage.finite(s.offset), bins=bins, candidates=fitted.candidates,
         weights=fitted.exponent, effective_bins=round(fitted.count, 2),
-        cautions=cautions(fitted, config.fit.weights) + unread(measurement) + told(measurement),
+        cautions=cautions(fitted, config.fit.weights) + unread(measurement) + remarks(measurement),
     )  # fmt: skip
     errors = schema.Metrics(**{name: storage.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)

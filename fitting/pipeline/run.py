@@ -15,6 +15,7 @@ from ...merl_io.binary import Measurement, MerlError
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
+from ...model.measured import of_order
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
@@ -341,7 +342,7 @@ def _leaders(found: list[Solution], most: int) -> list[Solution]:
 
 def cheaper(layout: Layout, order: int) -> Layout:
     """The same with a convolution of no more than this order."""
-    return replace(layout, model=layout.model.cheap_variant(order))
+    return replace(layout, model=of_order(layout.model, order))
 
 
 def predict_samples(layout: Layout, z: np.ndarray, samples: AnySamples) -> np.ndarray:

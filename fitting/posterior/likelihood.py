@@ -17,6 +17,7 @@ import numpy as np
 
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
+from ...model.measured import of_order
 from ..fit.levenberg_marquardt import Solution
 from ..fit.problem import Problem
 from ..fit.residuals import Objective
@@ -78,7 +79,7 @@ def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solu
     which the others average out, does not move the maximum.
     """
     least = solution.cost / count
-    rows = few_rows(replace(layout, model=layout.model.cheap_variant(ORDER)), samples, solution.z, least)
+    rows = few_rows(replace(layout, model=of_order(layout.model, ORDER)), samples, solution.z, least)
     at, jacobian = rows.tangent(solution.z)
     lacking = solution.normal.sum(0)[:-1, -1] - jacobian.T @ (rows.target - at)
     moved = np.linalg.solve(jacobian.T @ jacobian + least * np.eye(len(solution.z)), lacking)

@@ -80,8 +80,6 @@ class Model(Strict):
     @model_validator(mode="after")
     def _of_a_fit(self) -> Self:
         low, high = PLAUSIBLE_UM
-        if self.material.objection is not None:
-            raise ValueError(self.material.objection)
         if self.acquisition.exponents.keys() != {*self.material.lobes}:
             raise ValueError(f"acquisition.exponents should be those of {', '.join(self.material.lobes) or 'no lobe'}")
         if not self.channels or len(set(self.channels)) < len(self.channels):

@@ -74,9 +74,6 @@ class Config:
                 f"effects.{changed[-1]} is a setting of the two-scale model, which is not among the models to fit "
                 f"({', '.join(self.model.names)}): leave it out, or add the two-scale model to them"
             )
-        for model in self.model.rivals:
-            if model.objection is not None:
-                raise ValueError(f"{model.name}: {model.objection}")
         if not self.has_lobes and self.acquisition != AcquisitionSection():
             raise ValueError("acquisition.grazing_loss has an effect only on sharp lobes, of which the model has none")
         priors = {f"priors.{key.name}": getattr(self.priors, key.name) for key in fields(self.priors)}

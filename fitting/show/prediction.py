@@ -14,6 +14,7 @@ from ...merl_io.azimuth import AZIMUTHS, Nodes, nodes_of
 from ...merl_io.binary import Dims, Measurement
 from ...merl_io.grid import MerlGrid, merl_grid
 from ...model.geometry import Geometry
+from ...model.parameters import WHICH_BODY
 from ...model.reflectance import Reflectance, contributions, evaluate, prepared
 from ..fit.hints import general_of
 from ..results.schema import Model, Result
@@ -93,7 +94,7 @@ class Fitted:
     def seen_as(self, seen: Reflectance) -> tuple[Reflectance, dict[str, ArrayLike], np.ndarray]:
         """The general model of it, seen by the apparatus or not, and what it takes."""
         general = general_of(seen).model
-        taken = {*(q.name for q in general.parameters), *general.tables(scattered=True), *general.switches}
+        taken = {*(q.name for q in general.parameters), *general.tables(scattered=True), WHICH_BODY}
         kept = {name: x for name, x in self.values.items() if name in taken}
         return general, kept, np.asarray(self.model.wavelengths_um)
 

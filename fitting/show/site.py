@@ -21,7 +21,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from ...merl_io.atomic import write_text
-from ...model.registry import models
+from ...model.registry import models, variants
 from ..fit.identifiability import in_words
 from ..results.schema import Result
 from ..results.storage import read_result
@@ -297,7 +297,7 @@ def _index(folder: Path, rows: Sequence[Page]) -> str:
 def _units(known: Set[str], names: Sequence[str]) -> dict[str, str]:
     """Of parameters, by their names in the table, where all models agree on one."""
     found: dict[str, set[str]] = {}
-    for q in (q for name in known & models().keys() for model in models()[name].variants() for q in model.parameters):
+    for q in (q for name in known & models().keys() for model in variants(name) for q in model.parameters):
         found.setdefault(q.name, set()).add(q.unit)
     own = {
         name: max((q for q in found if name == q or name.startswith(f"{q}_")), key=len, default="") for name in names

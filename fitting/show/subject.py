@@ -17,6 +17,7 @@ from ..results.schema import Model, Result
 from ..support.choices import THETA_MAX
 from . import prediction
 from .style import plain
+from .terminal_tables import material_words
 
 COLUMN_LETTERS = 62  # of 7 points, in 8.5 cm
 
@@ -108,7 +109,7 @@ class Subject:
     @property
     def heading(self) -> str:
         """Material, model and what the data are, for over a picture."""
-        words = f" fit of {self.result.model.material.words}" if self.result.model else ""
+        words = f" fit of {material_words(self.result.model.material)}" if self.result.model else ""
         return plain(wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}"))
 
     @property

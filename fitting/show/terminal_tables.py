@@ -7,6 +7,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Column, Table
 
+from ...model.reflectance import Reflectance
+from ...model.two_scale import TwoScale
 from ..fit.identifiability import in_words
 from ..fit.outcome import explains
 from ..results.schema import Accuracy, Model, ParameterResult, Quantiles, Result
@@ -111,9 +113,19 @@ def _latex(x: float) -> str:
     return f"{digits} \\times 10^{{{int(power)}}}" if power else digits
 
 
+def material_words(material: Reflectance) -> str:
+    """What a material is, for people."""
+    if not isinstance(material, TwoScale):
+        return str(material)
+    interface = "conductor" if material.index == "complex" else "dielectric"
+    return f"{material.name}, {interface}" + ("" if material.body == "none" else f" over {material.body}")
+
+
 def fitted_line(m: Model) -> str:
     """What was fitted: model, what of its settings matters, and the loss of the apparatus."""
-    a, said = m.acquisition, [m.material.words, *m.material.details]
+    a, said = m.acquisition, [material_words(m.material)]
+    if isinstance(m.material, TwoScale):
+        said += [f"diffraction by {m.material.diffraction}", f"energy split {m.material.split}"]
     if m.measured.loses:
         exponents = [f"{number(k, 3)} of {lobe} light" for lobe, k in a.exponents.items()]
         said.append(f"grazing exponent {' and '.join(exponents)} ({a.grazing_loss})")

@@ -1,1 +1,1 @@
-"""Masking and shadowing of microfacets, a file each."""
+"""Masking and shadowing of microfacets where it is no formula of a line: others are beside their distribution."""

@@ -1,1 +1,1 @@
-"""Distributions of microfacet normals, a file each."""
+"""Distributions of microfacet normals, a file each, and their masking where that is a formula."""

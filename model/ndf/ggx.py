@@ -1,4 +1,4 @@
-"""The GGX distribution of microfacet normals (Walter et al. 2007; Trowbridge & Reitz 1975)."""
+"""The GGX distribution of microfacet normals (Walter et al. 2007; Trowbridge & Reitz 1975), and its masking."""
 
 import jax.numpy as jnp
 
@@ -15,3 +15,8 @@ def D(theta_h: Real, alpha: Scalar) -> Real:
     """
     sin, cos = jnp.sin(theta_h), jnp.cos(theta_h)
     return alpha**2 / (jnp.pi * (alpha**2 * cos**2 + sin**2) ** 2)
+
+
+def G1(cos: Real, alpha: Scalar) -> Real:
+    """Smith's masking of one direction whose cosine with the normal is ``cos`` > 0 (Walter et al. 2007, Eq. 34)."""
+    return 2 * cos / (cos + jnp.sqrt(alpha**2 + (1 - alpha**2) * cos**2))

@@ -5,7 +5,6 @@ from typing import ClassVar
 
 from jax import Array
 
-from ..masking import beckmann as masking
 from ..ndf import beckmann
 from ..parameters import Parameter
 from ..priors import LogNormal
@@ -36,4 +35,4 @@ class Beckmann(Microfacets):
         return beckmann.D(theta_h, v["roughness"])
 
     def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
-        return masking.G1(cos, v["roughness"])
+        return beckmann.G1(cos, v["roughness"])

@@ -5,7 +5,6 @@ from typing import ClassVar
 
 from jax import Array
 
-from ..masking import ggx as masking
 from ..ndf import ggx
 from ..parameters import Parameter
 from ..priors import LogNormal
@@ -37,4 +36,4 @@ class GGX(Microfacets):
         return ggx.D(theta_h, v["alpha"])
 
     def G1(self, cos: Array, v: Values) -> Array:  # noqa: D102
-        return masking.G1(cos, v["alpha"])
+        return ggx.G1(cos, v["alpha"])

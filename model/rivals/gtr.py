@@ -1,5 +1,6 @@
 """Cook & Torrance's model with the generalised Trowbridge-Reitz distribution (Burley 2012) over a Lambert body."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -27,6 +28,7 @@ class GTR(NumericMasking):
     citation: ClassVar[str] = (
         "Burley 2012, Physically-based shading at Disney, SIGGRAPH course notes, doi:10.1145/2343483.2343493"
     )
+    words: ClassVar[Mapping[str, str]] = {"1": "gamma 1", "2": "gamma 2"}
     gamma: Literal["free", "1", "2"] = "free"
 
     @property
@@ -36,10 +38,6 @@ class GTR(NumericMasking):
         tail = Parameter("gamma", r"\gamma", "falloff exponent of the distribution's tail", "1", 2.0, 0.3, 10.0,
                          source="HP15 Table 1", prior=LogNormal(1.8, 1.6))  # fmt: skip
         return (alpha, tail) if self.gamma == "free" else (alpha,)
-
-    @property
-    def variant(self) -> str:  # noqa: D102
-        return super().variant + ("" if self.gamma == "free" else f" gamma {self.gamma}")
 
     def _gamma(self, v: Values) -> Array | float:
         return v["gamma"] if self.gamma == "free" else float(self.gamma)

@@ -1,5 +1,6 @@
 """Reflection and diffraction side by side: the model of Holzschuch & Pacanowski 2015 (INRIA RR-8807), 15 parameters."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -15,7 +16,7 @@ from ..ndf.epd import epd
 from ..numerics import Real
 from ..parameters import Parameter
 from ..priors import LogNormal
-from ..reflectance import Factor, Lobes, Reflectance, Setting, Values, Wavelengths
+from ..reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
 from .common import DIFFUSE
 
 SOURCE = "HP15 Eq. 24-27"
@@ -57,8 +58,8 @@ class HP15(Reflectance):
     )
 
     @property
-    def lobes(self) -> tuple[str, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
-        return "specular", "diffracted"
+    def lobes(self) -> Mapping[str, Profile | None]:  # noqa: D102 - as declared in `Reflectance`, like what follows
+        return {"specular": lambda v, middle_um: epd_of_rings(v["beta"], v["p"]), "diffracted": None}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
@@ -79,9 +80,6 @@ class HP15(Reflectance):
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
         reflected = at["facets"] * at["distribution"] / (s.geometry.cos_i * s.geometry.cos_o)
         return Lobes({"specular": reflected, "diffracted": at["diffracted"]}, at["masking"], at["body"])
-
-    def profile(self, lobe: str, v: Values, wavelengths_um: Wavelengths = declared.WAVELENGTHS_UM) -> Array:  # noqa: D102
-        return epd_of_rings(v["beta"], v["p"]) if lobe == "specular" else super().profile(lobe, v, wavelengths_um)
 
 
 def _masking(v: Values, s: Setting) -> Array:

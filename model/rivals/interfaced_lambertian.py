@@ -32,8 +32,6 @@ from .beckmann import Beckmann
 from .ggx import GGX
 from .microfacets import Microfacets
 
-SLOPES, AZIMUTHS = 3, 8  # of the sum that fits use
-MANY = (32, 64)  # of the reference's
 TINY_COSINE = 1e-12
 
 
@@ -65,13 +63,8 @@ class _Gaussian(Microfacets):
         raise ValueError("Smith's masking of Gaussian normals is 0: they need V-grooves")
 
 
-class Normals(NamedTuple):
-    """A rule over facets: tangents of slope angles (R,), and shares (R,) of the projected area, which sum to 1."""
-
-    tangent: Array
-    share: Array
-
-
+Rule = tuple[Array, Array]
+"""Over facets: tangents of slope angles (R,), and shares (R,) of the projected area, which sum to 1."""
 SURFACES: Mapping[str, type[Microfacets]] = {"gaussian": _Gaussian, "beckmann": Beckmann, "ggx": GGX}
 
 
@@ -83,12 +76,12 @@ class InterfacedLambertian(Reflectance):
         normals: distribution: ``beckmann`` (IL Eq. 15), ``ggx`` (Eq. 20) or ``gaussian`` in the slope angle (Eq. 13).
         masking: ``smith``, or ``v-groove``: symmetric cavities (Eq. 14), which Gaussian normals need. Light meets
             one facet only; ``tests/reference/sampled_facets.py`` follows it from facet to facet.
-        form: ``fast``, a sum over 3 x 8 normals; ``reference``, over 32 x 64.
+        form: ``fast``, a sum over 3 x 8 normals.
 
-    Reciprocal. Up to 75 degrees the reference is within 5e-3 of the integral (widths 0.15 and 0.5). The error of the
-    fast sum's body there, in the median and for 95 % of the directions, indices from 1.2 to 2: at widths of 0.2 at most
-    0.01 and 0.2 % with Beckmann's normals, 1.1 and 2.6 % with GGX, 0.3 and 0.7 % with Gaussian ones; at 0.6 0.5 and
-    3.5 %, 1.3 and 7 %, 0.9 and 6 %; at 1.0 6 and 12 % with all (``tests/rivals/test_interfaced_lambertian.py``).
+    Reciprocal. The error of the body up to 75 degrees, in the median and for 95 % of the directions, indices from 1.2
+    to 2, against a sum over 32 x 64, which is within 5e-3 of the integral: at widths of 0.2 at most 0.01 and 0.2 % with
+    Beckmann's normals, 1.1 and 2.6 % with GGX, 0.3 and 0.7 % with Gaussian ones; at 0.6 0.5 and 3.5 %, 1.3 and 7 %, 0.9
+    and 6 %; at 1.0 6 and 12 % with all (``tests/rivals/test_interfaced_lambertian.py``).
     """
 
     name: ClassVar[str] = "interfaced-lambertian"
@@ -97,9 +90,10 @@ class InterfacedLambertian(Reflectance):
         "Lambertian microfacets, doi:10.1109/TVCG.2017.2660490"
     )
     bodies: ClassVar[tuple[str, ...]] = ("lambert under every facet",)
+    normals_of_sum: ClassVar[tuple[int, int]] = (3, 8)  # slopes and azimuths
     normals: Literal["beckmann", "ggx", "gaussian"] = "beckmann"
     masking: Literal["smith", "v-groove"] = "smith"
-    form: Literal["fast", "reference"] = "fast"
+    form: Literal["fast"] = "fast"
 
     def __post_init__(self) -> None:
         if self.normals == "gaussian" and self.masking == "smith":
@@ -114,25 +108,15 @@ class InterfacedLambertian(Reflectance):
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
         return self.surface.parameters
 
-    @property
-    def variant(self) -> str:  # noqa: D102
-        usual = ("beckmann", "smith", "fast")
-        unusual = [x for x, y in zip((self.normals, self.masking, self.form), usual, strict=True) if x != y]
-        return " ".join([self.name, *unusual])
-
-    @property
-    def objection(self) -> str | None:  # noqa: D102
-        return "form 'reference' is a reference; no fit uses it" if self.form == "reference" else None
-
     def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
         return self.surface.tables(scattered)
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
-        own = {name: factor for name, factor in self.surface.factors().items() if name != "body"}
+        of_surface = {name: factor for name, factor in self.surface.factors().items() if name != "body"}
         return {
-            **own,
+            **of_surface,
             "substrate": lambda v, s: substrate(v["eta"], v["albedo"]),
-            "seen": lambda v, s: self.seen(v, s),
+            "seen": self.seen,
         }
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
@@ -140,28 +124,26 @@ class InterfacedLambertian(Reflectance):
 
     def seen(self, v: Values, s: Setting) -> Array:
         """The integral of Eq. 12: of facets, transmitted in and out, that light and viewer both see."""
-        sizes = MANY if self.form == "reference" else (SLOPES, AZIMUTHS)
-        given = transmitted(s.geometry, v["eta"], self.distributed(v, sizes[0]), sizes[1], self.masking == "v-groove")
-        if self.masking == "v-groove":
-            return given
-        g = s.geometry
-        return given * self.surface.G1(g.cos_i, v) * self.surface.G1(g.cos_o, v)
+        g, grooves = s.geometry, self.masking == "v-groove"
+        slopes, azimuths = self.normals_of_sum
+        integral = transmitted(g, v["eta"], self.distributed(v, slopes), azimuths, grooves)
+        return integral if grooves else integral * self.surface.G1(g.cos_i, v) * self.surface.G1(g.cos_o, v)
 
-    def distributed(self, v: Values, count: int) -> Normals:
+    def distributed(self, v: Values, count: int) -> Rule:
         """A rule of ``count`` nodes."""
         if self.normals == "beckmann":  # the share beyond a squared slope x is exp(-x / m^2)
             nodes, weights = np.polynomial.laguerre.laggauss(count)
-            return Normals(v["roughness"] * np.sqrt(nodes), jnp.asarray(weights))
+            return v["roughness"] * np.sqrt(nodes), jnp.asarray(weights)
         nodes, weights = gauss_legendre(count)
         if self.normals == "ggx":  # the share below alpha tan(psi) is sin^2(psi)
             psi = nodes * (np.pi / 2)
             shares = weights * np.sin(2 * psi)
-            return Normals(v["alpha"] * np.tan(psi), jnp.asarray(shares / shares.sum()))
+            return v["alpha"] * np.tan(psi), jnp.asarray(shares / shares.sum())
         sigma = v["roughness"]  # the share below an angle is nearly even in 1 - exp(-angle^2 / (2 sigma^2))
         reached = -jnp.expm1(-((jnp.minimum(6 * sigma, np.pi / 2) / sigma) ** 2) / 2)
         angle = sigma * jnp.sqrt(-2 * jnp.log1p(-reached * nodes))
         shares = jnp.asarray(weights) * jnp.sinc(angle / np.pi)
-        return Normals(jnp.tan(angle), shares / jnp.sum(shares))
+        return jnp.tan(angle), shares / jnp.sum(shares)
 
 
 class _Pairs(NamedTuple):
@@ -175,7 +157,7 @@ class _Pairs(NamedTuple):
     sin_half: Array
 
 
-def transmitted(g: Geometry, n: Real, normals: Normals, azimuths: int, grooves: bool) -> Real:
+def transmitted(g: Geometry, n: Real, normals: Rule, azimuths: int, grooves: bool) -> Real:
     """Int (i.m)+ (o.m)+ / (cos_i cos_o) T(i.m) T(o.m) D(m) [G(i, o, m)] dw_m by a sum over ``normals`` and azimuths.
 
     Azimuths are even from the bisector of the directions' projections, so that exchanging light and viewer mirrors the
@@ -196,7 +178,7 @@ def transmitted(g: Geometry, n: Real, normals: Normals, azimuths: int, grooves: 
 @partial(jax.custom_jvp, nondiff_argnums=(3, 4))
 def _of_rings(pairs: _Pairs, n: Array, tangent: Array, azimuths: int, grooves: bool) -> Array:
     """The sum over azimuths, for facets of every slope: ``tangent`` (R, 1 ..), result (R, *directions)."""
-    add = lambda k, found: found + _of_facets(pairs, n, tangent, k, azimuths, grooves)  # noqa: E731
+    add = lambda k, total: total + _of_facets(pairs, n, tangent, k, azimuths, grooves)  # noqa: E731
     return jax.lax.fori_loop(0, azimuths, add, _nothing(pairs, n, tangent))
 
 
@@ -205,12 +187,12 @@ def _of_rings_jvp(azimuths: int, grooves: bool, primals: Any, tangents: Any) -> 
     """Summed together with its derivatives: left to itself JAX keeps each step of every facet, 8 times as slow."""
     pairs, n, tangent = primals
 
-    def add(k: Array, found: list[Array]) -> list[Array]:
+    def add(k: Array, sums: list[Array]) -> list[Array]:
         of = lambda n, tangent: _of_facets(pairs, n, tangent, k, azimuths, grooves)  # noqa: E731
         value, along = jax.linearize(of, n, tangent)
         zeros = jnp.zeros_like(n), jnp.zeros_like(tangent)
         slopes = along(jnp.ones_like(n), zeros[1]), along(zeros[0], jnp.ones_like(tangent))
-        return [x + y for x, y in zip(found, (value, *slopes), strict=True)]
+        return [x + y for x, y in zip(sums, (value, *slopes), strict=True)]
 
     value, *slopes = jax.lax.fori_loop(0, azimuths, add, [_nothing(pairs, n, tangent)] * 3)
     moved_pairs, *moved = tangents

@@ -52,11 +52,6 @@ class Microfacets(Reflectance):
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
         return (*self.widths, *INTERFACES[self.fresnel], declared.ALBEDO)
 
-    @property
-    def variant(self) -> str:  # noqa: D102
-        unusual = [x for x in (self.fresnel, self.masking) if x not in ("schlick", "smith")]
-        return " ".join([self.name, *unusual])
-
     def facets(self, v: Values, s: Setting) -> Array:
         """Reflectance F(theta_d) of the facets."""
         if self.fresnel == "schlick":
@@ -68,6 +63,8 @@ class Microfacets(Reflectance):
     def masked(self, v: Values, s: Setting) -> Array:
         """G(i, o) / (4 cos_i cos_o)."""
         g = s.geometry
+        if self.masking == "none":
+            return 1 / (4 * g.cos_i * g.cos_o)
         G = v_groove(g) if self.masking == "v-groove" else self.G1(g.cos_i, v) * self.G1(g.cos_o, v)
         return G / (4 * g.cos_i * g.cos_o)
 
@@ -75,12 +72,9 @@ class Microfacets(Reflectance):
         return {
             "facets": self.facets,
             "distribution": lambda v, s: self.D(s.geometry.theta_h, v),
-            "masked": self._unmasked if self.masking == "none" else self.masked,
+            "masked": self.masked,
             "body": lambda v, s: lambert(v["albedo"]),
         }
-
-    def _unmasked(self, v: Values, s: Setting) -> Array:
-        return 1 / (4 * s.geometry.cos_i * s.geometry.cos_o)
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
         return Lobes({"specular": at["facets"] * at["distribution"]}, at["masked"], at["body"])

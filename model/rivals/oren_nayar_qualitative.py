@@ -14,6 +14,9 @@ PAPER = "Oren & Nayar 1994, Generalization of Lambert's reflectance model, doi:1
 ROUGHNESS = Parameter("roughness", r"\sigma", "standard deviation of the facets' slope angle", "rad", 0.3, 1e-3, 1.5,
                       source="Oren & Nayar 1994, Eq. 17", prior=LogNormal(0.3, 2.5))  # fmt: skip
 
+WEIGHT = Parameter("k_s", "k_s", "weight of the surface's reflection", "1", 0.05, 1e-5, 10.0, per_channel=True,
+                   source="Oren & Nayar 1994, Section 4", prior=LogNormal(0.03, 6.0))  # fmt: skip
+
 
 @dataclass(frozen=True)
 class OrenNayarQualitative(OneFormula):

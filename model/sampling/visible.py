@@ -16,7 +16,6 @@ from jax import Array
 from ..geometry import Geometry
 from ..numerics import safe_acos, safe_sqrt
 from ..quadrature import gauss_legendre
-from .facets import mirrored
 
 CELLS = 256  # of theta_h, even in asinh(tan(theta_h) / LINEAR)
 LINEAR = 2e-4  # below this tangent (0.01 degrees) they are even in it
@@ -24,9 +23,10 @@ SMALLEST = 1e-9  # tangent: the density is that of a slope, and so has a pole at
 STEEPEST = 1e3  # tangent of the largest theta_h
 INCIDENCES = 48  # rows, even in theta
 GRAZING = float(np.radians(89.9))  # a number of NumPy would make float64 of float32
-AZIMUTHS = 8  # Gauss nodes of half a ring
+HALF_RING = 8  # Gauss nodes of half a ring
 NEWTON = 5  # steps for the azimuth: to 1e-9 where it matters
 LONGEST = float(np.arcsinh(STEEPEST / LINEAR))
+NOTHING = (0.0, 0.0, -1.0)  # straight down
 
 
 class Visible(eqx.Module):
@@ -74,16 +74,22 @@ class Visible(eqx.Module):
         cell = jnp.clip(place.astype(jnp.int32), 0, CELLS - 1)
         row, t = _row(given[..., 2])
         share = self.share.reshape(-1)
-        found = share[row * CELLS + cell] * (1 - t) + share[(row + 1) * CELLS + cell] * t
-        by_tangent = found * (CELLS / LONGEST) / jnp.sqrt(tangent**2 + LINEAR**2)
+        by_cell = share[row * CELLS + cell] * (1 - t) + share[(row + 1) * CELLS + cell] * t
+        by_tangent = by_cell * (CELLS / LONGEST) / jnp.sqrt(tangent**2 + LINEAR**2)
         cos, along, end = _ring(given[..., 2], tangent)
         cos_d = jnp.sqrt(jnp.sum(half**2, -1)) / 2
         # cos(theta) + tan(theta_h) sin(theta) cos(phi) = cos_d / cos(theta_h), over its integral
         grown = jnp.sqrt(1 + tangent**2)
         by_azimuth = cos_d * grown / (2 * (cos * end + along * jnp.sin(end)))
         solid_angle = tangent / grown**3  # over d tangent d azimuth
-        found = by_tangent * by_azimuth / (solid_angle * 4 * cos_d)
-        return jnp.where(above & (end > 0) & (place < CELLS), found, 0.0)
+        density = by_tangent * by_azimuth / (solid_angle * 4 * cos_d)
+        return jnp.where(above & (end > 0) & (place < CELLS), density, 0.0)
+
+
+def mirrored(given: Array, facet: Array) -> Array:
+    """Where a facet of normal ``facet`` sends light; :data:`NOTHING` from its back."""
+    dot = jnp.sum(given * facet, -1, keepdims=True)
+    return jnp.where(dot > 0, 2 * dot * facet - given, jnp.asarray(NOTHING, facet.dtype))
 
 
 def _row(cos: Array) -> tuple[Array, Array]:
@@ -123,7 +129,7 @@ def visible(brdf: Callable[[Geometry], Array]) -> Visible:
     theta = np.linspace(0, GRAZING, INCIDENCES)[:, None, None]
     cos = jnp.asarray(np.cos(theta))
     _, along, end = _ring(cos, jnp.asarray(tangent))
-    u, w = gauss_legendre(AZIMUTHS)
+    u, w = gauss_legendre(HALF_RING)
     phi = end * u
     grown = np.sqrt(1 + tangent**2)
     cos_d = jnp.clip((cos + along * jnp.cos(phi)) / grown, 0.0, 1.0)
@@ -135,8 +141,8 @@ def visible(brdf: Callable[[Geometry], Array]) -> Visible:
     values = jnp.mean(brdf(g), 0)
     # solid angle of half vectors a cell, and 4 cos_d from there to directions
     measure = tangent * np.sqrt(tangent**2 + LINEAR**2) / grown**3
-    each = jnp.where(seen, jnp.maximum(values, 0.0) * safe[1] * 4 * safe[0] * measure * end * w, 0.0)
-    share = jnp.sum(each, -1)
+    light = jnp.where(seen, jnp.maximum(values, 0.0) * safe[1] * 4 * safe[0] * measure * end * w, 0.0)
+    share = jnp.sum(light, -1)
     share = jnp.where(jnp.sum(share, -1, keepdims=True) > 0, share, jnp.any(seen, -1) * measure[:, 0])
     share = share / jnp.sum(share, -1, keepdims=True)
     return Visible(share, jnp.cumsum(share, -1) - share)

@@ -12,11 +12,11 @@ from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
 from merlfit.fitting.settings.config import Config, load
 from merlfit.merl_io.binary import read, write
-from merlfit.model.acquisition import derived_exponent
 from merlfit.model.effects import KINDS
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.known_materials import CONDUCTOR, EXPONENTS, PLASTIC, tabulate
+from tests.support.lobes import derived_exponent
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,10 @@ from merlfit.fitting.fit.transforms import layout_of
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.geometry import Geometry
-from merlfit.model.measured import Measured
+from merlfit.model.measured import Measured, profile
 from merlfit.model.parameters import Parameter
-from merlfit.model.reflectance import evaluate, reads
+from merlfit.model.reads import reads
+from merlfit.model.reflectance import evaluate
 from merlfit.model.registry import models
 from merlfit.model.rivals.cook_torrance import CookTorrance
 from merlfit.model.rivals.ggx import GGX
@@ -173,8 +174,8 @@ def test_models_are_registered_by_name():
 def test_sharp_lobes_fall_with_theta_h(model):
     """What an exponent of the apparatus is derived from."""
     layout = layout_of(Measured(model, "derived"))
-    profiles = jax.jit(lambda z: {lobe: model.profile(lobe, layout.values(z)) for lobe in model.lobes})
-    for profile in map(np.asarray, profiles(np.zeros(layout.size)).values()):
-        assert profile[0] > 0
-        assert profile[-1] < 0.5 * profile[0]
-        assert np.all(np.diff(profile) <= 1e-9 * profile[0])
+    profiles = jax.jit(lambda z: {lobe: profile(model, lobe, layout.values(z)) for lobe in model.lobes})
+    for found in map(np.asarray, profiles(np.zeros(layout.size)).values()):
+        assert found[0] > 0
+        assert found[-1] < 0.5 * found[0]
+        assert np.all(np.diff(found) <= 1e-9 * found[0])

@@ -32,7 +32,8 @@ def grazing(cos_i, cos_o, exponent):
 
 def facet_albedo(theta_d, wavelength_um, b, c, sigma_s, renormalised, exact):
     """The conserving split's lobe albedo at one wavelength, of the angle's dtype, as the assembled model makes it."""
-    return energy.lobe_albedo(theta_d, b, c, sigma_s, wavelength_um[None], renormalised, exact)[0].astype(theta_d.dtype)
+    table = energy.lobe_albedo_table(b, c, sigma_s, wavelength_um[None], renormalised, exact)
+    return energy.lobe_albedo(theta_d, table)[0].astype(theta_d.dtype)
 
 
 def convolve(theta_h, B, c, beta, p, order):

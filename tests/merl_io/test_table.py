@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from merlfit.merl_io import check, inputs
+from merlfit.fitting.commands.checked import row_of_directions
+from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import MerlError
 from merlfit.merl_io.hints import hints
@@ -78,11 +79,10 @@ def test_colours_in_any_order(tmp_path):
 
 
 def test_what_check_says(file):
-    report = check.inspect_file(file)
-    assert report.samples == 3
-    assert report.channels == ("450nm", "650.5nm", 3)
-    assert report.largest == 30
-    assert report.theta_h == pytest.approx((0.0, np.degrees(half_difference(*np.radians([[60], [10], [90]]))[0][0])))
+    row = row_of_directions(inputs.read(file))
+    most = np.degrees(half_difference(*np.radians([[60], [10], [90]]))[0][0])
+    assert row[1:4] == ("table", "3", "3: 450nm to 650.5nm")
+    assert row[7:9] == (f"0.0 {most:.1f}", "30")
 
 
 @pytest.mark.parametrize(
@@ -371,20 +371,20 @@ def test_an_empty_channel_is_told_and_left_out(cases):
     ],
 )
 def test_what_the_numbers_look_like(cases, name, said):
-    (line,) = check.inspect_file(cases / "14" / name).told
+    (line,) = inputs.remarks(inputs.read(cases / "14" / name))
     assert said in line
 
 
 def test_a_brdf_in_its_unit_gets_no_hint(cases):
     for name in ("14/tile_brdf.csv", "09/plain.csv", "03/dark.csv", "01/tile.csv"):
-        assert check.inspect_file(cases / name).told == []
+        assert inputs.remarks(inputs.read(cases / name)) == []
 
 
 def test_genuine_measurements_get_no_hint(cases):
     measured = cases.parent / "data" / "measured"
     rgl = [measured / "rgl" / f"{name}_rgb.bsdf" for name in ("cc_green_malachite", "irid_flake_paint1")]
     for file in (measured / "nist" / "ptfe_regular.csv", *rgl):
-        assert check.inspect_file(file).told == [], file
+        assert inputs.remarks(inputs.read(file)) == [], file
 
 
 def test_a_plane_says_nothing_of_the_hemisphere():
@@ -400,7 +400,7 @@ def test_radians_of_signed_angles_are_told(tmp_path):
     target = tmp_path / "signed.csv"
     rows = [f"0.5,{o:.3f},0,0.1" for o in np.linspace(-1.4, 1.4, 29)]
     target.write_text("theta_i_deg,theta_o_deg,phi_deg,500nm\n" + "\n".join(rows))
-    assert any("they look like radians" in line for line in check.inspect_file(target).told)
+    assert any("they look like radians" in line for line in inputs.remarks(inputs.read(target)))
 
 
 def test_the_brightest_sample_on_the_lights_side_is_told(tmp_path):
@@ -409,9 +409,9 @@ def test_the_brightest_sample_on_the_lights_side_is_told(tmp_path):
     rows = [f"{i},{o},{phi},{1e2 if (i == o and phi == 0) else 0.1}"
             for i in (30, 45, 60) for o in (15, 30, 45, 60) for phi in (0, 90, 180)]  # fmt: skip
     target.write_text("theta_i_deg,theta_o_deg,phi_deg,500nm\n" + "\n".join(rows))
-    report = check.inspect_file(target)
-    assert report.brightest == pytest.approx((30, 30, 0))
-    assert any("on the light's own side, at azimuth 0" in line for line in report.told)
+    measured = inputs.read(target)
+    assert row_of_directions(measured)[-1] == "30.0 30.0 0.0"
+    assert any("on the light's own side, at azimuth 0" in line for line in inputs.remarks(measured))
 
 
 @pytest.mark.parametrize("name", ["pipe.csv", "pipe.npz", "pipe.bsdf", "pipe.binary"])

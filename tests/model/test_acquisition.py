@@ -6,13 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.model.acquisition import (
-    FIT_ANGLES_RAD,
-    derived_exponent,
-    epd_of_rings,
-    grazing_log_base,
-    loss_of_lobe,
-)
+from merlfit.model.acquisition import FIT_ANGLES_RAD, epd_of_rings, grazing_log_base, loss_of_lobe
 from merlfit.model.apparatus import APPARATUS, Apparatus
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import DIFFRACTION, SURFACE
@@ -22,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from tests.oracles import acquisition as oracle
 from tests.oracles import convolution as o_convolution
 from tests.support.compiled import from_half_difference
+from tests.support.lobes import derived_exponent
 
 STEEP_RAD = tuple(np.radians([20.0, 45.0, 65.0, 80.0]).tolist())
 FOOTPRINT_RAD = APPARATUS.footprint_rad

@@ -34,8 +34,8 @@ def cases(count=24):
 
 @jax.jit
 def diffraction_lobe(values, i, o):
-    s = setting(Geometry.from_vectors(i, o), TwoScale(diffraction="exact"), (WAVELENGTH_UM,))
-    at = factor_values(shaped(values, s), s)
+    s, model = setting(Geometry.from_vectors(i, o), (WAVELENGTH_UM,)), TwoScale(diffraction="exact")
+    at = factor_values(model, shaped(model, values, s), s)
     return s.model.assemble({**at, "specular": jnp.zeros_like(at["specular"])}, s).brdf(s)[0]
 
 

@@ -6,7 +6,7 @@ import pytest
 from jaxtyping import TypeCheckError
 from merlfit.model.acquisition import RINGS_RAD, exponent_of_lobe
 from merlfit.model.apparatus import Apparatus
-from merlfit.model.measured import Measured, material_of, with_material
+from merlfit.model.measured import Measured, material_of, profile, with_material
 from merlfit.model.ndf.ggx import D
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
@@ -40,7 +40,7 @@ def test_the_sharp_lobe_of_a_rival_is_dimmed_and_its_body_is_not(how, geometry):
 
 def test_the_derived_exponent_of_a_rival_is_that_of_its_distribution(geometry):
     """Its lobe at theta_d = 0 is D, up to a factor that matters for no width."""
-    lobe = np.asarray(jax.jit(lambda v: GGX().profile("specular", v))(VALUES))
+    lobe = np.asarray(jax.jit(lambda v: profile(GGX(), "specular", v))(VALUES))
     alone = np.asarray(jax.jit(D)(np.asarray(RINGS_RAD), 0.02))
     np.testing.assert_allclose(lobe / lobe[0], alone / alone[0], rtol=1e-12)
     for apparatus in (Apparatus(), Apparatus(lamp_sigma_rad=0.02)):

@@ -13,7 +13,7 @@ METAL = {"beta": 0.1, "p": 0.5, "n": [1.0] * 3, "k": [3.0] * 3}
 
 def shape(effects, **params):
     geometry = Geometry.from_vectors(np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8]))
-    return shaped({**METAL, **params}, setting(geometry, effects, (0.645, 0.526, 0.444)))
+    return shaped(effects, {**METAL, **params}, setting(geometry, (0.645, 0.526, 0.444)))
 
 
 def test_a_parameter_of_no_effects_is_refused():

@@ -16,7 +16,8 @@ from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured, material_of
 from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM
-from merlfit.model.reflectance import factor_values, reads, setting, shaped
+from merlfit.model.reads import reads
+from merlfit.model.reflectance import factor_values, setting, shaped
 from merlfit.model.two_scale import TwoScale
 
 from tests.oracles import bodies as o_bodies
@@ -315,8 +316,8 @@ def test_factors_depend_on_what_was_recorded(effects):
 
     @jax.jit
     def factors(v):
-        s = setting(directions, effects)
-        return factor_values(shaped(v, s), s)
+        s = setting(directions)
+        return factor_values(effects, shaped(effects, v, s), s)
 
     before = jax.tree.map(np.asarray, factors(v))
     for q in v:
@@ -345,8 +346,8 @@ def test_tables_depend_on_what_was_recorded_and_change_nothing(effects):
 
     @jax.jit
     def tables(v):
-        s = setting(directions, effects)
-        return {name: table(shaped(v, s), s) for name, table in effects.tables().items()}
+        s = setting(directions)
+        return {name: table(shaped(effects, v, s), s) for name, table in effects.tables().items()}
 
     found = tables(v)
     conserving = material_of(effects).split == "conserving"
@@ -451,11 +452,11 @@ AZIMUTHS = 48
 @jax.jit
 def white(beta, p, *angles):
     """The model's own Cook-Torrance lobe with its Fresnel factor divided out (1/sr), with masking and without."""
-    s = setting(Geometry(*angles), TwoScale("none", "off"), (0.5,))
-    v = shaped({"beta": beta, "p": p, "n": np.array([0.5]), "k": np.array([3.0])}, s)
-    at = factor_values(v, s)
+    model, s = TwoScale("none", "off"), setting(Geometry(*angles), (0.5,))
+    v = shaped(model, {"beta": beta, "p": p, "n": np.array([0.5]), "k": np.array([3.0])}, s)
+    at = factor_values(model, v, s)
     at["specular"] = at["specular"] / fresnel(s.geometry.cos_d, v["n"], v["k"])
-    return [s.model.assemble(each, s).brdf(s)[0] for each in (at, {**at, "masking": jnp.ones(())})]
+    return [model.assemble(each, s).brdf(s)[0] for each in (at, {**at, "masking": jnp.ones(())})]
 
 
 def reflected(theta_i, beta, p):

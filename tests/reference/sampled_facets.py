@@ -14,7 +14,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from merlfit.model.body import external_diffuse_reflectance, internal_diffuse_reflectance, substrate
 from merlfit.model.fresnel import fresnel_of_dielectric
-from merlfit.model.masking import beckmann, ggx
+from merlfit.model.ndf import beckmann, ggx
 from merlfit.model.numerics import safe_sqrt
 
 NormalsName = Literal["beckmann", "ggx", "gaussian"]

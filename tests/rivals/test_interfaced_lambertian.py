@@ -8,13 +8,13 @@ from jaxtyping import TypeCheckError
 from merlfit.model.body import plastic
 from merlfit.model.fresnel import fresnel_of_dielectric
 from merlfit.model.rivals.interfaced_lambertian import InterfacedLambertian, through
-from merlfit.model.rivals.oren_nayar import OrenNayar
 from scipy.integrate import quad
 
 from tests.oracles import microfacets
 from tests.oracles import rivals as oracle
 from tests.oracles.facets import direction
 from tests.reference import sampled_facets
+from tests.reference.cavities import Cavities, ManyFacets
 from tests.support.compiled import evaluate, from_vectors
 
 ETA, ALBEDO = np.array([1.5, 1.2, 2.0]), np.array([0.9, 0.5, 0.1])
@@ -53,7 +53,7 @@ def body(model, width, i, o, **changes):
 @every
 @pytest.mark.parametrize("width", [0.15, 0.5])
 def test_the_reference_is_the_integral(normals, masking, width):
-    model = InterfacedLambertian(normals, masking, "reference")
+    model = ManyFacets(normals, masking)
     few = list(zip(LIGHT[:4], VIEWER[:4], strict=True))
     expected = [[oracle.interfaced_lambertian(a, b, (width, width), n, k, normals, masking == "v-groove")
                  for a, b in few] for n, k in zip(ETA, ALBEDO, strict=True)]  # fmt: skip
@@ -71,9 +71,7 @@ ERRORS = {  # median and 95th percentile of the fast sum's relative error at wid
 @every
 def test_the_fast_sum_is_as_near_as_it_says(normals, masking):
     for width, (typical, most) in zip((0.2, 0.6, 1.0), ERRORS[normals], strict=True):
-        fast, slow = (
-            body(InterfacedLambertian(normals, masking, form), width, LIGHT, VIEWER) for form in ("fast", "reference")
-        )
+        fast, slow = (body(kind(normals, masking), width, LIGHT, VIEWER) for kind in (InterfacedLambertian, ManyFacets))
         away = np.abs(fast / slow - 1)
         assert np.median(away) < typical
         assert np.quantile(away, 0.95) < most
@@ -136,11 +134,11 @@ def test_the_surface_of_gaussian_normals_is_that_of_the_formula():
 
 def test_without_an_interface_it_is_oren_and_nayars_integral():
     """Their facets, masking and distribution; their interreflection, which is of second order in albedo, taken out."""
-    model = InterfacedLambertian("gaussian", "v-groove", "reference")
+    model = ManyFacets("gaussian", "v-groove")
 
     def matte(albedo):
         given = {"roughness": 0.4, "albedo": np.full(3, albedo)}
-        return np.asarray(evaluate(OrenNayar("numerical", "none"), given, from_vectors(LIGHT, VIEWER)))
+        return np.asarray(evaluate(Cavities(), given, from_vectors(LIGHT, VIEWER)))
 
     direct = 4 * matte(0.5) - matte(1.0)  # of albedo 1
     ours = body(model, 0.4, LIGHT, VIEWER, eta=np.full(3, 1.0 + 1e-9), albedo=np.ones(3))
@@ -205,7 +203,6 @@ def turned(angle):
 def test_what_has_no_meaning_is_refused():
     with pytest.raises(ValueError, match="gaussian' need masking 'v-groove"):
         InterfacedLambertian("gaussian")
-    assert "reference" in InterfacedLambertian(form="reference").objection
     with pytest.raises(ValueError, match="isotropic"):
         sampled_facets.draw_normals(jax.random.key(0), 10, (0.1, 0.2), "gaussian")
     with pytest.raises((ValueError, TypeCheckError), match="gaussian"):
@@ -268,7 +265,7 @@ def test_paths_in_cavities_are_oren_and_nayars_integral():
 @pytest.mark.parametrize("albedo", [0.0, 0.9], ids=["surface", "both"])
 def test_one_bounce_in_cavities_is_the_integral(albedo):
     """With an interface: where it mirrors, and where transmittance lets light out."""
-    light, half_angle, model = direction(0.7, 0.0), 0.15, InterfacedLambertian("beckmann", "v-groove", "reference")
+    light, half_angle, model = direction(0.7, 0.0), 0.15, ManyFacets("beckmann", "v-groove")
     found = PATHS(jax.random.key(3), light, (0.4, 0.4), 1.5, albedo, 400_000, most=3)
     rng = np.random.default_rng(0)
     cos, turn = 1 - (1 - np.cos(half_angle)) * rng.uniform(size=60), rng.uniform(0, 2 * np.pi, 60)

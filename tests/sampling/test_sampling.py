@@ -4,15 +4,22 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.model.sampling.diffracted import Diffracted
-from merlfit.model.sampling.facets import EPD, GGX, Beckmann, Facets
 from merlfit.model.sampling.hemisphere import Cosine
-from merlfit.model.sampling.mixture import Mixture
-from merlfit.model.sampling.published import hp15, hp17, interfaced_lambertian
 from merlfit.model.sampling.visible import visible
 from merlfit.model.two_scale import TwoScale
 from scipy.stats import gamma
 
+from tests.reference.samplers import (
+    EPD,
+    GGX,
+    Beckmann,
+    Diffracted,
+    Facets,
+    Mixture,
+    hp15,
+    hp17,
+    interfaced_lambertian,
+)
 from tests.support.chi_square import AZIMUTHS, densities, draws, expected, given_at, numbers, p_value
 from tests.support.compiled import evaluate, from_vectors, prepared
 

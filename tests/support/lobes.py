@@ -1,9 +1,11 @@
-"""Random lobes and the truth about them, at MERL's half angles."""
+"""Random lobes and the truth about them, at MERL's half angles; what an apparatus makes of lobes of facets."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.model import convolution
+from merlfit.model.acquisition import epd_of_rings, exponent_of_lobe
+from merlfit.model.apparatus import APPARATUS
 
 SEED = 20261121
 ANGLES = jnp.asarray(((np.arange(90) + 0.5) / 90) ** 2 * np.pi / 2)  # MERL's half angles
@@ -19,3 +21,8 @@ def draw(count, low, high, seed=SEED):
 def truth(lobes):
     """The quadrature at MERL's half angles, one row a lobe."""
     return jax.lax.map(lambda x: convolution.convolve(ANGLES, *x, 64), lobes)
+
+
+def derived_exponent(beta, p, apparatus=APPARATUS):
+    """k of the lobe D."""
+    return exponent_of_lobe(epd_of_rings(beta, p), apparatus).astype(jnp.result_type(beta))
