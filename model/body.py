@@ -106,9 +106,7 @@ def rough_lambert(g: Geometry, roughness: Scalar, albedo: Real) -> Real:
     square = roughness**2
     alpha, beta = jnp.maximum(g.theta_i, g.theta_o), jnp.minimum(g.theta_i, g.theta_o)
     sin_alpha, cos_beta = jnp.sin(alpha), jnp.maximum(g.cos_i, g.cos_o)
-    sines = sin_alpha * jnp.sin(beta)
-    cos_phi = jnp.clip(safe_divide(g.projected_dot, sines), -1.0, 1.0)
-    share = square / (square + 0.09)
+    cos_phi, share = g.cos_phi, square / (square + 0.09)
     behind = jnp.where(cos_phi < 0, (2 * beta / jnp.pi) ** 3, 0.0)
     C2 = 0.45 * share * (sin_alpha - behind)
     C3 = 0.125 * share * (4 * alpha * beta / jnp.pi**2) ** 2

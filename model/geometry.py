@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from .numerics import floats, safe_acos, safe_sqrt
+from .numerics import floats, safe_acos, safe_divide, safe_sqrt
 
 
 class Geometry(eqx.Module):
@@ -54,6 +54,12 @@ class Geometry(eqx.Module):
     def projected_dot(self) -> Array:
         """Dot product of the projections of i and o on the surface, sin_i sin_o cos(phi_o - phi_i)."""
         return jnp.cos(2 * self.theta_d) - self.cos_i * self.cos_o
+
+    @property
+    def cos_phi(self) -> Array:
+        """Cosine of the azimuth from i to o; where one of them is the normal it means nothing, and is 0."""
+        sin_i, sin_o = (safe_sqrt((1 - cos) * (1 + cos)) for cos in (self.cos_i, self.cos_o))
+        return jnp.clip(safe_divide(self.projected_dot, sin_i * sin_o), -1.0, 1.0)
 
     @property
     def theta_i(self) -> Array:

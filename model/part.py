@@ -35,6 +35,10 @@ class Part(Reflectance):
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
         return self.material.parameters
 
+    @property
+    def variant(self) -> str:  # noqa: D102
+        return self.name
+
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
         return self.material.factors()
 

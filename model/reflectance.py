@@ -66,7 +66,6 @@ class Reflectance(ABC):
 
     Attributes:
         name: in configurations and results. citation: where the model is from. bodies: what may lie under its surface.
-        words: for values of settings that do not speak for themselves.
         passed_over: names of values that are not refused, but not used either: what was fitted to a measurement may be
             evaluated without the apparatus.
     """
@@ -74,7 +73,6 @@ class Reflectance(ABC):
     name: ClassVar[str]
     citation: ClassVar[str]
     bodies: ClassVar[tuple[str, ...]] = ("lambert",)
-    words: ClassVar[Mapping[str, str]] = {}
     passed_over: ClassVar[frozenset[str]] = frozenset(
         [*(q.name for q in LOSSES.values()), *(f"{lobe}_exponent" for lobe in LOSSES)]
     )
@@ -119,8 +117,13 @@ class Reflectance(ABC):
     @property
     def variant(self) -> str:
         """Short words for tables, by which variants of a model are told apart: its settings that are not the usual."""
-        settings = [(getattr(self, field.name), field.default) for field in fields(self)]  # pyright: ignore[reportArgumentType] - models are dataclasses
-        return " ".join([self.name, *(self.words.get(x, x) for x, usual in settings if x != usual and type(x) is str)])
+        changed = [
+            (field.name, str(value))
+            for field in fields(self)  # pyright: ignore[reportArgumentType] - models are dataclasses
+            if (value := getattr(self, field.name)) != field.default
+        ]
+        words = [value if value[0].isalpha() and value != "none" else f"{name} {value}" for name, value in changed]
+        return " ".join([self.name, *words])
 
     def __str__(self) -> str:
         """Name and variant."""

@@ -1,6 +1,5 @@
 """Cook & Torrance's model with the generalised Trowbridge-Reitz distribution (Burley 2012) over a Lambert body."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -28,7 +27,6 @@ class GTR(NumericMasking):
     citation: ClassVar[str] = (
         "Burley 2012, Physically-based shading at Disney, SIGGRAPH course notes, doi:10.1145/2343483.2343493"
     )
-    words: ClassVar[Mapping[str, str]] = {"1": "gamma 1", "2": "gamma 2"}
     gamma: Literal["free", "1", "2"] = "free"
 
     @property

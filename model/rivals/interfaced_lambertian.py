@@ -168,7 +168,7 @@ def transmitted(g: Geometry, n: Real, normals: Rule, azimuths: int, grooves: boo
             else it is 1.
     """
     sin_i, sin_o = (safe_sqrt((1 - c) * (1 + c)) for c in (g.cos_i, g.cos_o))
-    cos_phi = jnp.clip(safe_divide(g.projected_dot, sin_i * sin_o), -1.0, 1.0)
+    cos_phi = g.cos_phi
     pairs = _Pairs(g.cos_i, sin_i, g.cos_o, sin_o, safe_sqrt((1 + cos_phi) / 2), safe_sqrt((1 - cos_phi) / 2))
     rings = (-1, *[1] * len(jnp.broadcast_shapes(g.cos_i.shape, n.shape)))
     tangent, share = (jnp.asarray(x, g.cos_i.dtype).reshape(rings) for x in normals)

@@ -23,7 +23,6 @@ class OrenNayar(OrenNayarQualitative):
     """
 
     name: ClassVar[str] = "oren-nayar"
-    words: ClassVar[Mapping[str, str]] = {"none": "without a surface"}
     form: Literal["functional"] = "functional"
     surface: Literal["none", "torrance-sparrow"] = "torrance-sparrow"
 

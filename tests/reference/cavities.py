@@ -47,7 +47,7 @@ def integral(g: Geometry, roughness: Scalar, albedo: Real) -> Real:
     area = jnp.exp(-((slope / roughness) ** 2) / 2) * jnp.sin(slope) * width
     area = area / jnp.sum(area) / TURNS
     sin_i, sin_o = (safe_sqrt((1 - c) * (1 + c)) for c in (g.cos_i, g.cos_o))
-    cos_phi = jnp.clip(safe_divide(g.projected_dot, sin_i * sin_o), -1.0, 1.0)
+    cos_phi = g.cos_phi
     sin_phi = safe_sqrt((1 - cos_phi) * (1 + cos_phi))
 
     def add(facet: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
