@@ -5,9 +5,8 @@ import numpy as np
 from jax import Array
 
 from . import energy
-from .measured import of_order
 from .parameters import WAVELENGTHS_UM
-from .reflectance import Reflectance, Values, Wavelengths, evaluate
+from .reflectance import Reflectance, Values, Wavelengths, evaluate, of_order
 
 ORDER, HALF_RING = 12, 6  # of the convolution; nodes of half a ring of half vectors
 EDGES = (-10.5, 0.0, float(np.log(np.tan(energy.STEEPEST))))  # log tan(theta_h): inside narrowest lobes; 45 degrees
@@ -21,7 +20,7 @@ def directional_albedo(
     """Int of the BRDF times cos_o over all viewers for light at ``theta_i`` (rad), (A,): shape (C, A).
 
     By nodes in log tan(theta_h) that any lobe within the bounds of the fit is resolved by, whatever its width.
-    Diffraction is that of `measured.of_order`.
+    Diffraction is that of `reflectance.of_order`.
 
     Accuracy, relative, up to 80 degrees: 5e-3 for 24 sets of the two-scale model drawn between the bounds
     (``tests/model/test_derived.py``); most are within 1.2e-3.

@@ -19,7 +19,6 @@ from jax import Array
 
 from . import acquisition
 from .apparatus import APPARATUS, Apparatus, GrazingLoss
-from .effects import Effects
 from .geometry import Geometry
 from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
 from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values, Wavelengths, lobes_of, setting
@@ -135,17 +134,6 @@ def profile(material: Reflectance, lobe: str, v: Values, wavelengths_um: Wavelen
     values = {q.name: still(jnp.reshape(v[q.name], -1)) if q.per_channel else v[q.name] for q in material.parameters}
     sharp = lobes_of(material, values, s).sharp[lobe]
     return jnp.broadcast_to(sharp, (len(s.wavelength_um), len(acquisition.RINGS_RAD), 1))[middle, :, 0]
-
-
-def of_order(model: Reflectance, order: int) -> Reflectance:
-    """The same with quadratures of no higher order, and without the tier that takes hours."""
-    if isinstance(model, Measured):
-        return replace(model, material=of_order(model.material, order))
-    if not isinstance(model, Effects):
-        return model
-    return model.changed(
-        diffraction="quadrature" if model.diffraction == "exact" else model.diffraction, order=min(order, model.order)
-    )
 
 
 def material_of(model: Reflectance) -> Reflectance:

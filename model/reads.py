@@ -10,9 +10,8 @@ from jax import Array
 
 from .effects import LEAST_ORDER
 from .geometry import Geometry
-from .measured import of_order
 from .parameters import WAVELENGTHS_UM, WHICH_BODY
-from .reflectance import Reflectance, Values, setting, shaped
+from .reflectance import Reflectance, Values, of_order, setting, shaped
 
 
 class _Recorder(Mapping[str, Array]):

@@ -8,7 +8,7 @@ alone is computed for every theta_h, not for every bin, and is differentiated on
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import reduce
 from operator import add
 from typing import ClassVar, NamedTuple
@@ -18,6 +18,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from .effects import Effects
 from .geometry import Geometry
 from .numerics import floats
 from .parameters import LOSSES, WAVELENGTHS_UM, WHICH_BODY, Parameter
@@ -203,6 +204,16 @@ def innermost(model: Reflectance) -> Reflectance:
     while isinstance(material := getattr(model, "material", None), Reflectance):
         model = material
     return model
+
+
+def of_order(model: Reflectance, order: int) -> Reflectance:
+    """The same with quadratures of no higher order, and without the tier that takes hours."""
+    if isinstance(material := getattr(model, "material", None), Reflectance):
+        return replace(model, material=of_order(material, order))  # pyright: ignore[reportArgumentType] - models are dataclasses
+    if not isinstance(model, Effects):
+        return model
+    tier = "quadrature" if model.diffraction == "exact" else model.diffraction
+    return model.changed(diffraction=tier, order=min(order, model.order))
 
 
 def factor_values(model: Reflectance, values: Values, s: Setting) -> dict[str, Array]:

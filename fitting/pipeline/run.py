@@ -15,7 +15,7 @@ from ...merl_io.binary import Measurement, MerlError
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
-from ...model.measured import of_order
+from ...model.reflectance import of_order
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
-from ...model.measured import of_order
+from ...model.reflectance import of_order
 from ..fit.levenberg_marquardt import Solution
 from ..fit.problem import Problem
 from ..fit.residuals import Objective
