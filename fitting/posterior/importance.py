@@ -56,13 +56,6 @@ class Posterior:
     wanted: int = 0
 
 
-def quantiles(values: np.ndarray, weights: np.ndarray, levels: tuple[float, ...] = (0.05, 0.5, 0.95)) -> np.ndarray:
-    """Weighted quantiles of values (n, ...) along the first axis, (levels, ...)."""
-    flat = values.reshape(len(values), -1)
-    found = [np.quantile(x, levels, weights=weights, method="inverted_cdf") for x in flat.T]
-    return np.array(found).T.reshape(len(levels), *values.shape[1:])
-
-
 def smoothed(log_ratio: np.ndarray) -> tuple[np.ndarray, float]:
     """Smoothed weights that sum to one, and Pareto's k."""
     if np.ptp(log_ratio) < 1e-9:  # equal weights have no tail to fit

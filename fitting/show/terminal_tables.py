@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Table
 
 from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
@@ -191,14 +191,9 @@ def print_result(console: Console, result: Result) -> None:
 
 def pictures_table(written: Mapping[Path, str]) -> Table:
     """Files of pictures in a folder, and what each shows."""
-    folder = next(iter(written)).parent
-    found = Table(
-        "wrote", Column("what it shows", max_width=48),
-        title=f"pictures in {folder}, as wide as a column of a paper (8.5 cm)",
-    )  # fmt: skip
-    for path, words in written.items():
-        found.add_row(path.name, words)
-    return found
+    title = f"pictures in {next(iter(written)).parent}, as wide as a column of a paper (8.5 cm)"
+    heads = ("wrote", "what it shows")
+    return table(title, heads, heads, ((path.name, words) for path, words in written.items()))
 
 
 def derived_table(result: Result) -> Table:
