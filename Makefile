@@ -41,9 +41,9 @@ proofs: install
 
 # A minute and a half: lint, types, and the tests that compile little.
 quick: lint types
-	$(BIN)/python -m pytest -q -n 2 -m "not slow" tests/test_architecture.py tests/test_readme.py tests/merl_io \
-		$(addprefix tests/fitting/test_,selection.py weights.py picture.py metrics.py tables.py threads.py outcome.py frontier.py \
-		residuals.py result_fields.py damaged_results.py) \
+	$(BIN)/python -m pytest -q -n 2 -m "not slow" tests/test_architecture.py tests/test_readme.py tests/merl_io tests/scene/test_spheres.py \
+		$(addprefix tests/fitting/test_,selection.py weights.py metrics.py threads.py outcome.py frontier.py residuals.py \
+		result_fields.py damaged_results.py) \
 		$(addprefix tests/model/test_,chebyshev.py geometry.py reflectance.py)
 
 # What takes minutes a test; to be run by hand before a release.

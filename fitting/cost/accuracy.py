@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -56,11 +57,11 @@ def distance(a: Model, b: Model, problem: Problem) -> float:
 def remaining(model: Model, problem: Problem) -> float:
     """Length |J dz| of the Gauss-Newton step from here, relative to the measurement; infinite where the model is."""
     layout, z = model
-    point = jnp.asarray(z)
-    normal = Objective(layout, problem).normal_equations(point)
+    normal = Objective(layout, problem).normal_equations(z)
     if not np.all(np.isfinite(normal)):
         return np.inf
-    return float(jnp.linalg.norm(compress(point, normal).value[:-1]))
+    step = jax.jit(compress)(z, normal).value  # compiled, or each of its operations is a program
+    return float(np.linalg.norm(np.asarray(step)[:-1]))
 
 
 def estimate(model: Model, problem: Problem, config: Config) -> float:

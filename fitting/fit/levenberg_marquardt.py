@@ -81,7 +81,7 @@ class Solution:
     @property
     def objective(self) -> float:
         """What is minimised: cost and prior."""
-        return self.cost * float(prior_factor(self.z)[0]) ** 2
+        return self.cost * (1 + PRIOR * float(self.z @ self.z))
 
 
 def _factor(m: Array) -> Array:
@@ -147,14 +147,16 @@ class _SolverState(eqx.Module):
 def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState], Callable[..., _SolverState]]:
     """Start and step of the solver for P parameters, compiled, of several solves at once."""
     solver = TrustRegion(rtol=rtol, atol=rtol)
-    z = jnp.zeros(size)
-    shape = jax.ShapeDtypeStruct((size + 1,), z.dtype)
 
     def affine(z: Array, near: _Affine) -> tuple[Array, None]:
         return near(z), None
 
-    near = _Affine(z, jnp.zeros(size + 1), jnp.zeros((size + 1, size)))
-    dynamic, static = eqx.partition(solver.init(affine, z, near, {}, shape, None, frozenset()), eqx.is_array)
+    def init() -> Any:  # noqa: ANN401 - the solver's own
+        z, value = jnp.zeros(size), jnp.zeros(size + 1)
+        near, shape = _Affine(z, value, jnp.zeros((size + 1, size))), jax.ShapeDtypeStruct(value.shape, value.dtype)
+        return solver.init(affine, z, near, {}, shape, None, frozenset())
+
+    dynamic, static = eqx.partition(eqx.filter_jit(init)(), eqx.is_array)  # one program for all of its arrays
 
     def start(y: Array, kept: Array) -> _SolverState:
         state = eqx.tree_at(lambda s: s.y_eval, dynamic, y)

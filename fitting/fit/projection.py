@@ -72,7 +72,7 @@ def project(
     batches = [{name: x[k : k + BATCH] for name, x in padded.items()} for k in range(0, count, BATCH)]
     tried = tuple(dict.fromkeys(of for of in map(_body_of, parted) if of is not None))
     bodies = [_bodies(tried, part) for part in problem.parts]
-    energy = sum(np.asarray(jnp.sum(part.target**2, (0, 2, 3, 4))) for part in problem.parts)
+    energy = sum(np.sum(np.asarray(part.target, float) ** 2, (0, 2, 3, 4)) for part in problem.parts)
     alone = _added([sums for _, sums in bodies])
 
     def of_batch(batch: Mapping[str, np.ndarray]) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
@@ -146,7 +146,7 @@ def _project(parted: LinearParameters, problem: Problem, sums: Sums) -> tuple[np
 
 def _columns(problem: Problem) -> np.ndarray:
     """cos(theta_d) of every column, (D,): of scattered directions, which it is alike for, the mean."""
-    cosines = np.cos(np.asarray(problem.parts[0].directions.geometry.theta_d[0, :, :, 0]))
+    cosines = np.cos(np.asarray(problem.parts[0].directions.geometry.theta_d)[0, :, :, 0])
     return cosines[0] if len(cosines) == 1 else cosines.mean(0)
 
 

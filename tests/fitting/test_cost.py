@@ -140,9 +140,8 @@ def test_errors_beyond_their_estimate_are_counted_as_other_minima():
 
 
 @pytest.mark.slow
-def test_a_file_is_measured_from_beginning_to_end(monkeypatch, tmp_path, file):
+def test_a_file_is_measured_from_beginning_to_end(monkeypatch, tmp_path, own_cache, file):
     """With two cheap points, the second as reference, all in this process."""
-    monkeypatch.setenv("MERLFIT_CACHE_DIR", str(tmp_path / "cache"))
     for module in (measure, frontier):
         monkeypatch.setattr(module, "POINTS", (POINTS[1], POINTS[3]))
     for module in (measure, calibration, accuracy):
@@ -152,7 +151,7 @@ def test_a_file_is_measured_from_beginning_to_end(monkeypatch, tmp_path, file):
     shown = runner.invoke(cli.app, ["cost", str(file), "-o", str(out)])
     assert shown.exit_code == 0, shown.output
     assert sorted(p.name for p in out.iterdir()) == ["cost.md", "cost.png", "frontier.json", "rows.json"]
-    assert not (tmp_path / "cache" / frontier.FILE).exists()  # of one file: no fit goes by it
+    assert not (own_cache / frontier.FILE).exists()  # of one file: no fit goes by it
     found = Frontier.model_validate_json((out / "frontier.json").read_bytes())
     assert found.data == "drawn-1000.binary alone, not a genuine MERL file"
     assert found.points[0].error.worst > found.points[1].error.worst
