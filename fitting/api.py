@@ -57,7 +57,8 @@ def fit(
         settings: a TOML file like configs/default.toml, or the same as a mapping.
         model: two-scale by default; of several, the one that describes the file best is taken (docs/rivals.md).
         index: auto, real (a dielectric) or complex (a conductor). body: what lies under the surface: auto, none,
-            lambert, plastic or subsurface. preset: of effects, such as default or conserving (docs/effects.md).
+            lambert, plastic or subsurface. preset: of effects: hp17, conserving, microfacet, preview or fast
+            (docs/effects.md).
         weights: compressive, log, none or adaptive (docs/fitting.md).
         posterior: whether to sample it; :meth:`Fit.sample` does so later. seed: of the sampler.
         fix: parameters by name that are not fitted, with their value, or one for each channel; variants without them

@@ -64,7 +64,10 @@ def facet_albedo(e: Effects, v: Values, s: Setting) -> Array:
 
 
 def lobe_surface(e: Effects, v: Values, s: Setting) -> Array:
-    """log (S * D) as a table over theta_h and B, up to the sharpest channel's: :func:`convolution.surface`."""
+    """Chebyshev coefficients of log (S * D) in log(1 + B^2), at places of theta_h, up to the sharpest channel's B.
+
+    :func:`convolution.surface` makes them.
+    """
     sharpest = 2 * v["b"] / jnp.min(s.wavelength_um)
     return convolution.surface(sharpest, v["c"], v["beta"], v["p"], e.order)
 

@@ -1,7 +1,7 @@
 """The chain of the posterior: emcee on the stand-in of the likelihood, led by an emulator of it.
 
 docs/statistics.md states the likelihood and what is asked of a chain before intervals are given; `importance` corrects
-it to the likelihood of all bins.
+it to the likelihood of all data.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""From the chain on a few bins to the posterior of all bins: importance weights, and what must hold to trust them.
+"""From the chain on a few of the data to the posterior of all: importance weights, and what must hold to trust them.
 
 Draws from the chain are weighed by the ratio of the two likelihoods; the largest weights are smoothed by the
 generalised Pareto distribution that they follow (PSIS, Vehtari et al. 2024, by ArviZ), whose shape k says whether the
@@ -15,28 +15,28 @@ from .chain import Chain, spread_over
 from .diagnosis import LEAST_SIZE, Diagnosis, diagnose
 
 LARGEST_K = 0.7  # of the Pareto shape: above it the weights cannot be trusted
-DRAWS, MOST_DRAWS = 600, 2400  # on all bins: to begin with, and to come to the least size
+DRAWS, MOST_DRAWS = 600, 2400  # on all data: to begin with, and to come to the least size
 AT_ONCE = 8  # draws between two words of progress
 MARGIN = 1.1  # of what is expected to be enough
 GO_ON = "continue the chain with `merlfit sample`"
 FEWER = "a longer chain does not mend it, fewer parameters may (`--body`)"
 TOO_UNEVEN = (
     "effective size of {name} in {count} weighted draws is {least:.0f}, {most} are needed: the weights are uneven, "
-    "since the chain, which uses few bins, is far from the posterior of all bins; " + FEWER
+    "since the chain, which uses few of the data, is far from the posterior of all data; " + FEWER
 )
 TOO_FAR = (
-    "the chain, which uses few bins, is too far from the posterior of all bins: Pareto k of its weights is {k:.2f}, "
-    "at most {most} is accepted; " + FEWER
+    "the chain, which uses few of the data, is too far from the posterior of all data: Pareto k of its weights "
+    "is {k:.2f}, at most {most} is accepted; " + FEWER
 )
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior of all bins, and what is known about how it was come by.
+    """The posterior of all data, and what is known about how it was come by.
 
     Attributes:
-        chain: on the few bins. draws: some of its states, (n, P); weights: theirs, smoothed, sum 1, (n,).
-        log_ratio: log L of all bins minus the chain's, (n,), and log L itself. pareto_k: shape of the largest weights.
+        chain: on few of the data. draws: some of its states, (n, P); weights: theirs, smoothed, sum 1, (n,).
+        log_ratio: log L of all data minus the chain's, (n,), and log L itself. pareto_k: shape of the largest weights.
         diagnosis: of the chain.
         effective_size: of the weighted draws, (P,). sufficient: whether intervals may be given. message: in a sentence.
         wanted: steps of the chain with which its weighted draws would be enough, where they are not and all else is; 0
@@ -88,7 +88,7 @@ def correct(
     """Weigh draws from the chain, as many as make `LEAST_SIZE` if that is possible, and assess all.
 
     Args:
-        log_few: log L of the chain at points (N, P), (N,). log_likelihood: the same on all bins.
+        log_few: log L of the chain at points (N, P), (N,). log_likelihood: the same on all data.
         names: of the coordinates.
     """
     diagnosis, size = diagnose(chain.states), chain.states.shape[-1]

@@ -107,7 +107,7 @@ def draw(
     problem, lowest = make_problem(samples, precision="float32"), solution.cost  # 1e-6 of S is 1e-6 N of log L
 
     def say_draw(done: int, most: int) -> None:
-        report(Stage(f"posterior: all bins, draw {done} of {most}", done / most))
+        report(Stage(f"posterior: all data, draw {done} of {most}", done / most))
 
     def whole(points: np.ndarray) -> np.ndarray:
         return log_likelihood(layout, points, problem, fitted.count, lowest)

@@ -25,7 +25,7 @@ class PosteriorResult(Strict):
     effective_bins: float
     """How many independent residuals those of the fit count as."""
     draws: int
-    """Draws from the chain that were weighted by the likelihood of all bins."""
+    """Draws from the chain that were weighted by the likelihood of all data."""
     pareto_k: float | None
     """Shape of the largest weights; above 0.7 they cannot be trusted."""
     coordinates: Many[str]

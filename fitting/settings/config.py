@@ -196,13 +196,34 @@ def _copied(data: Mapping[str, Any]) -> dict[str, Any]:
 def parse(data: Mapping[str, Any], where: str) -> Config:
     """Settings from plain data; raises :class:`ConfigError` naming ``where`` and the key."""
     try:
-        return _SETTINGS.validate_json(
-            json.dumps(data, default=str)
-        )  # of JSON sections are objects, and no other value
+        text = json.dumps(_plain(data, ""))  # of JSON sections are objects, and no other value
+    except RecursionError:
+        raise ConfigError(f"{where}: its lists or sections lie in each other too deeply") from None
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    try:
+        return _SETTINGS.validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{where}: {_in_words(key, first)}") from None
+
+
+def _plain(value: object, key: str) -> object:
+    """The value of a key as JSON has it: numbers and arrays of NumPy become Python's.
+
+    Raises:
+        ValueError: it is of a type that no setting has; the message names the key.
+    """
+    if isinstance(value, Mapping):
+        return {str(name): _plain(inner, f"{key}.{name}" if key else str(name)) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner, key) for inner in value]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    if isinstance(value, np.ndarray | np.generic) and not isinstance(python := value.tolist(), np.generic):
+        return _plain(python, key)
+    raise ValueError(f"{key}: should be a number, a text, true or false, a list or a section, not {value!r}")
 
 
 def _in_words(key: str, error: ErrorDetails) -> str:

@@ -187,7 +187,8 @@ class PosteriorSection:
     """[posterior]: the sampler.
 
     Attributes:
-        enabled: whether to sample at all; ``auto`` is yes for the command line, of no more than `AFFORDABLE` numbers.
+        enabled: whether to sample at all; ``auto`` is yes of no more than `AFFORDABLE` free numbers,
+            whatever the file, and no in Python.
         max_steps: at the most, after those of tuning; sampling stops when the chain is good enough.
     """
 

@@ -84,7 +84,7 @@ def figure_of(row: Row, name: str) -> float:
 def winners(rows: Sequence[Row], name: str) -> dict[str, tuple[str, float]]:
     """Of every material the model with the lowest error, and how many times the second best one has it.
 
-    Materials of which no row has this error are left out: scattered directions make no picture.
+    Materials of which no row has this error are left out: some files have too few directions for a picture.
     """
     found = {}
     for material in dict.fromkeys(row.material for row in rows):
@@ -135,7 +135,7 @@ def verdict(rows: Sequence[Row]) -> str:
         return "no model could be fitted"
     figures = zip(*((r.bic, r.errors.picture, r.errors.highlight, r.numbers) for r in fitted), strict=True)
     chosen = fitted[least(*figures)]
-    seen = np.isfinite(chosen.errors.picture)  # scattered directions make no picture
+    seen = np.isfinite(chosen.errors.picture)  # a file may have too few directions for a picture
     nearest = min(fitted, key=lambda r: r.errors.picture) if seen else chosen
     lowest = min(fitted, key=lambda r: r.bic)
 

@@ -17,7 +17,7 @@ from .materials import every as every_material
 from .processes import worker
 from .record import RECONSTRUCTIONS, Record, Target
 
-STAGES = {"posterior: tuning": "tuning", "posterior: step": "chain", "posterior: all bins": "all bins"}
+STAGES = {"posterior: tuning": "tuning", "posterior: step": "chain", "posterior: all data": "all bins"}
 TOGETHER = 10  # materials of one process
 
 

@@ -4,8 +4,10 @@ import dataclasses
 import importlib.util
 import re
 import tomllib
+from datetime import date
 from pathlib import Path
 
+import numpy as np
 import pytest
 from merlfit.fitting.commands import cli
 from merlfit.fitting.pipeline.models import candidates, layout_for, two_scale
@@ -245,3 +247,40 @@ def test_lists_in_lists_without_end_are_refused(tmp_path):
     path.write_text(f"seed = {'[' * 5000}{']' * 5000}")
     with pytest.raises(ConfigError, match=r"deep\.toml: its lists or tables lie in each other too deeply"):
         load(path)
+
+
+def test_numbers_of_numpy_are_numbers():
+    data = {
+        "fit": {"starts": np.int64(4), "theta_max": np.float32(1.25)},
+        "effects": {"renormalised": np.bool_(False)},
+        "parameters": {"eta": {"fixed": np.array([1.5, 1.6, 1.7])}, "kappa": {"fixed": (np.float64(0.0),) * 3}},
+    }
+    config = load(data)
+    assert (config.fit.starts, config.fit.theta_max, config.effects.renormalised) == (4, 1.25, False)
+    assert config.parameters["eta"].fixed == (1.5, 1.6, 1.7)
+    with pytest.raises(ConfigError, match=r"^settings: fit\.starts: should be an integer, not 4\.5$"):
+        load({"fit": {"starts": np.float64(4.5)}})
+
+
+@pytest.mark.parametrize(
+    "value", [Path("x"), date(2026, 1, 1), 1j, np.complex128(1), np.array([None, Path("x")]), np.longdouble(4), {4}]
+)
+def test_values_of_other_types_are_refused(value):
+    with pytest.raises(ConfigError, match=r"^settings: fit\.starts: should be a number, .* not "):
+        load({"fit": {"starts": value}})
+
+
+def test_a_date_is_no_setting(tmp_path):
+    path = tmp_path / "dated.toml"
+    path.write_text("[fit]\nweights = 2026-01-01\n")
+    with pytest.raises(ConfigError, match=r"dated\.toml: fit\.weights: should be a number, a text, "):
+        load(path)
+
+
+def test_mappings_without_end_and_numbers_without_end_are_refused():
+    circular = {}
+    circular["fit"] = circular
+    with pytest.raises(ConfigError, match="lie in each other too deeply"):
+        load(circular)
+    with pytest.raises(ConfigError, match=r"^settings: .*integer"):
+        load({"seed": 10**5000})
