@@ -255,7 +255,7 @@ class Fit:
         """One of the pictures that `merlfit inspect` draws, as wide as a column of a paper (8.5 cm).
 
         Args:
-            name: spheres, lobes, isolines, peak, residuals, errors, effects, corner, corner-all or trace.
+            name: samples, spheres, lobes, isolines, peak, residuals, errors, effects, corner, corner-all or trace.
             path: a PNG, PDF or SVG to write, too.
 
         Raises:

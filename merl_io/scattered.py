@@ -1,7 +1,7 @@
 """Measurements and samples in directions of no grid: each sample has a direction of light and one of viewer.
 
-Nothing is resampled. The share of the fitting measure that a sample stands for cannot be known of scattered directions;
-it is what the file says (a weight), or the same for every sample.
+Nothing that is fitted is resampled. The share of the fitting measure that a sample stands for cannot be known of
+scattered directions; it is what the file says (a weight), or the same for every sample.
 """
 
 from dataclasses import dataclass, replace

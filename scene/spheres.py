@@ -131,6 +131,19 @@ def _index(row: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray, dims: Dims) 
     return (row.astype(np.int32) * folded[0] + d) * folded[1] + p
 
 
+def shown(used: np.ndarray, possible: np.ndarray) -> float:
+    """How much of a picture the bins ``used`` make, of what all ``possible`` ones do: the less of both lightings.
+
+    Args:
+        used, possible: folded bins, (H, D, P/2).
+    """
+    dims, shares = (used.shape[0], used.shape[1], 2 * used.shape[2]), []
+    for lighting in PIXELS:
+        weight = np.asarray(compared(lighting, dims).sum(0)).ravel()
+        shares.append(float(weight @ (used & possible).ravel() / max(weight @ possible.ravel(), 1e-300)))
+    return min(shares)
+
+
 def distances(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray) -> tuple[float, float, float]:
     """How far a material's spheres are from another's, highlights brighter than white as they are.
 

@@ -108,6 +108,7 @@ def row(path, result, mitsuba):
         "status": result.fit.status, "index": settings.get("index"), "body": settings.get("body"),
         "constants": {q.name: [q.value, q.laplace and [q.laplace.q05, q.laplace.q95]] for q in optical},
         "cost": result.fit.cost, "cost_per_channel": result.fit.cost_per_channel, "smape": result.metrics.smape,
+        "lamp": result.metrics.lamp, "environment": result.metrics.environment,
         "seconds": result.seconds["total"], "cautions": list(result.fit.cautions),
     }  # fmt: skip
 
@@ -147,10 +148,14 @@ def fitted(rows):
 
 
 def fitted_table(rows):
-    head = "material | of | status | index, body | constants | cost | by channel | sMAPE | largest albedo | s"
+    head = (
+        "material | of | status | index, body | constants | cost | by channel | sMAPE | lamp, room | largest albedo | s"
+    )
     yield f"| {head} |\n|{'---|' * len(head.split(' | '))}"
     for r in fitted(rows):
-        numbers = [f"{r['cost']:.3g}", triple(r["cost_per_channel"]), f"{r['smape']:.3f}"] if r["body"] else ["-"] * 3
+        seen = "-" if r["lamp"] is None else f"{r['lamp']:.1f}, {r['environment']:.1f}"
+        numbers = [f"{r['cost']:.3g}", triple(r["cost_per_channel"]), f"{r['smape']:.3f}", seen]
+        numbers = numbers if r["body"] else ["-"] * 4
         cells = [r["material"], r["of"], r["status"], f"{r['index']} {r['body']}", constants(r), *numbers]
         yield f"| {' | '.join([*cells, brightest(r), format(r['seconds'], '.0f')])} |"
 
@@ -174,8 +179,9 @@ PAGE = """# Genuine measurements
 (Dupuy & Jakob 2018, doi:10.1145/3272127.3275059; RGB files, CC0), and sintered PTFE of NIST (Germer 2017, Applied
 Optics; 351, 532, 633 and 1064 nm; US government work). Seconds are of a machine of two cores that had other work.
 Behind a constant is its 90 % interval by the Laplace approximation, if it is at no bound and the data decide. Cost is
-relative to the weighted energy of the measurement; largest albedo is that of the fitted material at 10, 28, 45, 60 and
-75 degrees.
+relative to the weighted energy of the measurement. Lamp and room: CIELAB distance of the lit pixels of spheres, of the
+file as interpolated between its samples and of the fit, where the samples cover what a sphere shows. Largest albedo is
+that of the fitted material at 10, 28, 45, 60 and 75 degrees.
 
 {fits}
 

@@ -12,16 +12,19 @@ from ...merl_io.samples import folded
 from ...merl_io.source import is_regular
 from ...model.parameters import Parameter
 from ...scene import images
-from ...scene.colour import difference, displayed
+from ...scene.colour import coloured, difference, displayed
 from ...scene.description import Camera, Environment, Scene, SceneError, Source, Sphere
 from ...scene.effects import Given
 from ...scene.render import Film, pictures, stage
 from ...scene.surface import drawn, measurement
+from ..fit.scattered_errors import LEAST_SHOWN, shown_by
 from ..results.schema import Result
 from ..results.storage import read_result
 from ..show.inspection import file_of
 from ..show.labelled import labelled
 from ..show.style import save
+from ..show.subject import BETWEEN, on_bins
+from ..support.choices import THETA_MAX
 from ..support.compilation import use_persistent_cache
 from ..support.outputs import refuse_others
 from ..support.terminal import (
@@ -187,9 +190,13 @@ def _render_result(path: Path, target: Path, vary: Sequence[str], scene: Scene, 
     fitted = sphere_of(of_result(path.stem, result, path, as_measured=True), scene)
     say("file")
     read_again = result.source.read(file)
+    words = f"{result.source.material}, {result.data_words}"
     if not isinstance(read_again, Measurement):
-        note(f"{path}: the fit alone; {file} holds scattered directions, of which no picture is rendered")
-        images.write_png(target, fitted)
-        return
-    measured = Given(path.stem, None, {}, measured=measurement(*folded(read_again)))
-    save(beside(sphere_of(measured, scene), fitted, f"{result.source.material}, {result.data_words}"), target)
+        read_again, words = on_bins(read_again, read_again.values), words + BETWEEN
+        if (share := shown_by(folded(read_again)[1], result.theta_max or THETA_MAX)) < LEAST_SHOWN:
+            note(f"{path}: the fit alone; the samples of {file} cover {share:.0%} of what a sphere shows")
+            images.write_png(target, fitted)
+            return
+    values, valid = folded(read_again)
+    measured = Given(path.stem, None, {}, measured=measurement(coloured(values, read_again.bands), valid))
+    save(beside(sphere_of(measured, scene), fitted, words), target)

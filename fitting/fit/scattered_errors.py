@@ -1,20 +1,27 @@
 """How far a prediction is from scattered samples, and how many independent samples the difference is worth.
 
-Every mean is over samples, each with the share of the measure that it stands for. There is no grid to render a sphere
-from: the error of pictures is not a number. Negative values count as they are in RMSE and sMAPE; to the eye (cube roots
-and logarithms) they are black.
+Every mean is over samples, each with the share of the measure that it stands for. Negative values count as they are in
+RMSE and sMAPE; to the eye (cube roots and logarithms) they are black. Spheres are rendered from what lies between the
+samples (`scene.gridded`), where these cover enough of what a sphere shows.
 """
 
 import numpy as np
 
+from ...merl_io.grid import merl_grid
 from ...merl_io.scattered import ScatteredSamples
+from ...scene.colour import coloured
+from ...scene.gridded import GRID, gridded
+from ...scene.spheres import distances, shown
+from ..support.choices import THETA_MAX
 from .error_metrics import HIGHLIGHT_THETA_D, Errors, correlation_length
+from .weights import within
 
+LEAST_SHOWN = 0.7  # of what a sphere shows, the share that samples have to cover; the rest is black in both pictures
 LEAST_CELLS = 8  # of samples, to speak of how their means scatter
 
 
 def errors(samples: ScatteredSamples, predicted: np.ndarray) -> Errors:
-    """All errors of a prediction (C, S) but that of pictures; samples that were fitted.
+    """All errors of a prediction (C, S) of samples that were fitted.
 
     RMSE is weighted with cos_i, as HP17 Table 2 has it beside the measure of Eq. 56; the highlight is that of the
     brightest sample at theta_d < 60 degrees, channels summed.
@@ -23,14 +30,41 @@ def errors(samples: ScatteredSamples, predicted: np.ndarray) -> Errors:
     share = np.where(used, samples.share, 0.0)
     seen, drawn = (np.maximum(x, 0.0) * samples.cos_i for x in (m, predicted))
     total = np.abs(m) + np.abs(predicted)
+    picture, lamp, environment = pictures(samples, predicted)
     return Errors(
         rmse=np.sqrt(_mean((m - predicted) ** 2, share * samples.cos_i)),
         smape=_mean(np.abs(m - predicted) / np.where(total > 0, total, 1.0), used.astype(float)),
         cube_root=np.sqrt(_mean((np.cbrt(seen) - np.cbrt(drawn)) ** 2, share)),
         log=np.sqrt(_mean((np.log1p(seen) - np.log1p(drawn)) ** 2, share)),
         highlight=_highlight(samples, predicted),
-        picture=float("nan"),
+        picture=picture,
+        lamp=lamp,
+        environment=environment,
     )
+
+
+def pictures(samples: ScatteredSamples, predicted: np.ndarray) -> tuple[float, float, float]:
+    """CIELAB distances of spheres as in `error_metrics.Errors`, of samples and of predictions in the same directions.
+
+    Both are interpolated between the samples alike, so that a fit that is right differs by nothing. They are no numbers
+    where the samples cover less than `LEAST_SHOWN` of what a sphere shows.
+    """
+    whole = np.all(samples.weight > 0, axis=0)
+    across = np.abs(samples.cos_o - samples.cos_i)
+    around = 2 * np.sin(samples.theta_h) * np.sin(samples.theta_d)
+    phi_d = np.arccos(np.clip(across / np.maximum(around, 1e-12), 0, 1))
+    theta_h, theta_d, phi_d = (x[whole] for x in (samples.theta_h, samples.theta_d, phi_d))
+    both = np.concatenate([coloured(x[:, whole], samples.bands) for x in (samples.value, predicted)])
+    values, covered = gridded(theta_h, theta_d, phi_d, both)
+    if shown_by(covered) < LEAST_SHOWN:
+        return float("nan"), float("nan"), float("nan")
+    file, fit = np.split(np.nan_to_num(values), 2)
+    return distances(file, fit, covered)
+
+
+def shown_by(covered: np.ndarray, theta_max: float = THETA_MAX) -> float:
+    """The share of what a sphere shows below ``theta_max`` that some of the bins of `GRID` are, (H, D, P/2)."""
+    return shown(covered, within(merl_grid(GRID), theta_max)[..., : covered.shape[-1]])
 
 
 def cube_root_error(samples: ScatteredSamples, predicted: np.ndarray) -> float:

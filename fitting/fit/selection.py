@@ -42,15 +42,15 @@ def nearest(tried: Sequence[tuple[float, float]]) -> int:
     """Which fit of one model to keep, of several with other weights.
 
     The nearest picture among those that keep the highlight; where none does, or only with a picture `PATIENCE` times
-    worse than the nearest of all, the nearest of all.
+    worse than the nearest of all, the nearest of all. Where there are no pictures, the first that keeps the highlight.
 
     Args:
         tried: of each, the picture's error and the highlight, fitted over measured.
     """
-    every = range(len(tried))
-    best = min(every, key=lambda k: np.nan_to_num(tried[k][0], nan=np.inf))
-    kept = [k for k in every if not lost(tried[k][1]) and tried[k][0] <= PATIENCE * tried[best][0]]
-    return min(kept, key=lambda k: tried[k][0], default=best)
+    pictures, every = np.nan_to_num([picture for picture, _ in tried], nan=1e6), range(len(tried))
+    best = int(np.argmin(pictures))
+    kept = [k for k in every if not lost(tried[k][1]) and pictures[k] <= PATIENCE * pictures[best]]
+    return min(kept, key=lambda k: pictures[k], default=best)
 
 
 def lost(highlight: float) -> bool:

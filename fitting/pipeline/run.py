@@ -49,7 +49,7 @@ CANDIDATE_AZIMUTHS, CANDIDATE_ORDER = 2, 8
 SCATTERED, COLUMNS = {COARSE: 1536, CANDIDATES: 240}, 12
 SHARES_OF = {GRIDS["fine"]: 1, GRIDS["medium"]: 7}
 AnySamples = Samples | ScatteredSamples
-# The successive_halving on the coarse grid, steps and points: most basins tell themselves apart within ten steps.
+# Successive halving on the coarse grid, steps and points: most basins tell themselves apart within ten steps.
 FIRST_ROUND_EACH, FIRST_ROUND, SECOND_ROUND = 3, 6, 14  # the first: for each of `fit.starts`, which go two rounds
 MARGINS = 1.6, 1.3  # times the lowest after the first and after the second round: who is so much behind gives up
 APART = 0.3  # in standard deviations of the prior: points nearer to each other are on the way to the same minimum
@@ -172,7 +172,6 @@ def descend(
 UNGRIDDED = {  # what there is not without a grid, by the option that asks for it
     "--accuracy": "and what settings reach is calibrated on MERL's grid",
     "--time": "and what settings take is calibrated on MERL's grid",
-    "weights adaptive": "of which no picture is rendered to choose by",
 }
 
 
@@ -180,14 +179,13 @@ def settings_for_scattered(path: Path, config: Config, *options: str) -> Config:
     """Settings for a file of scattered directions.
 
     Args:
-        options: that were given, of `UNGRIDDED`; the weights are known from the settings.
+        options: that were given, of `UNGRIDDED`.
 
     Raises:
         merlfit.merl_io.binary.MerlError: they ask for what there is not without a grid.
     """
-    for option in (*options, f"weights {config.fit.weights}"):
-        if option in UNGRIDDED:
-            raise MerlError(f"{path}: holds scattered directions, {UNGRIDDED[option]}: leave {option} out")
+    for option in options:
+        raise MerlError(f"{path}: holds scattered directions, {UNGRIDDED[option]}: leave {option} out")
     return config.for_scattered
 
 
@@ -201,7 +199,7 @@ def thinned(samples: AnySamples, runs: tuple[Runs, Runs, Runs]) -> AnySamples:
 
 
 def make_coarse(samples: AnySamples) -> tuple[Problem, Problem]:
-    """Problems of the successive_halving and of the candidates for its starting points."""
+    """Problems of the successive halving and of the candidates for its starting points."""
     few, coarse = thinned(samples, CANDIDATES), thinned(samples, COARSE)
     return make_problem(coarse, COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS, columns=COLUMNS)
 
@@ -261,7 +259,7 @@ def fit_coarse(
     config: Config,
     first: Mapping[str, float] | None = None,
 ) -> list[Solution]:
-    """The lowest minima that a successive_halving from many starting points finds with every model, all cores at work.
+    """The lowest minima that successive halving from many starting points finds with every model, all cores at work.
 
     Args:
         data, first: where to start (`starts.starting_points`).

@@ -87,8 +87,7 @@ def few_rows(layout: Layout, samples: Samples | ScatteredSamples, z: np.ndarray,
     if isinstance(samples, ScatteredSamples):
         some = scattered.thin(samples, CONSIDERED)
         held = _held(Rows.of(layout, some, whole), z, least, np.ones(len(some.theta_h)))
-        edges = np.searchsorted(np.cumsum(held), np.arange(1, KEPT) / KEPT, side="right") + 1
-        few = scattered.keep_middles(some, np.unique([0, *edges[edges < len(held)], len(held)]))
+        few = scattered.keep_middles(some, edges_of(held, KEPT))
     else:
         columns = runs_for(samples, (1, COLUMNS, 1))[1]
         # also without leverage rows near the mirror direction are kept: a lobe narrower than the first one is invisible
@@ -99,12 +98,24 @@ def few_rows(layout: Layout, samples: Samples | ScatteredSamples, z: np.ndarray,
 
 
 def _held(every: Rows, z: np.ndarray, least: float, otherwise: np.ndarray) -> np.ndarray:
-    """What each row has to say, their sum being 1; ``otherwise``: in proportion, of one without leverage."""
+    """What each row has to say, their sum being 1; in proportion to ``otherwise`` where rows have no leverage."""
     _, jacobian = every.tangent(z)
     inverse = np.linalg.inv(jacobian.T @ jacobian + least * np.eye(len(z)))
     leverage = np.sum(jacobian @ inverse * jacobian, 1).reshape(every.part.target.shape)  # (N, C, h, D, K)
     by_row = leverage.sum((1, 3, 4)).ravel()[: len(otherwise)]  # beyond are empty ones
     return (1 - UNIFORM_SHARE) * by_row / by_row.sum() + UNIFORM_SHARE * otherwise / otherwise.sum()
+
+
+def edges_of(shares: np.ndarray, count: int) -> np.ndarray:
+    """Where runs of neighbours begin that hold about as much each, and the end: ``count`` runs, or a few more.
+
+    What holds more than a run's part is a run of its own, so that it is kept.
+    """
+    alone = np.flatnonzero(shares * count > 1)
+    held = np.cumsum(np.where(shares * count > 1, 0.0, shares))
+    rest = max(count - len(alone), 1)
+    between = np.searchsorted(held, held[-1] * np.arange(1, rest) / rest, side="right")
+    return np.unique(np.concatenate([[0], alone, alone + 1, between, [len(shares)]]))
 
 
 def runs(shares: np.ndarray, count: int) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from ..support.compilation import use_persistent_cache
 from ..support.outputs import refuse_others
 from ..support.terminal import BAD_INPUT, console, fail, note, writable_folder
 from . import style
-from .pictures import PICTURES, SCATTERED
+from .pictures import PICTURES, usual
 from .subject import Subject, subject_of
 from .terminal_tables import pictures_table, print_result
 
@@ -76,10 +76,10 @@ def show(
     writable_folder(out)
     use_persistent_cache()
     subject = subject_of(result, path, file)
-    kinds = PICTURES if subject.scattered is None else SCATTERED
-    if "measurement" in subject.lacks and subject.scattered is None:
-        note(f"the file is not shown: {subject.lacks['measurement']}; name the file with --file")
-    drawn = draw(subject, out, kind, only or [*kinds], force)
+    if "measurement" in subject.lacks:
+        mend = "; name the file with --file" if subject.scattered is None else ""
+        note(f"the file is not shown: {subject.lacks['measurement']}{mend}")
+    drawn = draw(subject, out, kind, only or usual(subject), force)
     if drawn:
         console.print(pictures_table(drawn))
     else:
@@ -94,7 +94,7 @@ def draw(subject: Subject, out: Path, kind: str, names: Sequence[str], force: bo
     refuse_others(targets.values(), force)
     for name, target in targets.items():
         try:
-            style.save(({**PICTURES, **SCATTERED})[name].draw(subject), target)
+            style.save(PICTURES[name].draw(subject), target)
         except NoPicture as error:
             missing.setdefault(str(error), []).append(name)
             continue
@@ -103,7 +103,7 @@ def draw(subject: Subject, out: Path, kind: str, names: Sequence[str], force: bo
         except Exception as error:  # of any kind, text that was edited into what is no formula say
             note(f"{target}: cannot be drawn ({type(error).__name__}: {str(error).strip()})")
             continue
-        written[target] = ({**PICTURES, **SCATTERED})[name].words
+        written[target] = PICTURES[name].words
     for why, those in missing.items():
         reason = "they need the file" if why == subject.lacks.get("measurement") else why
         note(f"not drawn: {', '.join(those)} ({reason})")

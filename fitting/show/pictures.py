@@ -23,8 +23,6 @@ class Picture:
     draw: Callable[[Subject], Figure]
 
 
-SCATTERED = {"samples": Picture("samples and fit, their ratio, and parameters over the wavelength", samples)}
-"""Of files of scattered directions; those below are of files of bins."""
 PICTURES = {
     "spheres": Picture("spheres of file and fit, and their CIELAB difference", spheres),
     "lobes": Picture("lobes in the plane of incidence, with the posterior's bands", lobes),
@@ -36,4 +34,11 @@ PICTURES = {
     "corner": Picture("corner plot of the posterior: shared parameters and one channel", corner),
     "corner-all": Picture("corner plot of all parameters, as wide as a page", corner_all),
     "trace": Picture("the walkers of the posterior's chain, step by step", trace),
+    "samples": Picture("samples and fit, their ratio, and parameters over the wavelength", samples),
 }
+OF_SCATTERED, OF_BINS = ("samples",), ("peak", "residuals", "errors")  # pictures of files of one kind
+
+
+def usual(subject: Subject) -> list[str]:
+    """Names of the pictures that suit the file."""
+    return [name for name in PICTURES if name not in (OF_BINS if subject.scattered else OF_SCATTERED)]

@@ -24,7 +24,7 @@ ROW_TICKS = (0, 1, 5, 15, 30, 60, 90)  # theta_h (deg), on the map
 @printable
 def residuals(subject: Subject) -> Figure:
     """Median of fit over file over the other angles, the middle 80 % shaded; dashed without the grazing loss."""
-    subject.file  # noqa: B018 - says so if there is none
+    subject.bins  # noqa: B018 - says so if there is none
     figure = new(2.5)
     panels = figure.subplots(1, 2, sharey=True)
     widest = max(
@@ -55,7 +55,7 @@ def residuals(subject: Subject) -> Figure:
 
 def _ratios(panels: np.ndarray, subject: Subject, loss: bool) -> float:
     """Draw what is with the loss or without it; how far the panels should reach."""
-    grid, file, widest = subject.grid, subject.file, LEAST_RATIO
+    grid, file, widest = subject.grid, subject.bins, LEAST_RATIO
     d, p = np.arange(0, len(grid.theta_d), 2), np.linspace(0, len(grid.phi_d) - 1, AZIMUTHS).astype(int)
     where = grid.theta_h[:, None, None], grid.theta_d[d][None, :, None], grid.phi_d[p][None, None, :]
     here = np.ix_(np.arange(len(grid.theta_h)), d, p)
@@ -92,7 +92,7 @@ def errors(subject: Subject) -> Figure:
 
     The first is relative and says where the fit is too bright or too dark, the second where that is to be seen.
     """
-    file, grid = subject.file, subject.grid
+    file, grid = subject.bins, subject.grid
     values, valid = folded(file)
     fit = subject.predicted
     used = valid & within(grid, subject.theta_max)[..., : valid.shape[-1]] & np.all((values > 0) & (fit > 0), 0)

@@ -174,12 +174,12 @@ def _page(job: Job) -> list[str]:
     if job.origin is not None:
         result.config["input"] = {**result.config.get("input", {}), "origin": job.origin}  # which its page then repeats
     page, lacks = _page_of(job, result), []
-    if result.source.format != "MERL":
-        lacks = ["pictures and charts: the file holds scattered directions; `merlfit inspect` draws its samples"]
-    elif result.model is not None:
+    if result.model is not None:
         subject = subject_of(result, job.path, job.file or file_of(job.path, result))
         said = {"measurement": "the file is not shown", "chain": "the posterior is not shown"}
         lacks = [f"{said[what]}: {why}" for what, why in subject.lacks.items() if what != "chain" or result.posterior]
+        if subject.scattered is not None and subject.measurement is not None:
+            lacks.append("the file is interpolated between its samples; `merlfit inspect` draws the samples themselves")
         page |= _charts(subject) | page_pictures.write(subject, job.out, job.name)
     page["lacks"] = lacks
     write_text(_html(job), _templates().get_template("material.html").render(page))
@@ -208,11 +208,10 @@ def _page_of(job: Job, result: Result) -> Page:
 def _charts(subject: Subject) -> Page:
     """Charts of a result, as specifications and as they are drawn."""
     channels = subject.model.channels
-    peak, widths, _ = curves.peak(subject)
-    specs = {
-        "lobes": charts.lobes(*curves.lobe_rows(subject), channels),
-        "peak": charts.peak(peak, channels, PEAK_DIFFERENCE_DEG),
-    }
+    specs, widths = {"lobes": charts.lobes(*curves.lobe_rows(subject), channels)}, []
+    if subject.scattered is None:
+        peak, widths, _ = curves.peak(subject)
+        specs["peak"] = charts.peak(peak, channels, PEAK_DIFFERENCE_DEG)
     return _embedded(specs) | {"widths": widths}
 
 

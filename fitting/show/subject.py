@@ -11,7 +11,9 @@ import numpy as np
 from ...merl_io.binary import DIMS, Dims, Measurement, MerlError
 from ...merl_io.grid import MerlGrid, merl_grid
 from ...merl_io.inputs import Input
-from ...merl_io.scattered import ScatteredMeasurement
+from ...merl_io.scattered import ScatteredMeasurement, half_difference, vectors_of
+from ...scene.gridded import gridded
+from ..fit.scattered_errors import LEAST_SHOWN, shown_by
 from ..pipeline.draws import Chain, NoPicture, chain_file, states
 from ..results.schema import Model, Result
 from ..support.choices import THETA_MAX
@@ -19,6 +21,7 @@ from . import prediction
 from .style import plain
 from .terminal_tables import material_words
 
+BETWEEN = "; the file as interpolated between its samples"
 COLUMN_LETTERS = 62  # of 7 points, in 8.5 cm
 
 
@@ -27,9 +30,9 @@ class Subject:
     """A fit to picture.
 
     Attributes:
-        measurement: the file, of bins; or scattered: the file, of scattered directions. chain: weighted draws from the
-            posterior (`chain_file`). walkers: their states in free coordinates, (steps, walkers, P). lacks: why one of
-            them is not there, by its name.
+        measurement: the file, of bins; of scattered directions interpolated, where they cover enough. scattered: these
+            directions. chain: weighted draws from the posterior (`chain_file`). walkers: their states in free
+            coordinates, (steps, walkers, P). lacks: why one of them is not there, by its name.
     """
 
     result: Result
@@ -52,6 +55,13 @@ class Subject:
         if self.measurement is None:
             raise NoPicture(self.lacks.get("measurement", "there is no file to compare with"))
         return self.measurement
+
+    @property
+    def bins(self) -> Measurement:
+        """The measurement, if it is one of bins and not interpolated."""
+        if self.scattered is not None:
+            raise NoPicture("the file holds scattered directions, and no bins")
+        return self.file
 
     @property
     def draws(self) -> Chain:
@@ -93,8 +103,15 @@ class Subject:
 
     @cached_property
     def predicted(self) -> np.ndarray:
-        """The fit as the apparatus would have measured it, on folded bins, (C, H, D, P/2)."""
-        return prediction.all_bins(self.fitted, self.dims)
+        """The fit as the apparatus would have measured it, on folded bins, (C, H, D, P/2).
+
+        Beside a file of scattered directions it is interpolated as the file is: from values in the file's directions.
+        """
+        if self.scattered is None or self.measurement is None:
+            return prediction.all_bins(self.fitted, self.dims)
+        return _half(
+            on_bins(self.scattered, prediction.predicted_lobe(self.fitted, *vectors_of(self.scattered))).values
+        )
 
     @cached_property
     def parts(self) -> dict[str, np.ndarray]:
@@ -110,7 +127,8 @@ class Subject:
     def heading(self) -> str:
         """Material, model and what the data are, for over a picture."""
         words = f" fit of {material_words(self.result.model.material)}" if self.result.model else ""
-        return plain(wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}"))
+        between = BETWEEN if self.scattered is not None and self.measurement is not None else ""
+        return plain(wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}{between}"))
 
     @property
     def channels(self) -> list[str]:
@@ -121,6 +139,18 @@ class Subject:
 def wrapped(*said: str) -> str:
     """Lines that are no wider than a column."""
     return "\n".join(line for text in said for line in textwrap.wrap(text, COLUMN_LETTERS))
+
+
+def on_bins(measured: ScatteredMeasurement, values: np.ndarray) -> Measurement:
+    """Values (C, N) in the directions of a file, interpolated on bins (`scene.gridded`)."""
+    whole = measured.valid.all(0)
+    angles = half_difference(*(x[whole] for x in (measured.theta_i, measured.theta_o, measured.phi)))
+    found, valid = (np.concatenate([x, x[..., ::-1]], -1) for x in gridded(*angles, values[:, whole]))
+    return Measurement(measured.path, found, valid, 0, 0, 0, measured.sha1, measured.blob_sha1, measured.bands)
+
+
+def _half(bins: np.ndarray) -> np.ndarray:
+    return bins[..., : bins.shape[-1] // 2]
 
 
 def subject_of(result: Result, path: Path, file: Path | Input) -> Subject:
@@ -135,7 +165,10 @@ def subject_of(result: Result, path: Path, file: Path | Input) -> Subject:
         if isinstance(found, Measurement):
             measurement = found
         else:
-            scattered, lacks["measurement"] = found, "it holds scattered directions"
+            scattered, measurement = found, on_bins(found, found.values)
+            if (share := shown_by(_half(measurement.valid), result.theta_max or THETA_MAX)) < LEAST_SHOWN:
+                lacks["measurement"] = f"its samples cover {share:.0%} of what a sphere shows, too little for pictures"
+                measurement = None
     except MerlError as error:
         lacks["measurement"] = str(error)
     try:

@@ -157,7 +157,8 @@ def print_result(console: Console, result: Result) -> None:
     )
     e = result.metrics
     lit = f"CIELAB distance of lit pixels {distance(e.lamp)} under a lamp, {distance(e.environment)} in a room"
-    picture = f"{lit}; of all pixels {distance(e.picture)}" if grid else "none of scattered directions"
+    uncovered = "none, the samples cover too little of what a sphere shows"
+    picture = uncovered if e.picture is None and not grid else f"{lit}; of all pixels {distance(e.picture)}"
     console.print(
         f"picture: {picture}; highlight {number(e.highlight, 3)} times the file's; "
         f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"

@@ -246,14 +246,6 @@ def test_a_folder_that_cannot_be_made_is_named(file, tmp_path):
         merlfit.fit(file, tmp_path / "taken" / "out")
 
 
-def test_a_posterior_of_scattered_directions_is_refused(tmp_path):
-    table = tmp_path / "x.csv"
-    table.write_text("theta_i_deg,theta_o_deg,phi_deg,R,G,B\n0,30,0,1,1,1\n30,30,180,1,1,1\n")
-    with pytest.raises(merlfit.MerlError, match="leave --posterior out"):
-        merlfit.fit(table, tmp_path, posterior=True)
-    assert merlfit.fit(table, settings={"posterior": {"enabled": True}}).result.fit.status == "NO_DATA"
-
-
 def test_arrays_are_a_table(tmp_path):
     """Of 29 samples, one fewer than a fit wants: the result says of what it is, whatever is in the arrays."""
     directions = {"theta_i_deg": np.full(29, 30.0), "theta_o_deg": np.linspace(0, 80, 29), "phi_deg": np.full(29, 180)}

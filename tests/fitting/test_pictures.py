@@ -14,7 +14,7 @@ from merlfit.fitting.show import corner, inspection, prediction, style
 from merlfit.fitting.show import residual_maps as residuals
 from merlfit.fitting.show.labelled import labelled
 from merlfit.fitting.show.lobes import INCIDENCES_DEG
-from merlfit.fitting.show.pictures import PICTURES
+from merlfit.fitting.show.pictures import OF_SCATTERED, PICTURES
 from merlfit.fitting.show.spheres import of_file_and_fit, of_parts
 from merlfit.fitting.show.subject import Subject
 from merlfit.merl_io.binary import DIMS, Measurement
@@ -92,7 +92,7 @@ def corners():
     return draw
 
 
-@pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.parametrize("name", [name for name in PICTURES if name not in OF_SCATTERED])
 def test_a_picture_can_be_printed(name, printed):
     """It is as wide as a column, no letter is smaller than 6 points, none is cut off, and it says what the data are.
 

@@ -15,11 +15,12 @@ from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import compressive_weight, cos_weighted_median, weighted_samples
 from merlfit.fitting.pipeline.result import unread
 from merlfit.fitting.pipeline.run import fit_file
+from merlfit.fitting.posterior.coreset import edges_of
 from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.settings.config import load
 from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import Bands
-from merlfit.merl_io.binary import MerlError, read
+from merlfit.merl_io.binary import read
 from merlfit.merl_io.scattered import ScatteredSamples
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
@@ -146,7 +147,7 @@ def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
     assert (tmp_path / "glossy_spec.ggx.samples.png").stat().st_size > 10_000
     reported = call("report", tmp_path)
     assert reported.exit_code == 0
-    assert "the file holds scattered directions; `merlfit inspect` draws" in " ".join(reported.stderr.split())
+    assert "interpolated between its samples; `merlfit inspect` draws" in " ".join(reported.stderr.split())
 
 
 def test_wavelengths_that_are_not_fitted_are_told(file):
@@ -154,6 +155,35 @@ def test_wavelengths_that_are_not_fitted_are_told(file):
     assert unread(measured) == []
     (said,) = unread(replace(measured, left_out=191))
     assert said.startswith("4 of the file's 195 wavelengths were fitted")
+
+
+def test_a_sphere_of_samples_looks_like_that_of_the_right_model(tmp_path):
+    """However coarse the table and sharp the lobe; a scan plane shows too little of a sphere."""
+    theta_i, theta_o, phi = (
+        x.ravel() for x in np.meshgrid(np.arange(0, 76, 15), np.arange(0, 80, 5), np.arange(0, 360, 15))
+    )
+    angles, sharp = np.stack([theta_i, theta_o, phi]).astype(float), {**GLOSSY, "alpha": 0.03}
+    seen = np.asarray(evaluate(GGX(), sharp, spectral.geometry(angles), FOUR.wavelengths_um))
+    spectral.write_csv(tmp_path / "all.csv", angles, seen, FOUR.names)
+    samples = weighted_samples(inputs.read(tmp_path / "all.csv"))
+    assert max(assess.pictures(samples, samples.value)) < 1e-6
+    assert min(assess.pictures(samples, 1.5 * samples.value)) > 2
+    flat = np.abs(np.sin(np.radians(phi))) < 0.1
+    spectral.write_csv(tmp_path / "plane.csv", angles[:, flat], seen[:, flat], FOUR.names)
+    plane = weighted_samples(inputs.read(tmp_path / "plane.csv"))
+    assert np.all(np.isnan(assess.pictures(plane, plane.value)))
+
+
+def test_samples_with_the_most_leverage_are_kept():
+    shares = np.random.default_rng(0).pareto(1.2, 2000)
+    shares /= shares.sum()
+    edges = edges_of(shares, 288)
+    kept = (edges[:-1] + edges[1:]) // 2
+    heavy = np.flatnonzero(shares > 1 / 288)
+    assert len(heavy) > 20
+    assert set(heavy) <= set(kept)
+    assert 250 < len(kept) < 330
+    assert np.all(np.add.reduceat(shares, edges[:-1])[np.diff(edges) > 1] < 3 / 288)
 
 
 def test_the_posterior_of_noisy_samples_holds_the_truth(tmp_path):
@@ -208,18 +238,17 @@ def test_the_commands_take_a_table(file, tmp_path):
         np.testing.assert_allclose(found, GLOSSY[name], rtol=1e-3, err_msg=name)
     assert result.source.format == "table"
     assert result.source.dims is None
-    assert result.metrics.picture is None
     assert result.metrics.highlight == pytest.approx(1, abs=1e-3)
     assert result.metrics.rmse < 1e-3
     assert "done already: 1 of 1 file, " in call(*words).stdout
     told = call("inspect", path)
     assert told.exit_code == 0, told.stderr
     assert "a table of scattered directions" in " ".join(told.stdout.split())
-    assert "picture: none of scattered directions" in told.stdout
+    assert "picture: CIELAB distance of lit pixels" in told.stdout
     assert (tmp_path / "glossy.ggx.samples.png").stat().st_size > 10_000
     assert call("table", tmp_path).exit_code == 0
     (row,) = csv.DictReader((tmp_path / "table.csv").read_text().splitlines())
-    assert row["picture"] == ""
+    assert float(row["picture"]) == pytest.approx(result.metrics.picture, rel=1e-2)
     assert float(row["F0_600nm"]) == pytest.approx(0.6, rel=1e-3)
     assert call("metrics", path, "--against", file, "-o", tmp_path / "metrics").exit_code == 0
     (_, *curve) = csv.reader((tmp_path / "metrics" / "by_incidence.csv").read_text().splitlines())
@@ -232,7 +261,6 @@ def test_the_commands_take_a_table(file, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--weights", "adaptive"), "of which no picture is rendered to choose by: leave weights adaptive out"),
         (("--accuracy", "1e-2"), "what settings reach is calibrated on MERL's grid: leave --accuracy out"),
         (("--time", "20s"), "what settings take is calibrated on MERL's grid: leave --time out"),
     ],
@@ -241,11 +269,6 @@ def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
     refused = call("fit", file, "-o", tmp_path, *words)
     assert refused.exit_code == 2
     assert said in " ".join(refused.stderr.split())
-
-
-def test_what_needs_a_grid_is_refused_from_python(file, tmp_path):
-    with pytest.raises(MerlError, match="no picture is rendered to choose by: leave weights adaptive out"):
-        fit_file(file, tmp_path, load(weights="adaptive", posterior=False))
 
 
 def test_too_few_samples_are_no_data(tmp_path):

@@ -75,6 +75,7 @@ def test_nearest_picture_that_keeps_the_highlight():
     assert nearest([(1.0, 0.1), (1.5, 0.7), (1.4, 0.4)]) == 1
     assert nearest([(1.0, 0.1), (1.2, 0.2)]) == 0, "no fit keeps it"
     assert nearest([(1.0, 0.1), (1.01 * PATIENCE, 1.0)]) == 0, "at the price of the picture"
+    assert nearest([(np.nan, 0.1), (np.nan, 0.9), (np.nan, 1.0)]) == 1, "the first, without pictures"
 
 
 @pytest.mark.parametrize(("ratio", "is_lost"), [(0.49, True), (0.51, False), (1.9, False), (2.1, True), (np.nan, True)])
