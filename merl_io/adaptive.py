@@ -28,6 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .scattered import cosine_shares
 from .warp import warped
 
 GRAZING = np.radians(
@@ -73,8 +74,7 @@ def slices(parts: Mapping[str, np.ndarray]) -> Iterator[Slice]:
             (1,): 0 if S holds f cos theta_o itself.
     """
     theta = parts["theta_i"].astype(float)
-    edges = np.concatenate([[0.0], (theta[1:] + theta[:-1]) / 2, [np.pi / 2]])
-    cosine = np.diff(np.sin(np.minimum(edges, np.pi / 2)))  # its integral
+    cosine = cosine_shares(theta)
     for azimuth, phi in enumerate(parts["phi_i"].astype(float)):
         for incidence in np.flatnonzero(theta < GRAZING):
             yield _slice(parts, azimuth, int(incidence), phi, float(theta[incidence]), float(cosine[incidence]))

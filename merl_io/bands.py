@@ -46,6 +46,10 @@ class Bands:
 
 MERL = Bands(("R", "G", "B"), (0.645, 0.526, 0.444))
 """Those of MERL's files; the wavelengths are HP17's (Section 5)."""
+XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+"""CIE XYZ of linear sRGB, whose white is D65."""
 SHOWN = 3  # names of channels that a line repeats
 
 

@@ -6,14 +6,26 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from . import binary, rgl, table
+from . import binary, fred, rgl, table, zemax
 from .binary import Dims, Measurement
 from .hints import hints
 from .scattered import ScatteredMeasurement
-from .source import MerlError
+from .source import MerlError, opened
+from .tensor import MAGIC
 
 Input = Measurement | ScatteredMeasurement
-SCATTERED = {".csv": table.read, ".npz": table.read, ".bsdf": rgl.read}
+TEXT = {*b"\t\n\r", *range(32, 127)}  # bytes
+
+
+def _bsdf(path: Path, fitted_sha1: str | None) -> ScatteredMeasurement:
+    """RGL's tensors or Zemax' text, which share the ending; what is neither is refused as no tensor file."""
+    with opened(path) as (file, _):
+        head = file.read(64)
+    text = set(head) <= TEXT and not MAGIC.startswith(head)  # the beginning of a tensor file may be all that is left
+    return (zemax if text else rgl).read(path, fitted_sha1)
+
+
+SCATTERED = {".csv": table.read, ".npz": table.read, ".bsdf": _bsdf, ".txt": fred.read}
 
 
 def is_scattered(path: str | os.PathLike[str]) -> bool:

@@ -13,6 +13,8 @@ import numpy as np
 
 from .bands import MERL, Bands, ColourSpace
 
+Format = Literal["table", "RGL", "Zemax", "FRED", "ALTA", "MBSDF"]
+"""Of files of scattered directions (docs/formats.md)."""
 LEAF = 4  # samples that need no order among themselves
 
 
@@ -27,11 +29,12 @@ class ScatteredMeasurement:
         share: of the fitting measure, in any unit, (N,).
         bands: of the values. left_out: how many wavelengths of the file are not read. notes: what was left out of it
             besides, in words.
+        stated_tis: what a file says of the total integrated scatter: incidence (rad) and share of the light, in pairs.
         sha1, blob_sha1: as of `binary.Measurement`.
     """
 
     path: Path
-    format: Literal["table", "RGL"]
+    format: Format
     theta_i: np.ndarray
     theta_o: np.ndarray
     phi: np.ndarray
@@ -42,6 +45,7 @@ class ScatteredMeasurement:
     blob_sha1: str
     left_out: int = 0
     notes: tuple[str, ...] = ()
+    stated_tis: tuple[tuple[float, float], ...] = ()
     dims: None = None
     genuine: None = None
     outliers: None = None
@@ -60,6 +64,12 @@ class ScatteredMeasurement:
     def colour_space(self) -> ColourSpace:
         """Of the channels."""
         return "linear RGB, as stored" if self.bands.names == MERL.names else "none: a channel is a wavelength"
+
+
+def cosine_shares(theta_i: np.ndarray) -> np.ndarray:
+    """Integral of the cosine over what each of rising incidences (rad), (T,), stands for: half-way to those beside."""
+    edges = np.concatenate([[0.0], (theta_i[1:] + theta_i[:-1]) / 2, [np.pi / 2]])
+    return np.diff(np.sin(np.minimum(edges, np.pi / 2)))
 
 
 def vectors_of(measurement: ScatteredMeasurement) -> tuple[np.ndarray, np.ndarray]:

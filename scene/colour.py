@@ -5,11 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..merl_io.bands import MERL, Bands
+from ..merl_io.bands import MERL, XYZ, Bands
 
-XYZ = np.array(
-    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
-)
 LUMINANCE = XYZ[1]
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 VISIBLE_NM = np.arange(360.0, 831.0)

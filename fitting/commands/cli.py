@@ -14,14 +14,14 @@ from ..support.terminal import Commands, console, fail, run, writable_folder
 # the commands import what they need: `merlfit --help` does not wait for JAX
 app = typer.Typer(
     name="merlfit", cls=Commands, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
-    help="Fit reflectance models to measured BRDFs, with error bars: MERL files, tables, RGL's files.",
+    help="Fit reflectance models to measured BRDFs, with error bars: MERL files, tables, other programs' files.",
 )  # fmt: skip
 
 # typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
 Files = Annotated[
     list[Path],
     typer.Argument(
-        help="MERL .binary files, tables (.csv, .npz: docs/tables.md), or RGL's .bsdf files (docs/rgl.md).",
+        help="MERL .binary files, tables (.csv, .npz: docs/tables.md), or other programs' files (docs/formats.md).",
         readable=False,
     ),
 ]

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from ...merl_io import inputs
 from ...merl_io.bands import Bands, ColourSpace
 from ...merl_io.columns import PLAUSIBLE_UM
+from ...merl_io.scattered import Format
 from ...model.apparatus import APPARATUS, Apparatus, GrazingLoss
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance, Values
@@ -20,9 +21,8 @@ from .strict import FileName, Many, Strict, Text, same_length
 class Source(Strict):
     """Where the data came from."""
 
-    format: Literal["MERL", "table", "RGL"]
-    """Of the file: bins as MERL has them, a table of scattered directions (docs/tables.md), or RGL's ``.bsdf``
-    (docs/rgl.md)."""
+    format: Literal["MERL"] | Format
+    """Of the file: bins as MERL has them, a table of scattered directions, or another program's (docs/formats.md)."""
     path: Text
     """File that was fitted, as it was named; relative to where the fit ran, unless it is absolute."""
     material: FileName

@@ -12,13 +12,14 @@ from pathlib import Path
 from pydantic import BaseModel, ValidationError
 
 from ...merl_io.atomic import write_text
+from ...merl_io.inputs import SCATTERED
 from ...merl_io.source import MerlError, whole
 from ..settings.config import Config
 from .schema import EDITED, SCHEMA_VERSION, Result
 
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
-MEASURED = (".binary", ".bsdf", ".csv", ".npz")  # endings of files that are fitted
+MEASURED = (".binary", *SCATTERED)  # endings of files that are fitted
 LARGEST = 2**26  # bytes of a result: one of a hundred channels has a thirtieth of that
 
 

@@ -132,16 +132,14 @@ def fitted_line(m: Model) -> str:
     return ", ".join(said)
 
 
-VALID_OF = {
-    "MERL": "bins", "table": "values of a table of scattered directions", "RGL": "the values of an RGL file",
-}  # fmt: skip
+VALID_OF = {"MERL": "bins", "table": "values of a table of scattered directions"}
 
 
 def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
     grid = s.format == "MERL"
-    what = VALID_OF[s.format]
+    what = VALID_OF.get(s.format, f"the values of an {s.format} file")
     console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of {what} valid")
     console.print(f"data: {result.data_words}")
     if result.model is None:

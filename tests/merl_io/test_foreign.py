@@ -1,0 +1,238 @@
+"""Other programs' files: the same made-up material in each of them, genuine ones, and what is refused."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from merlfit.merl_io import inputs
+from merlfit.merl_io.bands import XYZ
+from merlfit.merl_io.binary import MerlError
+from merlfit.merl_io.scattered import cosine_shares, vectors_of
+
+INCIDENCES = (10.0, 40.0)
+AZIMUTHS = np.arange(0.0, 181.0, 15.0)
+RADIALS = np.array([0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0])
+
+
+def brdf(theta_i, theta_o, phi):
+    """A made-up reciprocal one with a highlight; phi is pi on the mirror's side."""
+    across = np.sin(theta_i) + np.sin(theta_o) * np.cos(phi)
+    beside, up = np.sin(theta_o) * np.sin(phi), np.cos(theta_i) + np.cos(theta_o)
+    return 0.02 + np.exp(-((np.hypot(across, beside) / up / 0.2) ** 2)) * (1 + np.sqrt(across**2 + beside**2 + up**2))
+
+
+def specular_frame(incidence, azimuth, radial):
+    """theta_o and phi (rad) of an azimuth and a radial angle, by turning vectors one after the other."""
+    a, r, tilt = np.radians(azimuth), np.radians(radial), np.radians(incidence)
+    x, y, z = np.sin(r) * np.cos(a), np.sin(r) * np.sin(a), np.cos(r)  # z along the specular direction, x to the normal
+    back, up = np.cos(tilt) * x - np.sin(tilt) * z, np.sin(tilt) * x + np.cos(tilt) * z
+    return np.arccos(up), np.arctan2(y, back)
+
+
+def rows(factor=1.0, azimuths=AZIMUTHS):
+    """What Zemax' file holds of every incidence: values by azimuth and radial angle, 0 below the horizon."""
+    for incidence in INCIDENCES:
+        theta_o, phi = specular_frame(incidence, azimuths[:, None], RADIALS)
+        values = np.where(theta_o < np.pi / 2, factor * brdf(np.radians(incidence), theta_o, phi), 0.0)
+        yield f"TIS {factor * 0.1:g}\n" + "\n".join("\t".join(f"{x:.6e}" for x in row) for row in values)
+
+
+def zemax(path, spectra=(("Monochrome", 1.0),), azimuths=AZIMUTHS, **words):
+    """Write such a file."""
+    known = {
+        "Source": "Measured",
+        "Symmetry": "PlaneSymmetrical",
+        "SpectralContent": "Monochrome",
+        "ScatterType": "BRDF",
+    }
+    text = "# a laser (633 nm, 3 mm)\n" + "".join(f"{name}\t{x}\n" for name, x in {**known, **words}.items())
+    text += "SampleRotation 1\n0\n"
+    for name, angles in (("AngleOfIncidence", INCIDENCES), ("ScatterAzimuth", azimuths), ("ScatterRadial", RADIALS)):
+        text += f"{name}\t{len(angles)}\n" + "\t".join(f"{x:g}" for x in angles) + "\n"
+    for name, factor in spectra:
+        text += f"\n{name}\nDataBegin\n" + "\n".join(rows(factor, azimuths)) + "\nDataEnd\n"
+    path.write_text(text)
+    return path
+
+
+def fred(path, azimuth=0.0):
+    """Write FRED's file of the same material; 0 is the specular side."""
+    text = "type bsdf_data\nformat angles=deg bsdf=value scale=2\n"
+    for incidence in INCIDENCES:
+        text += f"{incidence:g}\t{azimuth:g}\n"
+        for theta_o, phi in ((0, 0), (20, 0), (20, 90), (incidence, 0), (incidence, 180), (60, 45), (80, 180)):
+            value = brdf(*np.radians([incidence, theta_o, 180.0 - phi]))
+            text += f"{theta_o:g}\t{phi + azimuth:g}\t{value / 2:.8e}\n"
+    path.write_text(text)
+    return path
+
+
+def agrees(found, rtol=1e-5):
+    """Whether all samples hold the made-up material."""
+    np.testing.assert_allclose(found.values[0], brdf(found.theta_i, found.theta_o, found.phi), rtol)
+
+
+def reflected(measured, incidence):
+    """Share of the light that one incidence reflects, by the shares of its samples (which are a grid's)."""
+    theta_i = np.unique(measured.theta_i)
+    k = int(np.argmin(np.abs(theta_i - np.radians(incidence))))
+    here = measured.theta_i == theta_i[k]
+    return measured.values[0, here] @ (measured.share * np.cos(measured.theta_o))[here] / cosine_shares(theta_i)[k]
+
+
+def refusal(path, text=None):
+    """The line that a file is refused with."""
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(MerlError) as error:
+        inputs.read(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+# --- Zemax
+
+
+def test_zemax_angles_are_about_the_specular_direction(tmp_path):
+    found = inputs.read(zemax(tmp_path / "made.bsdf"))
+    assert found.format == "Zemax"
+    assert found.bands.names == ("633nm",)
+    assert found.stated_tis == tuple((pytest.approx(np.radians(i)), 0.1) for i in INCIDENCES)
+    agrees(found)
+    mirrored = (np.abs(found.theta_o - found.theta_i) < 1e-9) & (np.abs(np.abs(found.phi) - np.pi) < 1e-9)
+    assert mirrored.sum() == len(INCIDENCES), "one sample, not one for every azimuth"
+    assert found.theta_o.max() < np.pi / 2
+    assert any("at the largest radial angles" in note for note in found.notes) is False, "all of them are below"
+    turned = brdf(found.theta_i, found.theta_o, np.pi - found.phi)
+    assert np.abs(found.values[0] / turned - 1).max() > 1, "azimuth 0 is not away from the normal"
+
+
+def test_zemax_shares_are_solid_angles(tmp_path):
+    fine = np.linspace(0, np.pi / 2, 2000)[:, None], np.linspace(0, np.pi, 500)
+    found = inputs.read(zemax(tmp_path / "made.bsdf"))
+    whole = inputs.read(zemax(tmp_path / "whole.bsdf", azimuths=np.arange(0.0, 360.0, 15.0), Symmetry="Asymmetrical"))
+    for incidence in INCIDENCES:
+        light = brdf(np.radians(incidence), *fine) * np.cos(fine[0]) * np.sin(fine[0])
+        expected = 2 * np.trapezoid(np.trapezoid(light, fine[1]), fine[0][:, 0])
+        assert reflected(found, incidence) == pytest.approx(expected, rel=0.06)
+        assert reflected(whole, incidence) == pytest.approx(reflected(found, incidence), rel=1e-9)
+
+
+def test_zemax_xyz_is_read_as_linear_srgb(tmp_path):
+    names = [f"Tristimulus{name}" for name in "XYZ"]
+    colour = np.array([0.9, 0.5, 0.1])
+    path = zemax(tmp_path / "colour.bsdf", tuple(zip(names, XYZ @ colour, strict=True)), SpectralContent="XYZ")
+    found = inputs.read(path)
+    assert found.bands.names == ("R", "G", "B")
+    expected = np.outer(colour, brdf(found.theta_i, found.theta_o, found.phi))
+    np.testing.assert_allclose(found.values, expected, 1e-4)
+    assert found.stated_tis[0][1] == pytest.approx(0.1 * XYZ[1] @ colour, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("ScatterType\tBRDF", "ScatterType\tBTDF", "line 5: ScatterType is 'BTDF': light that passes through"),
+        ("PlaneSymmetrical", "ASymmetrical4D", "line 3: Symmetry is 'ASymmetrical4D': an anisotropic material"),
+        ("Monochrome", "Spectral", "SpectralContent is 'Spectral': known: Monochrome, XYZ"),
+        ("SampleRotation 1\n0", "SampleRotation 2\n0 90", "is anisotropic: it has 2 angles of SampleRotation"),
+        ("Symmetry\tPlaneSymmetrical\n", "", "has no Symmetry before its data"),
+        ("0\t15\t30", "0\t15\t15", "the angles of ScatterAzimuth do not rise from 0 or more to 360"),
+        ("0\t15\t30", "0\t15\tx", "is not a row of numbers"),
+        ("TIS 0.1", "TIS 0.1 nobody", "stands where TIS or DataEnd should"),
+        ("DataEnd", "", "is cut off: it has no DataEnd after Monochrome"),
+        ("AngleOfIncidence\t2\n10\t40", "AngleOfIncidence\t3\n10\t40\t60", "has 2 blocks, and there are 3 angles"),
+        ("AngleOfIncidence\t2\n10\t40", "AngleOfIncidence\t1\n10\t40", "is followed by 2 numbers, not 1"),
+        ("DataBegin", "", "has no DataBegin after Monochrome"),
+        ("Source\tMeasured", "Colour\tRed", "line 2: 'Colour\\tRed' begins no part of a Zemax .bsdf file"),
+    ],
+)
+def test_a_zemax_file_that_is_not_read_is_refused(old, new, words, tmp_path):
+    text = zemax(tmp_path / "made.bsdf").read_text()
+    assert old in text
+    assert words in refusal(tmp_path / "bad.bsdf", text.replace(old, new, 1 if old != "DataEnd" else -1))
+
+
+# --- FRED
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 90.0])
+def test_fred_has_the_specular_side_at_the_azimuth_of_the_incidence(azimuth, tmp_path):
+    found = inputs.read(fred(tmp_path / "made_1064nm.txt", azimuth))
+    assert (found.format, found.bands.names, found.notes) == ("FRED", ("1064nm",), ())
+    agrees(found)
+
+
+def test_a_wavelength_that_nobody_states_is_told(tmp_path):
+    (note,) = inputs.read(fred(tmp_path / "made.txt")).notes
+    assert "states no wavelength: 550 nm is taken" in note
+    assert "made_633nm.txt" in note
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("type bsdf_data", "theta_i_deg,theta_o_deg", "rename it .csv"),
+        ("angles=deg", "angles=dircos", "is not read, only 'format angles=deg bsdf=value scale=NUMBER'"),
+        ("scale=2", "scale=0", "is not read, only"),
+        ("40\t0\n", "40\t30\n", "is anisotropic: its incidences have several azimuths"),
+        ("20\t90\t", "20\t90\t0\t", "line 6 has 4 numbers"),
+        ("20\t90\t", "120\t90\t", "line 6: its angle of scatter, 120, is no angle of reflected light"),
+        ("20\t90\t", "20\tx\t", "line 6: '20"),
+    ],
+)
+def test_a_fred_file_that_is_not_read_is_refused(old, new, words, tmp_path):
+    text = fred(tmp_path / "made.txt").read_text()
+    assert old in text
+    assert words in refusal(tmp_path / "bad.txt", text.replace(old, new, 1))
+
+
+def test_a_fred_file_without_samples_is_refused(tmp_path):
+    assert "has no samples" in refusal(tmp_path / "bad.txt", "type bsdf_data\nformat angles=deg bsdf=value scale=1\n")
+
+
+# --- genuine measurements
+
+
+@pytest.fixture(scope="module")
+def genuine():
+    """The path of a genuine file by its name."""
+    folder = Path(__file__).parents[2] / ".." / "shared" / "data" / "measured"
+    if not folder.is_dir():
+        (pytest.fail if os.environ.get("CI") else pytest.skip)("needs ../shared/data/measured")
+    return lambda name: folder / name
+
+
+@pytest.mark.parametrize("name", ["AnoBlackEC1onAlum", "AnoBlackNiTEonSteel"])
+def test_zemax_and_fred_hold_one_measurement(name, genuine):
+    """The Zemax file was interpolated to its angles by those who measured, differently above either side of the plane.
+
+    So the two agree where they have directions in common: in the plane of incidence, more than 20 degrees from the
+    highlight, within 3 %; turned around, they do not.
+    """
+    zemax, fred = inputs.read(genuine(f"ua/{name}.bsdf")), inputs.read(genuine(f"ua/{name}.txt"))
+    assert zemax.bands.names == ("650nm",)
+    away, turned = [], []
+    for incidence in np.radians([10, 30, 50, 70]):
+        ours, theirs = (np.abs(m.theta_i - incidence) < 1e-6 for m in (zemax, fred))
+        one, other = vectors_of(zemax)[1][ours], vectors_of(fred)[1][theirs]
+        for there, ratios in ((other, away), (other * [-1, 1, 1], turned)):
+            cosine = one @ there.T
+            common = cosine.max(1) > 1 - 1e-9
+            ratio = zemax.values[0, ours] / fred.values[0, theirs][cosine.argmax(1)]
+            specular = np.abs(np.arccos(one @ [-np.sin(incidence), 0, np.cos(incidence)])) < np.radians(20)
+            ratios.append(ratio[common & ~specular])
+    away, turned = np.concatenate(away), np.concatenate(turned)
+    assert len(away) > 30
+    assert np.median(np.abs(away - 1)) < 0.03
+    assert np.median(np.abs(turned - 1)) > 0.3
+
+
+def test_what_a_zemax_file_reflects_is_not_what_it_states(genuine):
+    """Its TIS are kept as they are stated; its own numbers reflect up to 1.3 times as much, or 0.76."""
+    found = inputs.read(genuine("ua/AnoBlackEC1onAlum.bsdf"))
+    assert [round(tis, 6) for _, tis in found.stated_tis] == [0.038655, 0.039136, 0.047596, 0.106539]
+    ours = [reflected(found, incidence) for incidence in (10, 30, 50, 70)]
+    np.testing.assert_allclose(ours, [0.0504, 0.0490, 0.0494, 0.0780], rtol=0.04)  # by the trapezoidal rule
