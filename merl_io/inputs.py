@@ -6,7 +6,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from . import binary, fred, rgl, table, zemax
+from . import alta, binary, fred, rgl, table, zemax
 from .binary import Dims, Measurement
 from .hints import hints
 from .scattered import ScatteredMeasurement
@@ -25,7 +25,14 @@ def _bsdf(path: Path, fitted_sha1: str | None) -> ScatteredMeasurement:
     return (zemax if text else rgl).read(path, fitted_sha1)
 
 
-SCATTERED = {".csv": table.read, ".npz": table.read, ".bsdf": _bsdf, ".txt": fred.read}
+SCATTERED = {
+    ".csv": table.read,
+    ".npz": table.read,
+    ".bsdf": _bsdf,
+    ".txt": fred.read,
+    ".dat": alta.read,
+    ".alta": alta.read,
+}
 
 
 def is_scattered(path: str | os.PathLike[str]) -> bool:

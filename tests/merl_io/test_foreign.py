@@ -8,7 +8,7 @@ import pytest
 from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import XYZ
 from merlfit.merl_io.binary import MerlError
-from merlfit.merl_io.scattered import cosine_shares, vectors_of
+from merlfit.merl_io.scattered import cosine_shares, half_difference, vectors_of
 
 INCIDENCES = (10.0, 40.0)
 AZIMUTHS = np.arange(0.0, 181.0, 15.0)
@@ -66,6 +66,25 @@ def fred(path, azimuth=0.0):
             text += f"{theta_o:g}\t{phi + azimuth:g}\t{value / 2:.8e}\n"
     path.write_text(text)
     return path
+
+
+def alta(path, coordinates, *header):
+    """Write ALTA's file of the same material.
+
+    Args:
+        coordinates: of theta_i, theta_o and phi (rad). header: more lines.
+    """
+    theta_i, theta_o, phi = PAIRS
+    columns = np.array(coordinates(theta_i, theta_o, phi))
+    values = brdf(theta_i, theta_o, phi)
+    text = "\n".join(["#SAMPLE made up", f"#DIM {len(columns)} 1", *header, ""])
+    text += "\n".join(" ".join(f"{x:.12e}" for x in row) for row in np.vstack([columns, values]).T)
+    path.write_text(text)
+    return path
+
+
+PAIRS = np.array([[0.2, 0.2, np.pi], [0.5, 0.4, 2.0], [0.9, 0.1, 1.0], [0.3, 0.8, 0.0], [0.7, 0.7, 0.1]]).T
+ISOTROPIC = "#PARAM_IN ISOTROPIC_TL_TV_PROJ_DPHI", "#PARAM_OUT INV_STERADIAN"
 
 
 def agrees(found, rtol=1e-5):
@@ -193,6 +212,70 @@ def test_a_fred_file_without_samples_is_refused(tmp_path):
     assert "has no samples" in refusal(tmp_path / "bad.txt", "type bsdf_data\nformat angles=deg bsdf=value scale=1\n")
 
 
+# --- ALTA
+
+
+def unit(theta, phi):
+    return np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+
+
+PARAMETRIZATIONS = {
+    "ISOTROPIC_TL_TV_PROJ_DPHI": lambda i, o, phi: (i, o * np.cos(phi), o * np.sin(phi)),
+    "ISOTROPIC_TV_TL_DPHI": lambda i, o, phi: (o, i, -phi),
+    "SPHERICAL_TL_PL_TV_PV": lambda i, o, phi: (i, 0.3 + 0 * i, o, 0.3 + phi),
+    "RUSIN_TH_TD_PD": half_difference,
+    "RUSIN_TH_PH_TD_PD": lambda i, o, phi: np.insert(half_difference(i, o, phi), 1, 0.3, 0),
+    "CARTESIAN": lambda i, o, phi: (*unit(o, 0.3 + phi), *unit(i, 0.3)),
+}
+
+
+@pytest.mark.parametrize("name", PARAMETRIZATIONS)
+def test_alta_parametrizations(name, tmp_path):
+    path = alta(tmp_path / "made_633nm.alta", PARAMETRIZATIONS[name], f"#PARAM_IN {name}", "#PARAM_OUT INV_STERADIAN")
+    found = inputs.read(path)
+    assert (found.format, found.bands.names, found.notes) == ("ALTA", ("633nm",), ())
+    agrees(found)
+    whole = [np.stack(half_difference(*x)) for x in (PAIRS, (found.theta_i, found.theta_o, found.phi))]
+    np.testing.assert_allclose(*whole, atol=1e-6)
+
+
+def test_alta_values_times_the_cosine_are_divided_by_it(tmp_path):
+    path = alta(tmp_path / "made.dat", PARAMETRIZATIONS["CARTESIAN"], "#PARAM_IN CARTESIAN")
+    plain = inputs.read(path)
+    assert any("does not say what its values are" in note for note in plain.notes)
+    path.write_text("#PARAM_OUT INV_STERADIAN_COSINE_FACTOR\n" + path.read_text())
+    found = inputs.read(path)
+    np.testing.assert_allclose(found.values * np.cos(found.theta_o), plain.values)
+
+
+def test_alta_intervals_and_colours(tmp_path):
+    rows = "#PARAM_OUT RGB_COLOR\n#PARAM_IN RUSIN_TH_TD_PD\n#DIM 3 3\n#VS 2 0 1\n0.1 0.2 0.3 1 2 3 9 9 9\n"
+    (tmp_path / "made.dat").write_text(rows)
+    found = inputs.read(tmp_path / "made.dat")
+    assert found.bands.names == ("R", "G", "B")
+    np.testing.assert_array_equal(found.values[:, 0], [1, 2, 3])
+    assert found.notes == ("the intervals of its values are not read",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("#DIM 3 1\n", "", "is no ALTA file: it has no line #DIM"),
+        ("TL_TV_PROJ_DPHI", "TV_TL", "#PARAM_IN ISOTROPIC_TV_TL is not read, only ISOTROPIC_TL_TV_PROJ_DPHI, "),
+        ("INV_STERADIAN", "ENERGY", "#PARAM_OUT ENERGY is not read, only INV_STERADIAN, "),
+        ("#DIM 3 1", "#DIM 4 1", "#DIM 4 1 does not fit ISOTROPIC_TL_TV_PROJ_DPHI"),
+        ("#DIM 3 1", "#DIM 3 1\n#VS 3", "#VS 3 is not read"),
+        ("#DIM 3 1", "#DIM 3 1\n#FORMAT binary", "#FORMAT binary is not read"),
+        ("2.000000000000e-01", "2.0 0", "line 5 has 5 numbers, and by the header there are 4"),
+        ("2.000000000000e-01", "nan", "line 5: its directions are no unit vectors"),
+    ],
+)
+def test_an_alta_file_that_is_not_read_is_refused(old, new, words, tmp_path):
+    text = alta(tmp_path / "made.dat", PARAMETRIZATIONS["ISOTROPIC_TL_TV_PROJ_DPHI"], *ISOTROPIC).read_text()
+    assert old in text
+    assert words in refusal(tmp_path / "bad.dat", text.replace(old, new, 1))
+
+
 # --- genuine measurements
 
 
@@ -236,3 +319,19 @@ def test_what_a_zemax_file_reflects_is_not_what_it_states(genuine):
     assert [round(tis, 6) for _, tis in found.stated_tis] == [0.038655, 0.039136, 0.047596, 0.106539]
     ours = [reflected(found, incidence) for incidence in (10, 30, 50, 70)]
     np.testing.assert_allclose(ours, [0.0504, 0.0490, 0.0494, 0.0780], rtol=0.04)  # by the trapezoidal rule
+
+
+def test_a_genuine_alta_file_tells_its_cosine_and_its_side(genuine, tmp_path):
+    path = genuine("retro/retro-gray-tape.dat")
+    found = inputs.read(path)
+    assert len(found.phi) == 7405 - 86, "without the horizon"
+    assert np.degrees(np.unique(found.theta_i)) == pytest.approx([15, 30, 60])
+    k = int(np.argmax(found.values[0]))
+    assert np.abs(found.phi[k]) < 1e-6, "a retro-reflector"
+    assert found.theta_o[k] == pytest.approx(found.theta_i[k])
+    assert any("look like a BRDF times cos theta_o" in line for line in inputs.remarks(found))
+    divided = tmp_path / "tape_633nm.dat"
+    divided.write_text("#PARAM_OUT INV_STERADIAN_COSINE_FACTOR\n" + path.read_text())
+    again = inputs.read(divided)
+    assert again.bands.names == ("633nm",)
+    assert not any("cos theta_o" in line for line in inputs.remarks(again))
