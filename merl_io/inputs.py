@@ -6,7 +6,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from . import alta, binary, fred, rgl, table, zemax
+from . import alta, binary, fred, mbsdf, rgl, table, zemax
 from .binary import Dims, Measurement
 from .hints import hints
 from .scattered import ScatteredMeasurement
@@ -32,6 +32,7 @@ SCATTERED = {
     ".txt": fred.read,
     ".dat": alta.read,
     ".alta": alta.read,
+    ".mbsdf": mbsdf.read,
 }
 
 

@@ -276,6 +276,63 @@ def test_an_alta_file_that_is_not_read_is_refused(old, new, words, tmp_path):
     assert words in refusal(tmp_path / "bad.dat", text.replace(old, new, 1))
 
 
+# --- NVIDIA
+
+
+def mbsdf(path, *parts, remarks=""):
+    """Write a file of parts: the line that names one, and values (T, T, P, C)."""
+    with path.open("wb") as file:
+        file.write(f"NVIDIA ARC MBSDF V1\n{remarks}".encode())
+        for name, values in parts:
+            thetas, _, phis, channels = values.shape
+            file.write(f"{name}=\n".encode() + np.array([channels == 3, thetas, phis], "<u4").tobytes())
+            file.write(values.astype("<f4").tobytes())
+    return path
+
+
+def cells(thetas, phis):
+    """The made-up material in the middles of cells, (T, T, P, 1)."""
+    theta = (np.arange(thetas) + 0.5) * np.pi / 2 / thetas
+    return brdf(theta[:, None, None], theta[:, None], (np.arange(phis) + 0.5) * np.pi / phis)[..., None]
+
+
+def test_mbsdf_values_lie_in_the_middles_of_cells(tmp_path):
+    values = cells(30, 36)
+    found = inputs.read(mbsdf(tmp_path / "made.mbsdf", ("MBSDF_DATA", values), remarks='LASER="1064 nm"\n'))
+    assert (found.format, found.bands.names, found.notes) == ("MBSDF", ("1064nm",), ())
+    agrees(found, 1e-4)
+    assert found.share.sum() == pytest.approx(2 * np.pi), "a hemisphere, times the integral of the cosine"
+    matte = inputs.read(mbsdf(tmp_path / "matte_500nm.mbsdf", ("MBSDF_DATA", np.full((9, 9, 9, 1), 1 / np.pi))))
+    assert reflected(matte, 85) == pytest.approx(1, rel=0.01)
+
+
+def test_mbsdf_colours_order_and_copies(tmp_path):
+    values = np.arange(5 * 5 * 4 * 3.0).reshape(5, 5, 4, 3) - 3
+    values[3:], values[:, 4] = values[2], values[:, 3]
+    reflection, other = ("MBSDF_DATA_REFLECTION", values), ("MBSDF_DATA_TRANSMISSION", values)
+    found = inputs.read(mbsdf(tmp_path / "made.mbsdf", reflection, other))
+    assert found.bands.names == ("R", "G", "B")
+    np.testing.assert_array_equal(found.values.T.reshape(3, 4, 4, 3), values[:3, :4])
+    assert found.values.min() == -3, "a negative value is a datum"
+    assert [round(float(np.degrees(x.max()))) for x in (found.theta_i, found.theta_o)] == [45, 63]
+    assert [note.split(" it ")[0] for note in found.notes] == [
+        "from theta_i 54 degrees on", "from theta_o 72 degrees on", "its transmission is not read"
+    ]  # fmt: skip
+
+
+def test_an_mbsdf_file_that_is_not_read_is_refused(tmp_path):
+    path, values = tmp_path / "bad.mbsdf", np.ones((2, 2, 2, 1))
+    assert "is no MBSDF file: its first line is not" in refusal(path, "NVIDIA\n")
+    assert "has no MBSDF_DATA" in refusal(mbsdf(path))
+    assert "holds transmission alone" in refusal(mbsdf(path, ("MBSDF_DATA_TRANSMISSION", values)))
+    whole = mbsdf(path, ("MBSDF_DATA", values)).read_bytes()
+    for length, words in ((-1, "is cut off: it has"), (-40, "is cut off in its header")):
+        path.write_bytes(whole[:length])
+        assert words in refusal(path)
+    path.write_bytes(whole.replace(b"=\n\0", b"=\n\2"))
+    assert "has values of type 2 (0 or 1)" in refusal(path)
+
+
 # --- genuine measurements
 
 
@@ -335,3 +392,12 @@ def test_a_genuine_alta_file_tells_its_cosine_and_its_side(genuine, tmp_path):
     again = inputs.read(divided)
     assert again.bands.names == ("633nm",)
     assert not any("cos theta_o" in line for line in inputs.remarks(again))
+
+
+def test_a_genuine_mbsdf_file_has_its_highlight_on_the_mirrors_side(genuine):
+    found = inputs.read(genuine("nvidia/carpaint_red.mbsdf"))
+    assert found.bands.names == ("R", "G", "B")
+    assert len(found.phi) == 34 * 41 * 90, "without the copies at grazing angles"
+    assert (found.values < 0).any()
+    k = int(np.argmax(found.values[0]))
+    assert np.degrees([found.theta_i[k], found.theta_o[k], found.phi[k]]) == pytest.approx([61, 59, 179])
