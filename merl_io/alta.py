@@ -45,6 +45,8 @@ DIRECTIONS: dict[str, tuple[int, Callable[..., Vectors]]] = {
 }
 """By the name of a parametrization (``PARAM_IN``): how many coordinates it has, and light and viewer of these."""
 OUTPUTS = ("INV_STERADIAN", "INV_STERADIAN_COSINE_FACTOR", "RGB_COLOR")  # PARAM_OUT
+LARGE = 100.0  # rad: no angle that anybody measures
+ROUNDED = 1e-3  # of the length of a unit vector
 CONFIDENCE = {"0": 0, "1": 1, "2": 2}  # columns of a value's interval behind the values (VS)
 
 
@@ -73,8 +75,17 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     if not rows:
         raise MerlError(f"{path}: has no samples: lines of {width} numbers")
     table = np.array(rows).T
-    light, viewer = DIRECTIONS[header["PARAM_IN"]][1](*table[:coordinates])
-    theta_i, theta_o, phi = _angles(path, places, light, viewer)
+    usual = np.where(np.abs(table[:coordinates]) < LARGE, table[:coordinates], LARGE)  # the others are refused
+    light, viewer = DIRECTIONS[header["PARAM_IN"]][1](*usual)
+    wrong = (usual == LARGE).any(0)
+    for x in (light, viewer):
+        wrong |= np.abs(np.linalg.norm(x, axis=1) - 1) > ROUNDED
+    if wrong.any():
+        raise MerlError(
+            f"{path}: line {places[int(np.argmax(wrong))]}: its coordinates are no angles (rad) or unit vectors"
+        )
+    theta_i, theta_o = (np.arctan2(np.hypot(x[:, 0], x[:, 1]), x[:, 2]) for x in (light, viewer))
+    azimuth_i, azimuth_o = (np.arctan2(x[:, 1], x[:, 0]) for x in (light, viewer))
     values, output = table[coordinates : coordinates + channels], header.get("PARAM_OUT")
     if output == "INV_STERADIAN_COSINE_FACTOR":
         with np.errstate(divide="ignore", invalid="ignore"):  # at the horizon, where samples are left out
@@ -88,7 +99,17 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     if extra:
         notes = (*notes, "the intervals of its values are not read")
     measured = ScatteredMeasurement(
-        path, "ALTA", theta_i, theta_o, phi, values, np.ones(len(phi)), bands, sha1, blob, notes=notes
+        path,
+        "ALTA",
+        theta_i,
+        theta_o,
+        azimuth_o - azimuth_i,
+        values,
+        np.ones(len(theta_i)),
+        bands,
+        sha1,
+        blob,
+        notes=notes,
     )
     return usable(measured, lambda k: f"line {places[k]}")
 
@@ -118,19 +139,3 @@ def _sizes(path: Path, header: dict[str, str]) -> tuple[int, int, int]:
         raise MerlError(f"{path}: #VS {header['VS']} is not read, only 0, 1 or 2 for each value")
     columns = [CONFIDENCE[each] for each in intervals]
     return coordinates, channels, sum(columns) if len(columns) == channels else columns[0] * channels
-
-
-def _angles(
-    path: Path, places: list[int], light: np.ndarray, viewer: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """theta_i, theta_o and phi (rad) of unit vectors.
-
-    Raises:
-        MerlError: a vector's length is not 1.
-    """
-    for x in (light, viewer):
-        if (bad := np.flatnonzero(~(np.abs(np.linalg.norm(x, axis=1) - 1) < 1e-3))).size:
-            raise MerlError(f"{path}: line {places[int(bad[0])]}: its directions are no unit vectors of finite numbers")
-    theta_i, theta_o = (np.arctan2(np.hypot(x[:, 0], x[:, 1]), x[:, 2]) for x in (light, viewer))
-    azimuth_i, azimuth_o = (np.arctan2(x[:, 1], x[:, 0]) for x in (light, viewer))
-    return theta_i, theta_o, azimuth_o - azimuth_i

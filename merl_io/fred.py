@@ -50,9 +50,11 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
         raise MerlError(f"{path}: is anisotropic: its incidences have several azimuths; keep the lines of one")
     _check(path, places, theta_i, theta_o, phi_o)
     bands, notes = stated_band(path, "")
+    with np.errstate(over="ignore"):  # no datum then
+        value = scale * value
     phi = np.radians(180 - (phi_o - phi_i)) + np.pi * (theta_o < 0)
     measured = ScatteredMeasurement(
-        path, "FRED", np.radians(theta_i), np.radians(np.abs(theta_o)), phi, scale * value[None], np.ones(len(value)),
+        path, "FRED", np.radians(theta_i), np.radians(np.abs(theta_o)), phi, value[None], np.ones(len(value)),
         bands, sha1, blob, notes=notes,
     )  # fmt: skip
     return usable(measured, lambda k: f"line {places[k]}")

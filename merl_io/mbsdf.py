@@ -60,7 +60,8 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
             notes = (*notes, f"from {name} {degrees:g} degrees on it repeats what is before, and is left out there")
     if data.startswith(TRANSMISSION[1:], end):
         notes = (*notes, "its transmission is not read")
-    values = stored[measured].reshape(-1, channels).T.astype(float)
+    with np.errstate(invalid="ignore"):  # some NaNs are signals
+        values = stored[measured].reshape(-1, channels).T.astype(float)
     return usable(
         ScatteredMeasurement(
             path, "MBSDF", theta_i, theta_o, phi, values, share[measured].ravel(), bands, sha1, blob, notes=notes

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .bands import MERL, XYZ
+from .binary import BRIGHTEST
 from .foreign import lines_of, numbers_of, stated_band, usable
 from .scattered import ScatteredMeasurement, cosine_shares
 from .source import MerlError, contents
@@ -58,6 +59,7 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     if len(names) == 1:
         bands, notes = stated_band(path, scatter.remarks)
     else:
+        values = np.where(np.abs(values) < BRIGHTEST, values, np.nan)
         values, bands = np.tensordot(np.linalg.inv(XYZ), values, 1), MERL
         notes = ("its X, Y and Z are read as linear sRGB, as if D65 were white",)
     padded = np.logical_and.accumulate((values == 0).all(0)[..., ::-1], axis=-1)[..., ::-1]

@@ -267,7 +267,7 @@ def test_alta_intervals_and_colours(tmp_path):
         ("#DIM 3 1", "#DIM 3 1\n#VS 3", "#VS 3 is not read"),
         ("#DIM 3 1", "#DIM 3 1\n#FORMAT binary", "#FORMAT binary is not read"),
         ("2.000000000000e-01", "2.0 0", "line 5 has 5 numbers, and by the header there are 4"),
-        ("2.000000000000e-01", "nan", "line 5: its directions are no unit vectors"),
+        ("2.000000000000e-01", "nan", "line 5: its coordinates are no angles (rad) or unit vectors"),
     ],
 )
 def test_an_alta_file_that_is_not_read_is_refused(old, new, words, tmp_path):
