@@ -43,6 +43,7 @@ def fit(
     tie: Iterable[str] = (),
     dims: str | None = None,
     origin: str | None = None,
+    quantity: str | None = None,
     name: str = "table",
     report: Report = silent,
 ) -> Fit:
@@ -66,6 +67,7 @@ def fit(
             None for its own. start: values where the first fit starts. tie: parameters with one value for all channels.
             ``settings`` know priors of single parameters as well (docs/fitting.md).
         dims: allow other sizes of a MERL file's grid. origin: what data these are, in words that outputs repeat.
+            quantity: what the values of a table are: brdf, brdf_cos or reflectance_factor (docs/howto/fit.md).
             All of these replace what ``settings`` say, and are the options of `merlfit fit`.
         name: of the material, of arrays; a file's is that of the file.
         report: called with a few words on what is being done, ``print`` for instance.
@@ -77,14 +79,18 @@ def fit(
         RuntimeError: the sampler failed; the message names the file that holds the fit.
     """
     config = settings_of(
-        settings, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
-        posterior=posterior, seed=seed, parameters=parameters_of(fix, bounds, start, tie),
+        settings, dims=dims, origin=origin, quantity=quantity, model=model, preset=preset, index=index,
+        body=body, weights=weights, posterior=posterior, seed=seed, parameters=parameters_of(fix, bounds, start, tie),
     )  # fmt: skip
     if config.posterior.enabled == "auto":
         config = replace(config, posterior=replace(config.posterior, enabled=False))
     use_cache()
     path = Path(file).absolute() if isinstance(file, str | os.PathLike) else file
-    measurement = inputs.read(path, dims=config.input.allowed, name=name) if isinstance(path, Path | Mapping) else path
+    measurement = (
+        inputs.read(path, dims=config.input.allowed, name=name, quantity=config.input.quantity)
+        if isinstance(path, Path | Mapping)
+        else path
+    )
     folder, place = Path(tempfile.mkdtemp(prefix="merlfit-")) if out is None else Path(out), None
     with refused(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)

@@ -89,7 +89,7 @@ class Measurement:
         sha1: of the whole file.
         blob_sha1: the same as git names its blob, by which genuine files are known.
         bands: of the planes of ``values``: fewer than three where others are zero everywhere. notes: on those.
-        format, colour_space, left_out: as of `scattered.ScatteredMeasurement`.
+        format, colour_space, left_out, quantity: as of `scattered.ScatteredMeasurement`.
     """
 
     path: Path
@@ -105,6 +105,7 @@ class Measurement:
     format: Literal["MERL"] = "MERL"
     colour_space: ColourSpace = "linear RGB of MERL, as stored"
     left_out: int = 0
+    quantity: Literal["brdf"] = "brdf"
 
     @property
     def name(self) -> str:

@@ -48,7 +48,11 @@ def _of_bins(measured: Measurement) -> list[str]:
 
 
 def _bright(albedo: float) -> list[str]:
-    factor = "; if its values are reflectance factors, divide them by pi" if albedo < 1.1 * np.pi else ""
+    factor = (
+        "; if its values are reflectance factors, divide them by pi (of tables: --quantity reflectance_factor)"
+        if albedo < 1.1 * np.pi
+        else ""
+    )
     return [f"it reflects {albedo:.2g} times the light that arrives: its values are no BRDF in 1/sr{factor}"]
 
 
@@ -74,10 +78,10 @@ def _reciprocity(angles: np.ndarray, value: np.ndarray) -> list[str]:
     power = float(np.median(ratio / cosines))
     if abs(abs(power) - 1) > 0.2 or min(off, float(np.median(np.abs(ratio + cosines)))) > 0.3 * as_it_is:
         return []
-    which = "theta_o" if power > 0 else "theta_i"
+    which, tables = ("theta_o", " (of tables: --quantity brdf_cos)") if power > 0 else ("theta_i", "")
     return [
         f"f(i, o) and f(o, i) differ by the ratio of their cosines: the values look like a BRDF times cos {which}; "
-        "divide them by it"
+        f"divide them by it{tables}"
     ]
 
 

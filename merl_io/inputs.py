@@ -2,18 +2,21 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from . import alta, binary, fred, mbsdf, rgl, table, zemax
 from .binary import Dims, Measurement
 from .hints import hints
-from .scattered import ScatteredMeasurement
+from .scattered import Quantity, ScatteredMeasurement
 from .source import MerlError, opened
 from .tensor import MAGIC
 
 Input = Measurement | ScatteredMeasurement
+DECLARED = "table", "FRED"  # formats of whose values the user may say what they are
 TEXT = {*b"\t\n\r", *range(32, 127)}  # bytes
 
 
@@ -46,6 +49,7 @@ def read(
     fitted_sha1: str | None = None,
     dims: Dims | None = None,
     name: str = "table",
+    quantity: Quantity = "brdf",
 ) -> Input:
     """Read a measurement.
 
@@ -54,19 +58,37 @@ def read(
             (N,), ``wavelengths_um`` (C,), ``values`` (N, C), 1/sr, NaN where there is no datum, and perhaps ``weight``
             (N,), with the meanings and units of docs/tables.md.
         fitted_sha1: of the file that was fitted, if it must be that one. dims: as of `binary.read`.
-        name: of the material, of arrays; a file's is that of the file.
+        name: of the material, of arrays; a file's is that of the file. quantity: what the values of a table are.
 
     Raises:
         merlfit.merl_io.binary.MerlError: it cannot be used; the message is one line.
     """
     if isinstance(path, Mapping):
-        return table.read_arrays(path, name)
+        return _as_brdf(table.read_arrays(path, name), quantity)
     if is_scattered(path):
         try:
-            return SCATTERED[Path(path).suffix.lower()](Path(path), fitted_sha1)
+            return _as_brdf(SCATTERED[Path(path).suffix.lower()](Path(path), fitted_sha1), quantity)
         except MemoryError:
             raise MerlError(f"{path}: takes more memory than there is") from None
-    return binary.read(path, fitted_sha1, dims)
+    return _as_brdf(binary.read(path, fitted_sha1, dims), quantity)
+
+
+def _as_brdf(measured: Input, quantity: Quantity) -> Input:
+    """The same with BRDFs for values that are declared to be something else.
+
+    Raises:
+        MerlError: the format says itself what its values are.
+    """
+    if quantity == "brdf":
+        return measured
+    if isinstance(measured, Measurement) or measured.format not in DECLARED:
+        mend = " (#PARAM_OUT)" if measured.format == "ALTA" else ""
+        raise MerlError(
+            f"{measured.path}: {measured.format} files say themselves{mend} what their values are: leave out "
+            f"--quantity {quantity}, which is for tables"
+        )
+    factor = np.cos(measured.theta_o) if quantity == "brdf_cos" else np.pi
+    return replace(measured, values=measured.values / factor, quantity=quantity)
 
 
 def remarks(measured: Input) -> list[str]:

@@ -15,6 +15,8 @@ from .bands import MERL, Bands, ColourSpace
 
 Format = Literal["table", "RGL", "Zemax", "FRED", "ALTA", "MBSDF"]
 """Of files of scattered directions (docs/formats.md)."""
+Quantity = Literal["brdf", "brdf_cos", "reflectance_factor"]
+"""What a file's numbers are: BRDF (1/sr), BRDF times cos theta_o (1/sr), or pi times the BRDF."""
 LEAF = 4  # samples that need no order among themselves
 
 
@@ -30,6 +32,7 @@ class ScatteredMeasurement:
         bands: of the values. left_out: how many wavelengths of the file are not read. notes: what was left out of it
             besides, in words.
         stated_tis: what a file says of the total integrated scatter: incidence (rad) and share of the light, in pairs.
+        quantity: that the file holds, as the user declared it; values are BRDFs whatever it is.
         sha1, blob_sha1: as of `binary.Measurement`.
     """
 
@@ -46,6 +49,7 @@ class ScatteredMeasurement:
     left_out: int = 0
     notes: tuple[str, ...] = ()
     stated_tis: tuple[tuple[float, float], ...] = ()
+    quantity: Quantity = "brdf"
     dims: None = None
     genuine: None = None
     outliers: None = None

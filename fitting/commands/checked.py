@@ -10,7 +10,7 @@ from rich.table import Table
 from ...merl_io.bands import MERL
 from ...merl_io.binary import BRIGHTEST, OUTLIER, Dims, Measurement, MerlError, dims_text
 from ...merl_io.inputs import read, remarks
-from ...merl_io.scattered import ScatteredMeasurement, half_difference
+from ...merl_io.scattered import Quantity, ScatteredMeasurement, half_difference
 from ..support.numbers import number
 from ..support.tables import table
 from ..support.terminal import BAD_INPUT, console, fail, note
@@ -18,12 +18,12 @@ from ..support.terminal import BAD_INPUT, console, fail, note
 Row = tuple[str, ...]
 
 
-def check_files(files: list[Path], allowed: Dims | None) -> None:
+def check_files(files: list[Path], allowed: Dims | None, quantity: Quantity = "brdf") -> None:
     """Print what files hold; whatever is wrong with one, the others have their turn. Exits with 2 after bad input."""
     gridded, listed, notes, bad = [], [], [], 0
     for path in files:
         try:
-            measured = read(path, dims=allowed)
+            measured = read(path, dims=allowed, quantity=quantity)
         except MerlError as error:
             bad += 1
             fail(str(error))

@@ -29,6 +29,12 @@ Result = Annotated[Path, typer.Argument(help="RESULT.json of a fit.", readable=F
 Measured = Annotated[
     Path | None, typer.Option("--file", help="The MERL file, if it moved since the fit.", readable=False)
 ]
+Quantity = Annotated[
+    str | None,
+    typer.Option(
+        help="What the values of tables are: brdf, brdf_cos (times cos theta_o) or reflectance_factor (pi f)."
+    ),
+]
 Settings = Annotated[Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)]
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 Models = Annotated[
@@ -117,12 +123,13 @@ Pages = Annotated[
 
 
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
-def check(files: Files, dims: Dims = None) -> None:
+def check(files: Files, dims: Dims = None, quantity: Quantity = None) -> None:
     """Print what files hold: bins or samples, bad numbers, largest values, and whether they are genuine MERL files."""
     from ..settings.config import load
     from .checked import check_files
 
-    check_files(files, load(dims=dims).input.allowed)
+    settings = load(dims=dims, quantity=quantity).input
+    check_files(files, settings.allowed, settings.quantity)
 
 
 @app.command(epilog="Example: merlfit fit nickel.binary gray-plastic.binary -o fits --no-posterior")
@@ -131,6 +138,7 @@ def fit(
     out: Out = Path("fits"),
     config: Settings = None,
     dims: Dims = None,
+    quantity: Quantity = None,
     model: Annotated[
         list[str] | None,
         typer.Option(
@@ -189,8 +197,9 @@ def fit(
     from .settings import parameters_given
 
     settings = load(
-        config, dims=dims, origin=origin, model=model, preset=preset, index=index, body=body, weights=weights,
-        posterior=posterior, seed=seed, parameters=parameters_given(fix, bounds, start, tie),
+        config, dims=dims, origin=origin, quantity=quantity, model=model, preset=preset, index=index,
+        body=body, weights=weights, posterior=posterior, seed=seed,
+        parameters=parameters_given(fix, bounds, start, tie),
     )  # fmt: skip
     from .fit import aim_of, fit_files, refuse_unoffered, summarise
 

@@ -104,7 +104,9 @@ def compare_file(
     for each in settings:
         candidates(each)  # before any is fitted: what is said of parameters that a model lacks is refused
     report("reading")
-    measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, Path) else path
+    measurement = (
+        inputs.read(path, dims=config.input.allowed, quantity=config.input.quantity) if isinstance(path, Path) else path
+    )
     if isinstance(measurement, ScatteredMeasurement):
         settings, with_published = [settings_for_scattered(measurement.path, each) for each in settings], False
     results: dict[str, Result] = {}

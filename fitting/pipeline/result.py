@@ -39,6 +39,7 @@ def make_result(
         path=str(measurement.path), material=measurement.name, sha1=measurement.sha1,
         format=measurement.format, git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
         dims=measurement.dims, fraction_valid=float(measurement.valid.mean()), outliers=measurement.outliers,
+        quantity=measurement.quantity,
     )  # fmt: skip
     bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {

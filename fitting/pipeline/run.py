@@ -77,7 +77,11 @@ def fit_file(
         out.mkdir(parents=True, exist_ok=True)
     with clock.stage("read"):
         report("reading")
-        measurement = inputs.read(path, dims=config.input.allowed) if isinstance(path, str | os.PathLike) else path
+        measurement = (
+            inputs.read(path, dims=config.input.allowed, quantity=config.input.quantity)
+            if isinstance(path, str | os.PathLike)
+            else path
+        )
         if isinstance(measurement, ScatteredMeasurement):
             config = settings_for_scattered(measurement.path, config, *(["--accuracy"] if finish else []))
         samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from ...merl_io import inputs
 from ...merl_io.bands import Bands, ColourSpace
 from ...merl_io.columns import PLAUSIBLE_UM
-from ...merl_io.scattered import Format
+from ...merl_io.scattered import Format, Quantity
 from ...model.apparatus import APPARATUS, Apparatus, GrazingLoss
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance, Values
@@ -40,13 +40,16 @@ class Source(Strict):
     outliers: int | None
     """Number of valid bins that are very much brighter than their neighbours; null of scattered directions."""
 
+    quantity: Quantity = "brdf"
+    """What the file's numbers are, as the user declared it; everything here is of BRDFs."""
+
     def read(self, file: Path) -> inputs.Input:
         """The data again, from a file that has to be the one that was fitted.
 
         Raises:
             merlfit.merl_io.binary.MerlError: it cannot be used, or is another one.
         """
-        return inputs.read(file, self.sha1, self.dims)
+        return inputs.read(file, self.sha1, self.dims, quantity=self.quantity)
 
 
 class Acquisition(Strict):

@@ -114,6 +114,7 @@ class Replaced(TypedDict, total=False):
 
     dims: str | None
     origin: str | None
+    quantity: str | None
     model: str | list[str] | None
     preset: str | None
     index: str | None
@@ -143,8 +144,8 @@ def load(
     if unknown := replaced.keys() - Replaced.__annotations__.keys():
         raise TypeError(f"no setting is called {', '.join(sorted(unknown))}: {', '.join(Replaced.__annotations__)}")
     places = {
-        "dims": ("input", "dims"), "origin": ("input", "origin"), "model": ("model", "name"),
-        "preset": ("effects", "preset"), "index": ("effects", "index"),
+        "dims": ("input", "dims"), "origin": ("input", "origin"), "quantity": ("input", "quantity"),
+        "model": ("model", "name"), "preset": ("effects", "preset"), "index": ("effects", "index"),
         "body": ("effects", "body"), "weights": ("fit", "weights"), "posterior": ("posterior", "enabled"),
     }  # fmt: skip
     for name, (section, key) in places.items():

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field
 
 from ...merl_io.azimuth import AZIMUTHS
 from ...merl_io.binary import Dims, dims_of
+from ...merl_io.scattered import Quantity
 from ...model.apparatus import GrazingLoss
 from ...model.effects import PRESETS, TWO_SCALE, Effects, idle
 from ..support.choices import THETA_MAX, Backend, Precision, Weights
@@ -35,10 +36,13 @@ class InputSection:
             MERL's own 90x90x180; empty for no others.
         origin: what files that are not genuine MERL are, in words, such as "neural reconstructions"; results, pictures
             and pages repeat it.
+        quantity: what the values of a table are: ``brdf`` (1/sr), ``brdf_cos`` (times cos theta_o), or
+            ``reflectance_factor`` (times pi).
     """
 
     dims: str = ""
     origin: Annotated[str, Field(max_length=200)] = ""
+    quantity: Quantity = "brdf"
 
     def __post_init__(self) -> None:
         """Refuse numbers of bins that are none."""

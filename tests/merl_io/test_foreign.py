@@ -333,6 +333,34 @@ def test_an_mbsdf_file_that_is_not_read_is_refused(tmp_path):
     assert "has values of type 2 (0 or 1)" in refusal(path)
 
 
+# --- declared quantities
+
+
+def test_what_values_are_may_be_declared_of_tables(tmp_path):
+    angles = {f"{name}_deg": np.degrees(x) for name, x in zip(("theta_i", "theta_o", "phi"), PAIRS, strict=True)}
+    table = {**angles, "wavelengths_um": [0.55], "values": brdf(*PAIRS)[:, None]}
+    for quantity, factor in (("brdf_cos", np.cos(PAIRS[1])), ("reflectance_factor", np.pi)):
+        found = inputs.read({**table, "values": table["values"] * np.reshape(factor, (-1, 1))}, quantity=quantity)
+        agrees(found)
+        assert found.quantity == quantity
+    path = fred(tmp_path / "made_633nm.txt")
+    np.testing.assert_allclose(
+        inputs.read(path, quantity="reflectance_factor").values * np.pi, inputs.read(path).values
+    )
+
+
+def test_formats_that_say_what_their_values_are_refuse_to_be_told(tmp_path):
+    made = (
+        zemax(tmp_path / "made.bsdf"), mbsdf(tmp_path / "made.mbsdf", ("MBSDF_DATA", cells(3, 3))),
+        alta(tmp_path / "made.dat", PARAMETRIZATIONS["CARTESIAN"], "#PARAM_IN CARTESIAN"),
+    )  # fmt: skip
+    for path in made:
+        with pytest.raises(
+            MerlError, match=r"files say themselves.* leave out --quantity brdf_cos, which is for tables"
+        ):
+            inputs.read(path, quantity="brdf_cos")
+
+
 # --- genuine measurements
 
 
