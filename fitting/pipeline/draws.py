@@ -27,7 +27,7 @@ def chain_of(result: Path) -> Path:
 
 
 def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
-    """Names, weighted draws (physical values) and weights of the posterior, from the chain beside the result.
+    """Names, weighted draws (physical values), weights and log likelihoods of the posterior, from the chain beside it.
 
     Args:
         path: of the result. Where the chain has another name than the result says, which a JSON cannot if it is no
@@ -39,9 +39,8 @@ def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     path = _place(result, path)
     try:
         with opened(path, NoPicture) as (file, _):
-            read = arrays(file, (*DRAWN, "fit_free", "log_likelihood").__contains__, texts=("names",))
-        found, started = {name: read[name] for name in DRAWN}, read.get("fit_free")
-        found |= {name: read[name] for name in ("log_likelihood",) if name in read}
+            read = arrays(file, (*DRAWN, "log_likelihood").__contains__, texts=("names",))
+        found = {name: read[name] for name in DRAWN} | read
     except NoPicture:
         raise
     except (ValueError, KeyError):
@@ -51,17 +50,9 @@ def chain_file(result: Result, path: Path) -> dict[str, np.ndarray]:
     count, size = len(found["weights"].ravel()), len(result.parameters)
     if found["values"].shape != (count, size) or not all(np.isfinite(found[k]).all() for k in ("values", "weights")):
         raise NoPicture(f"{path}: is damaged: its draws are not {size} finite numbers each")
-    if not _is_of(result, found, started):
+    if result.posterior is None or result.posterior.draws_sha1 != sha1_of_draws(found["values"], found["weights"]):
         raise NoPicture(f"{path}: is the chain of another fit, or went on after this one; `merlfit sample` mends that")
     return found
-
-
-def _is_of(result: Result, draws: Chain, started: np.ndarray | None) -> bool:
-    """Whether draws are those that a result tells of; before version 2.3 it only says where the chain began."""
-    assert result.posterior is not None
-    if (told := result.posterior.draws_sha1) is not None:
-        return told == sha1_of_draws(draws["values"], draws["weights"].ravel())
-    return started is None or _began_at(result, started)
 
 
 def own_chain(result: Result, path: Path) -> Path | None:
@@ -74,19 +65,14 @@ def own_chain(result: Result, path: Path) -> Path | None:
             started = arrays(file, "fit_free".__eq__)["fit_free"]
     except (ValueError, KeyError):
         return None
-    return chain_of(path) if result.fit.succeeded and _began_at(result, started) else None
-
-
-def _began_at(result: Result, started: np.ndarray) -> bool:
-    """Whether a chain began where a fit ended; yes, where that cannot be known."""
-    if result.model is None:
-        return True
+    if result.model is None or not result.fit.succeeded:
+        return None
     try:
         layout = layout_for(parse(result.config, result.source.material), result.model.measured, result.model.bands)
-    except ConfigError:  # of an older version
-        return True
+    except ConfigError:  # settings that were changed by hand
+        return None
     free = layout.free(result.values())
-    return started.shape == free.shape and np.allclose(started, free, atol=SAME)
+    return chain_of(path) if started.shape == free.shape and np.allclose(started, free, atol=SAME) else None
 
 
 def states(result: Result, path: Path) -> np.ndarray | None:

@@ -214,7 +214,7 @@ def _of(path: Path) -> tuple[str, str] | None:
     """What a result is of: SHA-1 of the file, and name of the model; None if there is none."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         found = json.loads(whole(path))
-        return str(found["source"]["sha1"]), str(found["model"].get("name", "two-scale"))  # the only one before 2.0
+        return str(found["source"]["sha1"]), str(found["model"]["name"])
     return None
 
 

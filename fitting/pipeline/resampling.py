@@ -31,7 +31,7 @@ def resample(
         merlfit.fitting.posterior.chain.ChainError: the chain is not one of this fit.
         RuntimeError: the sampler failed; the result is as it was.
     """
-    if result.model is None or not result.fit.succeeded:
+    if result.model is None or result.fit.weights is None or not result.fit.succeeded:
         raise storage.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")
     if result.posterior is not None and not chain_of(path).is_file():
         raise storage.ResultError(
@@ -40,11 +40,7 @@ def resample(
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = result.source.read(file)
-    samples = weighted_samples(
-        measurement,
-        config.exponents[0] if (exponent := result.fit.weights) is None else exponent,
-        config.fit.theta_max,
-    )
+    samples = weighted_samples(measurement, result.fit.weights, config.fit.theta_max)
     # the result's model, and not the settings': it may have been carried on with other ones
     layout = layout_for(config, result.model.measured, result.model.bands)
     chain = chain_of(path)

@@ -23,21 +23,21 @@ from .likelihood import StandIn
 
 WALKERS = 32  # or two for each parameter, which differential evolution needs
 CHECK_EVERY = 100  # steps between looks at the chain
-FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of learning
+FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of training
 # Of the stand-in's likelihood, whose power is 1/temperature, in each of these rounds; the first also before the
 # emulator. The last must be 1: there the chain begins. Where the emulator is too low walkers get stuck, or never come.
 TEMPERATURES = 4.0, 4.0, 3.0, 2.0, 1.0
-# The emulator learns anew if it is too low by more than TOO_LOW (log posterior) at more than a share RARE of states.
+# The emulator is trained anew if it is too low by more than TOO_LOW (log posterior) at over a share RARE of states.
 TOO_LOW, RARE = 1.0, 0.01
-RETRAININGS = 5  # at the most: looks after which the emulator learns where it was too low, and the chain begins anew
-TRAINING_POINTS, MORE = 700, 200  # points that the emulator learns from the first steps, and from each round
+RETRAININGS = 5  # at the most: looks after which it is trained where it was too low, and the chain begins anew
+TRAINING_POINTS, MORE = 700, 200  # of the emulator: from the first steps, and from each round
 EARLY = 1 / 6  # of the most steps: a chain that has made more of them does not begin anew
-DEPTH = 25.0  # of (tempered) log posterior below the highest: deeper points teach nothing that matters
+DEPTH = 25.0  # of (tempered) log posterior below the highest: deeper points tell the emulator nothing that matters
 HMC_SHARE = 0.8  # share of moves that are led; the others are differential evolution
 KEYS = 624  # of a Mersenne twister
 STATE = (  # arrays of a chain
-    "chain_free", "log_prob", "accepted", "root", "leap", "taught_free", "fit_free", "random_keys", "random_state",
-    "lessons",
+    "chain_free", "log_prob", "accepted", "root", "leap", "training_points", "fit_free", "random_keys", "random_state",
+    "retrainings",
 )  # fmt: skip
 GOLDEN = (np.sqrt(5) - 1) / 2
 LogProb = Callable[[np.ndarray], np.ndarray]
@@ -54,10 +54,10 @@ class Chain:
 
     Attributes:
         states: free coordinates, (steps, walkers, P). log_prob: (steps, walkers). accepted: moves, in all.
-        root, leap: of `Hamiltonian`, as tuned. taught: points that the emulator learnt, (N, P).
+        root, leap: of `Hamiltonian`, as tuned. training_points: of the emulator, (N, P).
         random: keys, position, whether there is a cached normal number, and that.
         fit: free coordinates of the fit that it belongs to, (P,).
-        lessons: how often the emulator may still learn, and the chain begin anew.
+        retrainings: how often the emulator may still be trained anew, and the chain begin again.
     """
 
     states: np.ndarray
@@ -65,10 +65,10 @@ class Chain:
     accepted: float
     root: np.ndarray
     leap: float
-    taught: np.ndarray
+    training_points: np.ndarray
     random: tuple[np.ndarray, int, int, float]
     fit: np.ndarray
-    lessons: int = 0
+    retrainings: int = 0
 
     @property
     def acceptance(self) -> float:
@@ -80,9 +80,9 @@ class Chain:
         keys, position, cached, normal = self.random
         return {
             "chain_free": self.states, "log_prob": self.log_prob, "accepted": np.array(self.accepted),
-            "root": self.root, "leap": np.array(self.leap), "taught_free": self.taught, "fit_free": self.fit,
-            "random_keys": keys, "random_state": np.array([position, cached, normal]),
-            "lessons": np.array(self.lessons),
+            "root": self.root, "leap": np.array(self.leap), "fit_free": self.fit, "random_keys": keys,
+            "random_state": np.array([position, cached, normal]),
+            "training_points": self.training_points, "retrainings": np.array(self.retrainings),
         }  # fmt: skip
 
 
@@ -105,8 +105,8 @@ def read_chain(path: Path, fit: np.ndarray) -> Chain:
         random = (_array(found, "random_keys", KEYS), int(position), int(cached), float(normal))
         chain = Chain(
             states, _array(found, "log_prob", *states.shape[:2]), float(_array(found, "accepted")),
-            _array(found, "root", size, size), float(_array(found, "leap")), _array(found, "taught_free", None, size),
-            random, theirs, int(_array(found, "lessons")) if "lessons" in found else 0,
+            _array(found, "root", size, size), float(_array(found, "leap")),
+            _array(found, "training_points", None, size), random, theirs, int(_array(found, "retrainings")),
         )  # fmt: skip
     except ChainError:
         raise
@@ -222,7 +222,7 @@ def begin(
         walked.states[-1:], walked.log_prob[-1:], 0.0, _root(seen), leap, emulator.points,
         tuple(walked.now.random_state[1:]), fit, RETRAININGS,
     )  # fmt: skip
-    return chain, Emulator.of(few, layout, chain.taught)  # to the last bit what `extend` has from a file
+    return chain, Emulator.of(few, layout, chain.training_points)  # to the last bit what `extend` has from a file
 
 
 def _ignored(emulator: Emulator, walked: _Walked) -> tuple[float, np.ndarray]:
@@ -250,12 +250,12 @@ def extend(
 ) -> Chain:  # fmt: skip
     """Go on until the chain is good enough (`diagnosis`) and has ``least`` steps, or to ``max_steps``.
 
-    Where a chain is slow since walkers came to where the emulator is too low, it learns of it, and the
-    chain begins anew. A chain that is kept, read from its file and extended to as many steps is the same to the
-    last bit as one that goes on at once.
+    Where a chain is slow since walkers came to where the emulator is too low, it is trained with points from there,
+    and the chain begins anew. A chain that is kept, read from its file and extended to as many steps is the same to
+    the last bit as one that goes on at once.
 
     Args:
-        max_steps: at the most, in all; those given up for lessons come on top, at most `EARLY` of them for each.
+        max_steps: at the most, in all; those given up for retrainings come on top, at most `EARLY` of them for each.
         progress: called with (steps done, steps at the most). keep: called with the chain at every look.
     """
     found = diagnose(chain.states)
@@ -274,16 +274,17 @@ def extend(
             random=random,
         )
         found = diagnose(chain.states)
-        may = chain.lessons and len(chain.states) <= EARLY * max_steps
+        may = chain.retrainings and len(chain.states) <= EARLY * max_steps
         low, where = _ignored(emulator, walked) if may and found.slow else (-np.inf, now.coords)
         if low > TOO_LOW:
-            lessons = chain.lessons - 1
-            taught = emulator.with_points(few, np.concatenate([where, walked.now.coords]), MOST_EVER).points
-            emulator = Emulator.of(few, layout, taught)
+            retrainings = chain.retrainings - 1
+            points = emulator.with_points(few, np.concatenate([where, walked.now.coords]), MOST_EVER).points
+            emulator = Emulator.of(few, layout, points)
             flat = walked.states.reshape(-1, walked.states.shape[-1])
             chain = replace(
                 chain, states=walked.states[-1:], log_prob=walked.log_prob[-1:], accepted=0.0, root=_root(flat),
-                leap=lead.fitting_leap(walked.now.coords, lessons), taught=taught, lessons=lessons,
+                leap=lead.fitting_leap(walked.now.coords, retrainings), training_points=points,
+                retrainings=retrainings,
             )  # fmt: skip
             found = diagnose(chain.states)
         keep(chain)

@@ -94,8 +94,8 @@ def draw(
         refuse_other_model(path, layout)
         drawn = _drawn(path)  # those that the result names, until there are new ones
         if drawn and not diagnose(chain.states).failures():
-            chain = replace(chain, lessons=0)  # one that was long enough once is not given up
-        emulator = Emulator.of(few, layout, chain.taught)
+            chain = replace(chain, retrainings=0)  # one that was long enough once is not given up
+        emulator = Emulator.of(few, layout, chain.training_points)
     else:
         covariance = laplace_covariance(solution.normal, solution.cost, fitted.count)
         chain, emulator = begin(few, layout, solution.z, covariance, seed, say)
@@ -118,7 +118,7 @@ def draw(
         found = correct(chain, few.log_likelihood, whole, layout.coordinates, say_draw)
         if not len(chain.states) < min(found.wanted, max_steps):
             return found
-        chain, least = replace(chain, lessons=0), found.wanted  # long enough once: it is not given up
+        chain, least = replace(chain, retrainings=0), found.wanted  # long enough once: it is not given up
 
 
 def _unwritten(path: Path, found: dict[str, np.ndarray]) -> str:
@@ -144,18 +144,16 @@ def _drawn(path: Path) -> dict[str, np.ndarray]:
 def refuse_other_model(path: Path, layout: Layout) -> None:
     """Refuse the chain of a model with other settings, or other wavelengths: its coordinates may be the same.
 
-    One that does not say what it is of is taken.
-
     Raises:
         merlfit.fitting.posterior.chain.ChainError: it is.
     """
     try:
         with opened(path, ChainError) as (file, _):
             found = arrays(file, "model".__eq__, texts=("model",))
-        other = bool(found) and json.loads(str(found["model"])) != json.loads(_model(layout))
+        other = json.loads(str(found["model"])) != json.loads(_model(layout))
     except ChainError:
         raise
-    except (ValueError, RecursionError):
+    except (ValueError, KeyError, RecursionError):
         other = True
     if other:
         raise ChainError(

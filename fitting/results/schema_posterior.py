@@ -44,8 +44,8 @@ class PosteriorResult(Strict):
     """One minus the posterior's standard deviation, of which the prior's is one."""
     chain_file: FileName
     """File beside this one with the chain and the draws (docs/result.md)."""
-    draws_sha1: str | None = None
-    """SHA-1 of the draws in it and their weights, by which a chain of another fit is told; null if it was not kept."""
+    draws_sha1: str
+    """SHA-1 of the draws in it and their weights, by which a chain of another fit is told."""
 
     @model_validator(mode="after")
     def _lists_agree(self) -> Self:

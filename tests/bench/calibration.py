@@ -74,7 +74,7 @@ def measure(seed, reach):
         return {**row, "N": None, "message": "no fit" if fitted is None else fitted.status.name}, device
     with tempfile.TemporaryDirectory() as folder:
         p = draw(fitted, samples, config.posterior.max_steps, config.seed, Path(folder) / "chain.npz")
-    details = {**device, "k": p.pareto_k, "steps": p.diagnosis.steps, "lessons left": p.chain.lessons}
+    details = {**device, "k": p.pareto_k, "steps": p.diagnosis.steps, "retrainings left": p.chain.retrainings}
     if p.sufficient:
         values, true = (np.asarray(jax.vmap(layout.flat)(jnp.asarray(z))) for z in (p.draws, truth[None]))
         details["ranks"] = dict(zip(layout.names, (p.weights @ (values < true)).tolist(), strict=True))

@@ -47,7 +47,7 @@ def one(path, material):
         "material": material, "interface, body": fitted.material.variant, "seconds": end - reports[0][1], **spent,
         "steps": p.diagnosis.steps, "autocorrelation": float(p.diagnosis.times.max()),
         "least size": float(min(p.effective_size.min(), p.diagnosis.bulk.min(), p.diagnosis.tail.min())),
-        "Pareto k": p.pareto_k, "N": fitted.count, "lessons left": p.chain.lessons,
+        "Pareto k": p.pareto_k, "N": fitted.count, "retrainings left": p.chain.retrainings,
         "intervals": "yes" if p.sufficient else "no", "message": p.message,
     }  # fmt: skip
 
@@ -61,7 +61,7 @@ def run(folder, out, every):
          f"the posterior alone, {TOGETHER} materials one after the other in a process, programs that the process has "
          "not loaded yet included; by stage: tuning, chain, weights of all bins, all else (choice of the few bins, "
          "derived quantities). least size: the smallest effective size of any coordinate, of the chain and of the "
-         "weighted draws. lessons left: of five, after each of which a chain begins anew."],
+         "weighted draws. retrainings left: of five, after each of which a chain begins anew."],
         {"seconds": Target("seconds of a posterior, median of the 12 materials of the other sections", 60, "s"),
          "aim": Target("the same, the aim", 30, "s"),
          "given": Target("materials with intervals", 95, "%", at_least=True)},

@@ -21,7 +21,7 @@ from merlfit.merl_io.source import LONGEST
 from merlfit.scene import description
 from merlfit.scene.images import read_map
 
-from ..support.made_results import made
+from ..support.made_results import made, made_draws
 from .inputs import TABLE
 from .loaders import ROOT, damaged, result, trial
 
@@ -73,8 +73,7 @@ def draws(rng):
     """Of a posterior, of the right names and shape: damaged, or with numbers that no fit has."""
     size = len(sampled().parameters)
     arrays = {
-        "names": np.array([q.name for q in sampled().parameters]), "values": np.ones((5, size)),
-        "weights": np.full(5, 0.2),
+        "names": np.array([q.name for q in sampled().parameters]), **made_draws(size),
     }  # fmt: skip
     name = rng.choice(["values", "weights"])
     arrays[name] = arrays[name] * rng.choice([1.0, 1e300, -1e300, 0.0, np.nan, 1e-320])

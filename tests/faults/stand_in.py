@@ -28,8 +28,9 @@ from tests.support.made_results import made
 
 CHAIN = {
     "chain_free": np.ones((4, 8, 3)), "log_prob": np.ones((4, 8)), "accepted": np.array(0.5), "root": np.eye(3),
-    "leap": np.array(0.1), "taught_free": np.ones((9, 3)), "random_state": np.array([624.0, 0, 0]),
+    "leap": np.array(0.1), "training_points": np.ones((9, 3)), "random_state": np.array([624.0, 0, 0]),
     "random_keys": np.arange(624, dtype=np.uint32), "fit_free": np.ones(3),
+    "retrainings": np.array(0),
 }  # fmt: skip
 SLEEPS = 0.15  # seconds, each of three of a file, at the most
 PAUSE = threading.Event().wait  # `time.sleep` fails under a clock that is faked

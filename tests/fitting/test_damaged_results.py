@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.place import claimed
 from merlfit.fitting.posterior import sampling
 from merlfit.fitting.posterior.chain import ChainError, read_chain
@@ -21,7 +20,7 @@ from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.command import call
-from tests.support.made_results import made, put_result
+from tests.support.made_results import made, made_draws, put_result
 
 
 def edited(tmp_path, edit, **kind):
@@ -150,7 +149,7 @@ def test_a_name_that_is_no_utf8_can_be_written(tmp_path):
 def chain(**changed):
     size = len(made().parameters)
     names = [q.name for q in made().parameters]
-    return {"names": names, "values": np.ones((5, size)), "weights": np.full(5, 0.2), **changed}
+    return {"names": names, **made_draws(size), **changed}
 
 
 @pytest.mark.parametrize(
@@ -197,18 +196,6 @@ def test_draws_of_another_fit_of_the_same_model_are_refused(tmp_path):
     np.savez(tmp_path / "nickel.chain.npz", **chain(values=np.full((5, 13), 0.3)))
     with pytest.raises(subject.NoPicture, match="is the chain of another fit"):
         subject.chain_file(result, tmp_path / "nickel.json")
-
-
-def test_the_chain_of_a_result_without_its_sum_begins_where_the_fit_ended(tmp_path):
-    result = made(posterior=True)
-    free = layout_of(Measured(TwoScale("none"))).free(result.values())
-    for moved, refused in ((0.0, False), (1e-3, True)):
-        np.savez(tmp_path / "nickel.chain.npz", **chain(), fit_free=free + moved)
-        if refused:
-            with pytest.raises(subject.NoPicture, match="is the chain of another fit"):
-                subject.chain_file(result, tmp_path / "nickel.json")
-        else:
-            assert subject.chain_file(result, tmp_path / "nickel.json")
 
 
 def test_a_result_that_was_killed_after_its_chain_had_been_moved_gets_both(tmp_path):

@@ -10,7 +10,7 @@ from merlfit.fitting.posterior import emulator as emulators
 from merlfit.fitting.posterior.emulator import Emulator, coordinates_of
 from merlfit.fitting.posterior.likelihood import StandIn
 
-from tests.support.stand_ins import LAYOUT, OWN, banana, gentle, taught
+from tests.support.stand_ins import LAYOUT, OWN, banana, gentle, trained
 
 cost_at = jax.jit(emulators.cost_at)
 
@@ -40,7 +40,7 @@ def test_it_is_exact_at_its_points_and_near_in_between():
 
 def test_a_quadratic_polynomial_is_met_everywhere():
     few, rng = banana(), np.random.default_rng(2)
-    found = taught(few, [np.arange(2)], rng.normal(size=(40, 2)))
+    found = trained(few, [np.arange(2)], rng.normal(size=(40, 2)))
     far = 5 * rng.normal(size=(100, 2))
     np.testing.assert_allclose(emulated(found, far), -few.log_likelihood(far), rtol=1e-4)
 
@@ -48,7 +48,7 @@ def test_a_quadratic_polynomial_is_met_everywhere():
 def test_its_gradient_is_finite_at_its_own_points():
     """Where the distance of the kernel is zero."""
     points = np.random.default_rng(3).normal(size=(60, 2))
-    channels = taught(banana(), [np.arange(2)], points).channels
+    channels = trained(banana(), [np.arange(2)], points).channels
     slope = jax.jit(jax.grad(lambda z: jnp.sum(emulators.cost_at(z, channels))))(points)
     assert np.isfinite(slope).all()
 
@@ -56,7 +56,7 @@ def test_its_gradient_is_finite_at_its_own_points():
 def test_more_points_are_learnt_once_and_the_oldest_are_forgotten():
     few, rng = gentle(), np.random.default_rng(4)
     points = rng.normal(size=(100, LAYOUT.size))
-    found = taught(few, OWN, points)
+    found = trained(few, OWN, points)
     assert len(found.with_points(few, points).points) == 100
     more = found.with_points(few, points[:40] + 1, 120)
     np.testing.assert_array_equal(more.points, np.concatenate([points[20:], points[:40] + 1]))
@@ -76,9 +76,9 @@ def test_points_where_the_model_is_not_finite_are_left_out():
 def test_idle_centres_and_components_are_idle(count, monkeypatch):
     few, rng = gentle(), np.random.default_rng(6)
     points, at = rng.normal(size=(count, LAYOUT.size)), rng.normal(size=(50, LAYOUT.size))
-    padded = emulated(taught(few, OWN, points), at)
+    padded = emulated(trained(few, OWN, points), at)
     monkeypatch.setattr(emulators, "ROUNDED", (1, 1))
-    np.testing.assert_allclose(padded, emulated(taught(few, OWN, points), at), rtol=1e-9)
+    np.testing.assert_allclose(padded, emulated(trained(few, OWN, points), at), rtol=1e-9)
 
 
 def test_distances_count_along_what_is_curved(monkeypatch):
@@ -88,7 +88,7 @@ def test_distances_count_along_what_is_curved(monkeypatch):
     points, at = rng.normal(size=(150, 5)), 0.7 * rng.normal(size=(300, 5))
 
     def error():
-        return np.std(emulated(taught(few, [np.arange(5)], points), at) + few.log_likelihood(at))
+        return np.std(emulated(trained(few, [np.arange(5)], points), at) + few.log_likelihood(at))
 
     with_axes = error()
     monkeypatch.setattr(emulators, "_stretched", lambda x, known: np.eye(x.shape[1]))
@@ -102,4 +102,4 @@ def test_residuals_that_are_straight_have_no_axes():
     for known in (few.weighed(points), np.ones((40, 2)), np.zeros((40, 2))):
         stretch = emulators._stretched(points, known)
         np.testing.assert_allclose(stretch @ stretch.T, emulators.STRAIGHT * np.eye(2), atol=1e-6)
-    np.testing.assert_allclose(emulated(taught(few, [np.arange(2)], points), at), -few.log_likelihood(at), atol=1e-6)
+    np.testing.assert_allclose(emulated(trained(few, [np.arange(2)], points), at), -few.log_likelihood(at), atol=1e-6)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from merlfit.fitting.pipeline import place as keeping
 from merlfit.fitting.pipeline.place import Completeness
+from merlfit.fitting.results.schema_posterior import sha1_of_draws
 from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.show.inspection import file_of
 from merlfit.fitting.support.terminal import BAD_INPUT
@@ -73,14 +74,11 @@ def test_text_that_looks_like_markup_is_printed_as_it_is(tmp_path):
 def test_a_symbol_that_is_no_formula_is_drawn_by_its_name(tmp_path):
     result = put_result(tmp_path, posterior=True)
     result.parameters[0].symbol = r"\frac{"
+    names = [q.name for q in result.parameters]
+    draws = {"values": np.random.default_rng(0).normal(size=(200, len(names))), "weights": np.full(200, 5e-3)}
+    np.savez(tmp_path / "nickel.chain.npz", names=names, **draws)
+    result.posterior.draws_sha1 = sha1_of_draws(**draws)
     write_result(tmp_path / "nickel.json", result)
-    rng, names = np.random.default_rng(0), [q.name for q in result.parameters]
-    np.savez(
-        tmp_path / "nickel.chain.npz",
-        names=names,
-        values=rng.normal(size=(200, len(names))),
-        weights=np.full(200, 5e-3),
-    )
     shown = call("inspect", tmp_path / "nickel.json", "-o", tmp_path, "--pictures", "corner")
     assert shown.exit_code == 0
     assert (tmp_path / "nickel.two-scale.corner.png").exists()

@@ -30,7 +30,7 @@ from merlfit.model.measured import Measured
 from merlfit.model.registry import made as made_model
 from scipy.optimize import minimize
 
-from tests.support.stand_ins import LAYOUT, banana, gentle, taught
+from tests.support.stand_ins import LAYOUT, banana, gentle, trained
 
 LOOK = 25  # steps between looks, where only that counts what is done at them
 NOBODY = np.random.RandomState(0).get_state()[1:]
@@ -63,7 +63,7 @@ def rough():
     """An emulator of `banana` that learnt from too few points, seen through noise."""
     few, rng = banana(), np.random.default_rng(1)
     noisy = dataclasses.replace(few, weighed=lambda z: few.weighed(z) + 0.2 * rng.normal(size=(len(z), 2)))
-    return taught(noisy, [np.arange(2)], rng.normal(size=(30, 2)) * [1.0, 1.5])
+    return trained(noisy, [np.arange(2)], rng.normal(size=(30, 2)) * [1.0, 1.5])
 
 
 ROOT = np.array([[0.8, 0.0], [0.3, 1.1]])
@@ -116,7 +116,7 @@ def test_led_moves_keep_volumes():
 
 
 def test_led_moves_of_a_good_emulator_are_accepted_and_go_far():
-    emulator, rng = taught(banana(), [np.arange(2)], np.random.default_rng(1).normal(size=(40, 2))), None
+    emulator, rng = trained(banana(), [np.arange(2)], np.random.default_rng(1).normal(size=(40, 2))), None
     few, rng = banana(), np.random.default_rng(6)
     mean, covariance = moments(few.log_posterior)
     points = rng.multivariate_normal(mean, covariance / 4, size=500)
@@ -138,7 +138,7 @@ def test_the_ratio_of_a_led_move_is_that_of_the_posterior_that_leads_it():
 
 def test_walkers_led_astray_stay_where_they_are():
     few = banana()
-    emulator = taught(few, [np.arange(2)], np.random.default_rng(1).normal(size=(40, 2)))
+    emulator = trained(few, [np.arange(2)], np.random.default_rng(1).normal(size=(40, 2)))
     points = np.array([[0.0, 0.0], [1e200, 0.0]])
     new, log_ratio = Hamiltonian(emulator, np.eye(2), 0.15)(points, np.random.RandomState(8))
     assert np.isfinite(log_ratio[0])
@@ -200,7 +200,7 @@ def test_a_chain_begun_has_its_walkers_where_the_posterior_is(monkeypatch):
     few, fit, chain, emulator = begun()
     assert chain.states.shape == (1, WALKERS, LAYOUT.size)
     np.testing.assert_allclose(chain.log_prob[0], few.log_posterior(chain.states[0]))
-    np.testing.assert_array_equal(chain.taught, emulator.points)
+    np.testing.assert_array_equal(chain.training_points, emulator.points)
     np.testing.assert_array_equal(chain.fit, fit)
     lowest = few.log_posterior(fit[None])[0]
     assert np.all(chain.log_prob[0] > lowest - 25)
@@ -235,7 +235,7 @@ def test_a_chain_goes_on_while_its_weighted_draws_want_more_steps(tmp_path, monk
     whole = Chain(np.zeros((1, 2, 1)), np.zeros((1, 2)), 0.0, np.eye(1), 0.1, np.zeros((1, 1)), NOBODY, np.zeros(1), 5)
 
     def extended(chain, few, layout, emulator, max_steps, say, keep, least):
-        asked.append((least, chain.lessons))
+        asked.append((least, chain.retrainings))
         steps = min(max(least, 100), max_steps)
         return dataclasses.replace(chain, states=np.zeros((steps, 2, 1)), log_prob=np.zeros((steps, 2)))
 
@@ -275,7 +275,7 @@ def test_a_chain_gone_on_with_is_bit_for_bit_one_that_was_not_interrupted(tmp_pa
     assert again.random[1:] == half.random[1:]
     for name, array in again.arrays().items():
         np.testing.assert_array_equal(array, half.arrays()[name])
-    other = extend(again, few, LAYOUT, Emulator.of(few, LAYOUT, again.taught), 1 + 2 * LOOK, silent, silent)
+    other = extend(again, few, LAYOUT, Emulator.of(few, LAYOUT, again.training_points), 1 + 2 * LOOK, silent, silent)
     np.testing.assert_array_equal(other.states, whole.states)
     np.testing.assert_array_equal(other.log_prob, whole.log_prob)
     assert other.accepted == pytest.approx(whole.accepted)
@@ -306,7 +306,7 @@ def test_a_late_chain_does_not_begin_anew(monkeypatch):
     few, _, chain, emulator = begun()
     monkeypatch.setattr(sampler, "EARLY", LOOK / (1 + 2 * LOOK))
     done = extend(chain, few, LAYOUT, emulator, 1 + 2 * LOOK, silent, silent)
-    assert (len(done.states), done.lessons) == (1 + 2 * LOOK, sampler.RETRAININGS)
+    assert (len(done.states), done.retrainings) == (1 + 2 * LOOK, sampler.RETRAININGS)
 
 
 def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_path, monkeypatch):
@@ -322,14 +322,14 @@ def test_where_the_emulator_is_too_low_it_learns_and_the_chain_begins_anew(tmp_p
 
     def go_on(chain, steps, keep=silent):
         with np.errstate(invalid="ignore"):  # a walker that stays where it is for a whole look
-            return extend(chain, few, LAYOUT, sharp(few, LAYOUT, chain.taught), steps, silent, keep)
+            return extend(chain, few, LAYOUT, sharp(few, LAYOUT, chain.training_points), steps, silent, keep)
 
     monkeypatch.setattr(sampler.Emulator, "of", sharp)
     done = go_on(chain, 1 + 3 * LOOK, kept.append)
     assert [len(c.states) for c in kept] == [1] * sampler.RETRAININGS + [1 + LOOK, 1 + 2 * LOOK, 1 + 3 * LOOK]
-    assert not set(map(tuple, emulator.points)) >= set(map(tuple, done.taught))
-    np.testing.assert_array_equal(done.taught, kept[sampler.RETRAININGS - 1].taught)
-    write_chain(tmp_path / "x.npz", kept[1].arrays())  # interrupted between two lessons
+    assert not set(map(tuple, emulator.points)) >= set(map(tuple, done.training_points))
+    np.testing.assert_array_equal(done.training_points, kept[sampler.RETRAININGS - 1].training_points)
+    write_chain(tmp_path / "x.npz", kept[1].arrays())  # interrupted between two of them
     again = go_on(read_chain(tmp_path / "x.npz", fit), 1 + 3 * LOOK)
     np.testing.assert_array_equal(again.states, done.states)
     longer = go_on(done, 1 + 4 * LOOK)
@@ -350,7 +350,7 @@ def test_the_chain_of_another_fit_and_files_that_are_none_are_refused(tmp_path):
         path.write_bytes(bad)
         with pytest.raises(ChainError, match=r"x\.npz: cannot be continued \(.*\); delete it to start a new chain"):
             read_chain(path, chain.fit)
-    for name in chain.arrays().keys() - {"lessons"}:  # missing in files of earlier versions
+    for name in chain.arrays():
         write_chain(path, {k: x for k, x in chain.arrays().items() if k != name})
         with pytest.raises(ChainError, match="cannot be continued"):
             read_chain(path, chain.fit)
@@ -361,7 +361,7 @@ def test_the_chain_of_another_fit_and_files_that_are_none_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "array"),
     [("log_prob", np.ones((2, 2))), ("random_state", np.full(3, np.inf)), ("leap", np.ones(1)), ("root", np.eye(2)),
-     ("accepted", np.array("half")), ("taught_free", np.zeros((4, 3), complex))],
+     ("accepted", np.array("half")), ("training_points", np.zeros((4, 3), complex))],
 )  # fmt: skip
 def test_a_chain_with_an_array_of_another_kind_is_refused(name, array, tmp_path):
     path, chain = tmp_path / "x.npz", independent(3)

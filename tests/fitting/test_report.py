@@ -16,6 +16,7 @@ from merlfit.fitting.commands import cli
 from merlfit.fitting.pipeline.draws import chain_of
 from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.fitting.results.manifest import Ending, Journal
+from merlfit.fitting.results.schema_posterior import sha1_of_draws
 from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.settings.config import Config
 from merlfit.fitting.show import charts, curves
@@ -56,7 +57,8 @@ def run(tmp_path_factory, compiled_quickly):
 
     put("nickel").fit.cautions.append(EVIL)
     told = put("red-plastic", posterior=True)
-    chain(folder / "red-plastic.json", told)
+    told.posterior.draws_sha1 = chain(folder / "red-plastic.json", told)
+    write_result(folder / "red-plastic.json", told)
     moved = put("white-fabric", "gone.binary")
     moved.fit.cautions, moved.metrics.rmse = [EVIL], 0.001
     write_result(folder / "white-fabric.json", moved)
@@ -68,13 +70,12 @@ def run(tmp_path_factory, compiled_quickly):
 
 
 def chain(path, result):
-    """Draws around the fit, as the sampler keeps them."""
+    """Draws around the fit, as the sampler keeps them; returns their SHA-1."""
     rng, count = np.random.default_rng(1), len(result.parameters)
     values = np.array([q.value for q in result.parameters]) * (1 + 0.03 * rng.normal(size=(300, count)))
-    np.savez(
-        chain_of(path), names=[q.name for q in result.parameters], values=values, weights=np.full(300, 1 / 300),
-        chain_free=rng.normal(size=(50, 32, count)),
-    )  # fmt: skip
+    draws, states = {"values": values, "weights": np.full(300, 1 / 300)}, rng.normal(size=(50, 32, count))
+    np.savez(chain_of(path), names=[q.name for q in result.parameters], **draws, chain_free=states)
+    return sha1_of_draws(**draws)
 
 
 @pytest.fixture(scope="module")

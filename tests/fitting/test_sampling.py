@@ -47,8 +47,9 @@ def test_a_chain_of_other_settings_or_wavelengths_is_refused_though_its_coordina
         assert other.names == layout.names
         with pytest.raises(ChainError, match="of a fit with other settings or wavelengths: fit again"):
             sampling.refuse_other_model(path, other)
-    np.savez(path, names=layout.names)  # of an earlier version
-    sampling.refuse_other_model(path, layout)
+    np.savez(path, names=layout.names)
+    with pytest.raises(ChainError, match="of a fit with other settings or wavelengths: fit again"):
+        sampling.refuse_other_model(path, layout)
 
 
 def test_a_sampler_that_fails_is_said_in_a_line(tmp_path, monkeypatch):

@@ -1,11 +1,14 @@
 """Results made by hand: what a fit would have written, without a fit."""
 
 import jax.numpy as jnp
+import numpy as np
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.draws import chain_of
 from merlfit.fitting.results import schema
 from merlfit.fitting.results import storage as export
+from merlfit.fitting.results.schema_posterior import sha1_of_draws
 from merlfit.fitting.settings.config import Config
+from merlfit.fitting.support.choices import EXPONENT
 from merlfit.merl_io.bands import MERL
 from merlfit.merl_io.binary import DIMS
 from merlfit.model.measured import Measured
@@ -46,7 +49,7 @@ def made(material="nickel", path="nickel.binary", model=None, posterior=None, sh
         fit=schema.Fit(
             status="CONVERGED" if succeeded else "STEP_LIMIT", message="converged", succeeded=succeeded, cost=0.02,
             cost_per_channel=[0.01, 0.005, 0.005], folding_scatter=0.001, steps=9, relative_offset=1e-6, bins=400_000,
-            candidates=[],
+            candidates=[], weights=EXPONENT,
         ),
         metrics=metrics(),
         posterior=None if posterior is None else posterior_part(layout, material, posterior),
@@ -70,7 +73,13 @@ def posterior_part(layout, material, sufficient):
         steps=200, walkers=32, acceptance=0.6, effective_bins=30.0, draws=600, pareto_k=0.2,
         coordinates=list(layout.coordinates), autocorrelation_steps=each, r_hat=each, bulk_size=each, tail_size=each,
         effective_size=each, contraction=each, chain_file=f"{material}.chain.npz",
+        draws_sha1=sha1_of_draws(**made_draws(layout.size)),
     )  # fmt: skip
+
+
+def made_draws(size):
+    """Values and weights of the draws that a made posterior tells of."""
+    return {"values": np.ones((5, size)), "weights": np.full(5, 0.2)}
 
 
 def put_result(out, posterior=None, chain=None, name="nickel", **kind):

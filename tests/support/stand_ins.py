@@ -34,7 +34,7 @@ def banana():
     return StandIn(weighed, np.zeros(2), 3.0)
 
 
-def taught(few, own, points):
+def trained(few, own, points):
     """An emulator of a stand-in, from its values at ``points``."""
     return Emulator(points[:0], np.empty((0, len(own), len(few.target) // len(own))), own, few.scale).with_points(
         few, points
