@@ -208,8 +208,8 @@ def _dims_in(path: Path, head: bytes, size: int, allowed: tuple[Dims, ...]) -> D
             raise MerlError(f"{path}: is big-endian; MERL files are little-endian, convert it first")
         if any(not 0 < n < 100_000 for n in dims):
             raise MerlError(
-                f"{path}: not a MERL .binary file: its first 12 bytes are not three dimensions (other formats go by their "
-                "ending: docs/formats.md)"
+                f"{path}: not a MERL .binary file: its first 12 bytes are not three dimensions (other formats go by "
+                "their ending: docs/formats.md)"
             )
         mend = f"; --dims {dims_text(dims)} allows them" if size == file_bytes(dims) and _usable(dims) else ""
         raise MerlError(f"{path}: its dimensions are {dims_text(dims)}, those of MERL {dims_text(DIMS)}{mend}")
