@@ -47,7 +47,7 @@ from merlfit.fitting.commands import settings
 from merlfit.fitting.settings import choice, config
 assert config.load({{"fit": {{"weights": "adaptive"}}}}).for_scattered.has_lobes
 from merlfit.fitting.commands import checked
-from merlfit.merl_io import check, inputs
+from merlfit.merl_io import inputs
 assert not seen("jax", "equinox", "matplotlib", "scipy")
 try:
     config.load({{"effects": {{"boddy": "plastic"}}}})
@@ -244,6 +244,15 @@ def test_a_folder_that_cannot_be_made_is_named(file, tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(merlfit.WriteError, match="taken/out: cannot be made"):
         merlfit.fit(file, tmp_path / "taken" / "out")
+
+
+def test_too_few_scattered_directions_have_no_posterior_that_was_asked_for(tmp_path):
+    table = tmp_path / "x.csv"
+    table.write_text("theta_i_deg,theta_o_deg,phi_deg,R,G,B\n0,30,0,1,1,1\n30,30,180,1,1,1\n")
+    fit = merlfit.fit(table, tmp_path, posterior=True)
+    assert (fit.result.fit.status, fit.result.posterior) == ("NO_DATA", None)
+    again = merlfit.fit(table, settings={"posterior": {"enabled": True}})
+    assert (again.result.fit.status, again.result.posterior) == ("NO_DATA", None)
 
 
 def test_arrays_are_a_table(tmp_path):

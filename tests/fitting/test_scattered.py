@@ -238,6 +238,7 @@ def test_the_commands_take_a_table(file, tmp_path):
         np.testing.assert_allclose(found, GLOSSY[name], rtol=1e-3, err_msg=name)
     assert result.source.format == "table"
     assert result.source.dims is None
+    assert result.model.colour_space == "none: a channel is a wavelength"
     assert result.metrics.highlight == pytest.approx(1, abs=1e-3)
     assert result.metrics.rmse < 1e-3
     assert "done already: 1 of 1 file, " in call(*words).stdout
