@@ -58,10 +58,10 @@ def file(tmp_path_factory):
 def test_errors_by_incidence_are_those_of_the_samples_there():
     """Of samples at 10, 11 and 50 degrees, one of which is left out; together they are the RMSE over all."""
     theta_i, share = np.radians([10, 11, 50, 50, 50]), np.array([1.0, 3.0, 1.0, 2.0, 5.0])
-    value, weight = np.zeros((2, 5)), np.ones((2, 5))
+    value, weight = np.zeros((4, 5)), np.ones((4, 5))
     weight[:, 4] = 0
     samples = ScatteredSamples(*[np.zeros(5)] * 2, np.cos(theta_i), np.ones(5), value, weight, share, FOUR)
-    predicted = np.array([[1.0, 2.0, 3.0, 4.0, 1e9]] * 2)
+    predicted = np.array([[1.0, 2.0, 3.0, 4.0, 1e9]] * 4)
     angles, found = samples_by_incidence(samples, predicted)
     near = share[:2] * np.cos(theta_i[:2])
     np.testing.assert_allclose(np.degrees(angles), [near @ [10, 11] / near.sum(), 50])
