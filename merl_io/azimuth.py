@@ -94,7 +94,7 @@ class Nodes:
 
 
 def nodes_of(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray, nodes: int) -> Nodes:
-    """Of a product grid of angles (rad), phi_d below pi/2.
+    """Nodes of a product grid of angles (rad), phi_d below pi/2.
 
     Accuracy as in :func:`gather`; a bin that alone in its row is above the horizon (12 of MERL's, at 89.9 degrees) has
     the value of another azimuth near it.
@@ -104,7 +104,7 @@ def nodes_of(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray, nodes:
 
 
 def _row(theta_h: float, theta_d: np.ndarray, phi_d: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of one theta_h: B, (D, P, K), and cos^2 phi_d at the nodes, (D, K)."""
+    """Matrices of one theta_h: B, (D, P, K), and cos^2 phi_d at the nodes, (D, K)."""
     x = -np.cos(np.pi * (np.arange(nodes) + 0.5) / nodes)
     s, low, high, horizon = _positions(theta_h, theta_d, phi_d)
     at_bins = chebvander(np.clip(2 * (s - low) / (high - low) - 1, -1, 1), nodes - 1)
@@ -120,7 +120,7 @@ def _at_nodes(theta_h: np.ndarray, theta_d: np.ndarray, cos2: np.ndarray) -> tup
 def _positions(
     theta_h: float, theta_d: np.ndarray, phi_d: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of one theta_h: s of every bin (D, P), its range over the bins above the horizon (D, 1), and u (D, 1)."""
+    """Positions at one theta_h: s of every bin (D, P), its range over bins above the horizon (D, 1), and u (D, 1)."""
     horizon = np.minimum(1 / np.tan(theta_h) / np.tan(theta_d), 1.0)[:, None] ** 2
     s2 = 1 - np.cos(phi_d) ** 2 / horizon
     s, above = np.sqrt(np.maximum(s2, 0.0)), s2 > 0

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 ColourSpace = Literal["linear RGB of MERL, as stored", "linear RGB, as stored", "none: a channel is a wavelength"]
-"""Of a measurement's channels; nothing is converted."""
+"""Colour space of a measurement's channels; nothing is converted."""
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ def columns_of(path: Path, cells: list[str]) -> Columns:
 
 
 def wavelength(name: str) -> float | None:
-    """Of a column of values (um); None if its name is none."""
+    """Wavelength of a column of values (um); None if its name is none."""
     match = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*[\[(]?\s*(nm|um|µm|μm|)\s*[\])]?", name)
     if match is None:
         return None

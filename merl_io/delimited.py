@@ -70,7 +70,7 @@ class Lines:
         self.lines.append(number)
 
     def _number(self, cell: str) -> float:
-        """Of a cell; with a decimal comma where commas are not what stands between cells."""
+        """The number in a cell; with a decimal comma where commas are not what stands between cells."""
         try:
             return float(cell if self.delimiter == "," else cell.replace(",", "."))
         except ValueError:
@@ -116,7 +116,7 @@ def refuse(path: Path, wrong: list[str], names: list[str]) -> None:
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
-    """Of a line."""
+    """Cells of a line."""
     if delimiter is None:
         return line.split()
     return next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)

@@ -46,7 +46,7 @@ Trigonometry = tuple[np.ndarray, np.ndarray]  # sine and cosine
 
 
 def trigonometry(angle: np.ndarray) -> Trigonometry:
-    """Of an angle (rad)."""
+    """Sine and cosine of an angle (rad)."""
     return np.sin(angle), np.cos(angle)
 
 

@@ -21,7 +21,7 @@ PLAIN = {
 
 
 def shortened(message: str) -> str:
-    """Of a message that is too long its beginning, which names the file, and its end."""
+    """A message; of one that is too long its beginning, which names the file, and its end."""
     half = LONGEST // 2 - 3
     return message if len(message) <= LONGEST else f"{message[:half]} ... {message[-half:]}"
 

@@ -22,7 +22,7 @@ def evaluate(values: Real, x: Real) -> Real:
 
 
 def coefficients(values: Real) -> Real:
-    """Of the polynomials T_k of 2 x - 1, from values at the nodes, both of shape (count, ...)."""
+    """Coefficients of the polynomials T_k of 2 x - 1, from values at the nodes, both of shape (count, ...)."""
     return jnp.tensordot(jnp.asarray(_to_coefficients(len(values)), values.dtype), values, 1)
 
 

@@ -309,7 +309,7 @@ def from_surface(table: Real, theta_h: Real, share: Real, sharpest: Scalar) -> R
 
 
 def _position(theta_h: Real, sharpest: Scalar, last: Scalar) -> Real:
-    """Of a half angle among the places, whose last one has the number ``last``."""
+    """The number of a half angle among the places, whose last one has the number ``last``."""
     root = jnp.sqrt(1 + sharpest**2)
     tangent = jnp.tan(jnp.minimum(theta_h, LAST_HALF))
     return jnp.arcsinh(root * tangent) * (last / jnp.arcsinh(root * math.tan(LAST_HALF)))

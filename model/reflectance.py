@@ -67,7 +67,7 @@ class Reflectance(ABC):
 
     Attributes:
         name: in configurations and results. citation: where the model is from. bodies: what may lie under its surface.
-        passed_over: names of values that are not refused, but not used either: what was fitted to a measurement may be
+        passed_over: names of values that are accepted and ignored, so that what was fitted to a measurement can be
             evaluated without the apparatus.
     """
 

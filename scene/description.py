@@ -38,7 +38,7 @@ class Camera(_Part):
     look_at: Vector = (0.0, 0.0, 0.0)
     up: Vector = (0.0, 1.0, 0.0)
     field_of_view_deg: Annotated[float, Field(gt=0, lt=170)] = 30.0
-    """Of the picture's height."""
+    """Angle that the picture's height spans."""
     width: Annotated[int, Field(ge=8, le=MOST_PIXELS)] = 256
     height: Annotated[int, Field(ge=8, le=MOST_PIXELS)] = 256
 
@@ -121,7 +121,7 @@ class Source(_Part):
     model: str | None = None
     """Name of a model (`merlfit models`)."""
     settings: dict[str, Any] = {}
-    """Of the model: of the two-scale model, its effects."""
+    """Settings of the model: of the two-scale model, its effects."""
     parameters: dict[str, float | list[float]] = {}
     """Values by name, of a model, lists of three for those per channel; or those to change of a result."""
 
@@ -165,7 +165,7 @@ class Scene(_Part):
     white: Positive = 1.0
     """Radiance that is white in the picture."""
     samples: Annotated[int, Field(ge=1, le=65536)] = 64
-    """Of each pixel."""
+    """Samples of each pixel."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
     @model_validator(mode="after")

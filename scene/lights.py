@@ -106,7 +106,7 @@ class Environment(eqx.Module):
         return jnp.stack([across * jnp.sin(longitude), up, -across * jnp.cos(longitude)], -1)
 
     def density(self, direction: Array) -> Array:
-        """Of :meth:`draw` (1/sr)."""
+        """Density of the directions of :meth:`draw` (1/sr)."""
         row, column = _place(direction)
         i = jnp.clip((row * ROWS).astype(jnp.int32), 0, ROWS - 1)
         j = jnp.clip((column * COLUMNS).astype(jnp.int32), 0, COLUMNS - 1)

@@ -186,7 +186,7 @@ def lit(stage: Stage, sampler: Sampler, material: Array, pixel: Array, u: Array)
 
 
 def radiance(material: Material, rays: Rays) -> Array:
-    """Of pixels, (P, 3)."""
+    """Radiance of pixels, (P, 3)."""
     found = material.brdf(Geometry.from_vectors(rays.i, rays.o))
     each = [jnp.where(rays.weight[..., k] > 0, rays.weight[..., k] * found[k], 0.0) for k in range(3)]
     return jnp.stack([jnp.sum(x, (0, 2)) for x in each], -1)

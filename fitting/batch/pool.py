@@ -171,7 +171,7 @@ def _why(process: SpawnProcess) -> str:
 
 
 def _work(pipe: Connection, task: Task, cores: list[int]) -> None:
-    """Of a worker: units from the pipe, one after the other, until it closes."""
+    """The loop of a worker: units from the pipe, one after the other, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all its processes: ours says what to do
     end_with_parent()
     one = threading.Lock()  # several threads compile, and tell of it

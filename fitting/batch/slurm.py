@@ -44,7 +44,7 @@ class Queue:
         self._cluster.adapt(minimum=jobs, maximum=jobs)  # those that are lost are asked for again
 
     def refusals(self) -> list[str]:
-        """Of each job that ``sbatch`` has answered: what it said if it did not take it, or ''."""
+        """What ``sbatch`` said of each job that it has answered, if it did not take it, or ''."""
         return [job.refusal for job in list(self._cluster.workers.values())]
 
     def close(self) -> None:

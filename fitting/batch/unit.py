@@ -32,7 +32,7 @@ class Unit:
 
     @property
     def name(self) -> str:
-        """Of the material, and of its files."""
+        """Name of the material, and of its files."""
         return self.path.stem
 
     @property

@@ -36,7 +36,7 @@ SAID = (
 
 
 def settings(seed: int | None = None) -> Config:
-    """Of the fit: no apparatus took light from a synthetic material; one kind of material is compiled and compared."""
+    """Settings of the fit: no apparatus took light from a synthetic material; one kind of material is compared."""
     kind = {"index": EFFECTS.index, "body": EFFECTS.body}
     return parse(
         {"seed": seed or 0, "input": {"origin": ORIGIN}, "effects": kind, "acquisition": {"grazing_loss": "off"}},

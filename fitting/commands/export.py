@@ -31,7 +31,7 @@ from .scenes import of_result
 
 To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
 ENDINGS = {"mitsuba": ("mitsuba.npz", "xml"), "json": ("material.json",), "gltf": ("gltf",), "openpbr": ("mtlx",)}
-"""Of files that are written but for MERL files, which may always be measurements."""
+"""Endings of files that are written but for MERL files, which may always be measurements."""
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
 <!-- {said}. Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr -->
 <scene version="3.0.0">
@@ -200,7 +200,7 @@ def to_openpbr(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
 
 
 def _word(name: str) -> str:
-    """Of a file that XML names: Mitsuba takes ``$`` for a parameter of the scene, and XML has no control codes.
+    """Name of a file that XML names: Mitsuba takes ``$`` for a parameter of the scene, and XML has no control codes.
 
     A name that is changed for that is no other's.
     """

@@ -88,7 +88,7 @@ def _correlated(cos_i: np.ndarray, cos_o: np.ndarray, alpha2: float) -> np.ndarr
 
 
 def fresnel_dielectric(cos: np.ndarray, ior: float) -> np.ndarray:
-    """Of unpolarised light from outside."""
+    """Reflectance of unpolarised light from outside."""
     if ior == 1:
         return np.zeros_like(cos)
     inside = np.sqrt(ior**2 - 1 + cos**2)

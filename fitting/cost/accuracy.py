@@ -40,7 +40,7 @@ Model = tuple[Layout, np.ndarray]  # and its free coordinates
 
 
 def distance(a: Model, b: Model, problem: Problem) -> float:
-    """Of two predictions, over all bins, relative to the measurement; infinite where one of them is not finite.
+    """Distance of two predictions, over all bins, relative to the measurement; infinite where one is not finite.
 
     Args:
         problem: all bins in float64.
@@ -119,7 +119,7 @@ class Aim:
 
     @property
     def settings(self) -> Config:
-        """Of the fit to start with."""
+        """Settings of the fit to start with."""
         return self.point.choice.settings(self.config)
 
     @property

@@ -80,7 +80,7 @@ def _generator(seed: int) -> np.random.Generator:
 
 
 def names() -> list[str]:
-    """Of all calibration materials."""
+    """Names of all calibration materials."""
     return [f"drawn-{seed}" for seed in DRAWN] + [f"{material}.{source}" for material, source in PUBLISHED]
 
 

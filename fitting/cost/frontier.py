@@ -44,7 +44,7 @@ class Percentiles(_Frozen):
 
     @classmethod
     def of(cls, values: Sequence[float] | np.ndarray) -> "Percentiles":
-        """Of a sample."""
+        """Percentiles of a sample."""
         median, p95 = np.median(values), np.quantile(values, 0.95, method="inverted_cdf")
         return cls(median=float(median), p95=float(p95), worst=float(np.max(values)))
 

@@ -180,7 +180,7 @@ def _two_scale(model: Any) -> Hints:  # noqa: ANN401 - of the class that its nam
 
 
 def _microfacets(reading: Callable[[float], Start]) -> Callable[[Any], Hints]:
-    """Of facets whose lobe has a half width; channels are separated exactly: lobes are those of facets with F0 = 1."""
+    """Hints for facets whose lobe has a half width; channels separate exactly: lobes are of facets with F0 = 1."""
 
     def hints(model: Any) -> Hints:  # noqa: ANN401
         constants, formula = TRIED[model.fresnel]
@@ -193,7 +193,7 @@ def _microfacets(reading: Callable[[float], Start]) -> Callable[[Any], Hints]:
 
 
 def _weighted(weight: str, least: float, most: float, starts: Starts) -> Callable[[Any], Hints]:
-    """Of a model whose channels are a weight times a lobe that all share, and a Lambert body.
+    """Hints for a model whose channels are a weight times a lobe that all share, and a Lambert body.
 
     Args:
         weight: name of the parameter. least, most: between which values are tried where a fit starts.

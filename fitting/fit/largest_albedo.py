@@ -34,7 +34,7 @@ class Brightest(NamedTuple):
 
 
 def largest_albedo(material: Reflectance, values: Mapping[str, ArrayLike], bands: Bands) -> Brightest | None:
-    """Of a material without the apparatus, over light from the normal to 80 degrees; None where it cannot exceed one.
+    """The largest albedo without the apparatus, of light from 0 to 80 degrees; None where it cannot exceed one.
 
     One program for all variants of a model (:func:`.hints.general_of`), 0.1 s.
     """

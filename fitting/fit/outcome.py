@@ -65,13 +65,13 @@ class Fitted:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the physical values, by the Laplace approximation, (P, P)."""
+        """Covariance of the physical values, by the Laplace approximation, (P, P)."""
         slopes = np.asarray(self.layout.slopes(self.solution.z))
         return slopes @ laplace_covariance(self.solution.normal, self.solution.cost, self.count) @ slopes.T
 
     @cached_property
     def standard_errors(self) -> np.ndarray:
-        """Of the physical values, (P,)."""
+        """Standard errors of the physical values, (P,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @cached_property

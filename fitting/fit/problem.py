@@ -164,7 +164,7 @@ def _scattered_directions(samples: ScatteredSamples, arranged: Arrangement, prec
 
 
 def directions_of(samples: Samples | ScatteredSamples) -> Directions:
-    """Of all samples, one by one."""
+    """Directions of all samples, one by one."""
     if isinstance(samples, ScatteredSamples):
         arranged = Arrangement.of(len(samples.theta_h), len(samples.bands))
         return _scattered_directions(samples, arranged, "float64")

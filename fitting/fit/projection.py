@@ -121,7 +121,7 @@ def _added(parts: Sequence[T]) -> T:
 
 
 def _project(parted: LinearParameters, problem: Problem, sums: Sums) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Of one model and batch, and only what is per channel."""
+    """The projection of one model and batch, and only what is per channel."""
     squares, products, energy = sums[:3]
     cos_d = tuple(_columns(problem).tolist())
     constants = tuple((name, tuple(x.tolist())) for name, x in parted.constants.items())

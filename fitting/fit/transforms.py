@@ -193,7 +193,7 @@ class Layout:
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
-        """Of every entry: whether it is free, fixed, or tied to the one in the middle channel."""
+        """The kind of every entry: whether it is free, fixed, or tied to the one in the middle channel."""
         given, found = dict(self.constraints), []
         for q in self.parameters:
             own = given.get(q.name, Constraint())

@@ -127,7 +127,7 @@ def compare_file(
 
 
 def published_row(material: str, source: str, genuine: bool, errors: error_metrics.Errors, cost: float) -> Row:
-    """Of a published table, Ngan's on the scale of MERL's files."""
+    """Row of a published table, Ngan's on the scale of MERL's files."""
     model = published.SOURCES[source].model
     flat = {
         f"{name}_{channel}" if np.ndim(x) else name: float(y)
@@ -148,7 +148,7 @@ def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:
 
 
 def row_of(result: Result) -> Row:
-    """Of a fit."""
+    """Row of a fit."""
     assert result.model is not None
     source, fit, material = result.source, result.fit, result.model.material
     known = result.metrics.model_dump().items()

@@ -111,7 +111,7 @@ def with_quantiles(parameters: list[schema.ParameterResult], sampled: "Sampled")
 
 
 def _intervals(sampled: "Sampled", values: np.ndarray) -> list[schema.Quantiles | None]:
-    """Of every column of values (n, P) of the draws; none where the posterior is not to be trusted."""
+    """Interval of every column of values (n, P) of the draws; none where the posterior is not to be trusted."""
     if not sampled.posterior.sufficient:
         return [None] * values.shape[1]
     found = quantiles(values, sampled.posterior.weights)

@@ -239,7 +239,7 @@ def _ignored(emulator: Emulator, walked: _Walked) -> tuple[float, np.ndarray]:
 
 
 def _root(states: np.ndarray) -> np.ndarray:
-    """Of the covariance of states (N, P), lower triangular."""
+    """Cholesky root of the covariance of states (N, P), lower triangular."""
     covariance = np.atleast_2d(np.cov(states.T))
     return np.linalg.cholesky(covariance + 1e-9 * np.diag(np.diag(covariance)))
 

@@ -32,7 +32,7 @@ class Diagnosis:
 
     @property
     def ratio(self) -> float:
-        """Of the longest autocorrelation times, how many the chain spans."""
+        """How many of the longest autocorrelation times the chain spans."""
         return self.steps / float(self.times.max())
 
     @property

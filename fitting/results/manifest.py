@@ -59,7 +59,7 @@ class Line(BaseModel):
     ended: Ending | Literal["kept"] = "kept"
     """``kept``: a result of the same file, settings and versions was there."""
     status: str | None = None
-    """Of the fit, if there is one."""
+    """Status of the fit, if there is one."""
     error: Text | None = None
     sha1: str | None = None
     stopped: bool = False  # of `ended`

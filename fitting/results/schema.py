@@ -54,7 +54,7 @@ class Result(Strict):
     seconds: dict[str, float]
     """Seconds by stage, and in total."""
     seed: int
-    """Of the sampler's random numbers."""
+    """Seed of the sampler's random numbers."""
     versions: dict[str, str]
     """Versions of Python and of the packages that computed it."""
     config: dict[str, Any]

@@ -22,7 +22,7 @@ class Source(Strict):
     """Where the data came from."""
 
     format: Literal["MERL"] | Format
-    """Of the file: bins as MERL has them, a table of scattered directions, or another program's (docs/formats.md)."""
+    """Format of the file: MERL's bins, a table of scattered directions, or another program's (docs/formats.md)."""
     path: Text
     """File that was fitted, as it was named; relative to where the fit ran, unless it is absolute."""
     material: FileName

@@ -10,7 +10,7 @@ ROUNDING = 1e-9  # relative: by so much a value may lie beyond a bound
 
 
 class Quantiles(Strict):
-    """Of a distribution: a 90 % interval and what lies in the middle."""
+    """Quantiles of a distribution: a 90 % interval and what lies in the middle."""
 
     q05: float
     """5 % lie below it."""
@@ -41,7 +41,7 @@ class ParameterResult(Strict):
     """By the Laplace approximation in free coordinates, around the fitted value and within the bounds
     (docs/statistics.md); null at a bound and where the prior says more than the data."""
     quantiles: Quantiles | None
-    """Of the posterior; null without a posterior that is good enough."""
+    """Quantiles of the posterior; null without a posterior that is good enough."""
     lower: float
     """Lower bound of the fit."""
     upper: float
@@ -79,7 +79,7 @@ class DerivedResult(Strict):
     value: float
     """At the fit."""
     quantiles: Quantiles | None
-    """Of the posterior; null without a posterior that is good enough."""
+    """Quantiles of the posterior; null without a posterior that is good enough."""
 
 
 class Direction(Strict):
@@ -101,11 +101,11 @@ class Prior(Strict):
     sigma_s times the root of the share of diffracted light above the horizon, ``odds`` = albedo / (1 - albedo),
     ``dispersion`` = eta - 1 over that of the middle channel."""
     distribution: Literal["log-normal", "uniform"]
-    """Of the quantity less `offset`."""
+    """Distribution of the quantity less `offset`."""
     offset: float
     """Subtracted from the quantity before the logarithm is taken."""
     median: float | None
-    """Of the log-normal distribution before it is cut; null of a uniform one."""
+    """Median of the log-normal distribution before it is cut; null of a uniform one."""
     factor: float | None
     """By which one standard deviation multiplies or divides the median; null of a uniform distribution."""
     lower: float

@@ -58,5 +58,5 @@ class PosteriorResult(Strict):
 
 
 def sha1_of_draws(values: np.ndarray, weights: np.ndarray) -> str:
-    """Of values (N, P) and weights (N,), whatever the order of bytes here."""
+    """SHA-1 of values (N, P) and weights (N,), whatever the order of bytes here."""
     return hashlib.sha1(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in (values, weights))).hexdigest()

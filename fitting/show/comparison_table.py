@@ -82,7 +82,7 @@ def figure_of(row: Row, name: str) -> float:
 
 
 def winners(rows: Sequence[Row], name: str) -> dict[str, tuple[str, float]]:
-    """Of every material the model with the lowest error, and how many times the second best one has it.
+    """For every material the model with the lowest error, and how many times the second best one has it.
 
     Materials of which no row has this error are left out: some files have too few directions for a picture.
     """

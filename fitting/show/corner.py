@@ -28,7 +28,7 @@ LETTER = 0.58 * SMALL / 72  # inches of a digit
 
 @printable
 def corner(subject: Subject) -> Figure:
-    """Of what all channels share and of the middle channel: as many parameters as a column has room for."""
+    """Marginals of what all channels share and of the middle channel: as many parameters as a column has room for."""
     middle = subject.model.channels[len(subject.model.channels) // 2]
     free = _free(subject)
     kept = [k for k in free if subject.result.parameters[k].channel in (None, middle)]
@@ -37,7 +37,7 @@ def corner(subject: Subject) -> Figure:
 
 @printable
 def corner_all(subject: Subject) -> Figure:
-    """Of all parameters that were fitted, as wide as a page."""
+    """Marginals of all parameters that were fitted, as wide as a page."""
     return _corner(subject, _free(subject), PAGE_INCHES, "")
 
 

@@ -14,7 +14,7 @@ ON_PAGE = 61  # viewers of a lobe that see no row of theta_h
 CURVES = ("fit", "file", "alone", "low", "high")
 HALVES_SHOWN = 6.0  # half widths that the plot of normalised peaks reaches to
 Rows = list[dict[str, Any]]
-"""Of a chart: a row a direction and channel; what there is not is None."""
+"""Rows of a chart: a row a direction and channel; what there is not is None."""
 PARTS = {"specular": "reflection", "diffracted": "diffraction", "body": "body"}
 """What the sharp lobes and the body are called, by their names in the models."""
 
@@ -51,7 +51,7 @@ def added(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, d
 
 
 def lobe_rows(subject: Subject) -> tuple[Rows, Rows]:
-    """Of :func:`lobe` and of :func:`added`: ``i``, ``o`` (deg), ``channel``, curves; ``i``, ``o``, ``part``, ``value``.
+    """Rows of :func:`lobe` and :func:`added`: ``i``, ``o`` (deg), ``channel``, curves; ``i``, ``o``, ``part``, ``value``.
 
     Of the file only data are shown.
     """

@@ -19,7 +19,7 @@ DARKEST = 0.002  # share of the directions that are darker than the first isolin
 
 @printable
 def isolines(subject: Subject) -> Figure:
-    """Of the middle channel, file beside fit, a row an incidence; the cross is the mirror direction."""
+    """Isolines of the middle channel, file beside fit, a row an incidence; the cross is the mirror direction."""
     columns = 1 if subject.measurement is None else 2
     middle = subject.channels[len(subject.channels) // 2]
     figure = new(1.6 * len(INCIDENCES_DEG) + 0.45)

@@ -102,7 +102,7 @@ def _shown(path: Path, folder: Path) -> bool:
 
 
 def _row(path: Path, folder: Path, last: Line | None) -> Row:
-    """Of a result; an error is that of a later run that did not replace it."""
+    """Row of a result; an error is that of a later run that did not replace it."""
     where = str(path.relative_to(folder))
     row = BLANK | {"material": path.stem, "result": where, "error": last.error if last else None}
     try:

@@ -21,7 +21,7 @@ OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "
 """Colours that people with any colour vision tell apart (Okabe & Ito 2008)."""
 CHANNEL_COLOURS = {"R": "#D55E00", "G": "#009E73", "B": "#5A4FCF"}
 MARKS = ("o", "s", "^", "D", "v")
-"""Of the channels, one after the other: what colour says is said by shape, too."""
+"""Marks of the channels, one after the other: what colour says is said by shape, too."""
 INK, FAINT = "#222222", "#808080"
 FITTED = "#D55E00"  # a fitted value among draws
 LETTERS, SMALL = 7.0, 6.0  # points
@@ -51,13 +51,13 @@ def own_style(more: dict[str, Any] | None = None) -> Iterator[None]:
 
 
 def plain(text: str) -> str:
-    """Of a text from files: to be shown as it is, no formula of matplotlib's and no control code."""
+    """A text from files, as it is shown, no formula of matplotlib's and no control code."""
     shown = text.encode("utf-8", "backslashreplace").decode().translate(PLAIN).translate(PICTURED)
     return shown.replace("$", r"\$")
 
 
 def symbol(tex: str, name: str) -> str:
-    """Of a parameter, as a formula; its name where a file holds no formula."""
+    """Symbol of a parameter, as a formula; its name where a file holds no formula."""
     try:
         MathTextParser("path").parse(f"${tex}$")
     except ValueError:
@@ -66,7 +66,7 @@ def symbol(tex: str, name: str) -> str:
 
 
 def printable(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Of a function that draws: its figures have this style wherever they are shown or saved."""
+    """Decorates a function that draws: its figures have this style wherever they are shown or saved."""
 
     @wraps(draw)
     def styled(*words: P.args, **named: P.kwargs) -> Figure:
@@ -85,7 +85,7 @@ def new(height: float, width: float = COLUMN_INCHES, layout: str | None = "const
 
 
 def channel_colour(channel: str, place: int) -> str:
-    """Of a channel by its name, or by its place where it has another one."""
+    """Colour of a channel by its name, or by its place where it has another one."""
     return CHANNEL_COLOURS.get(channel, OKABE_ITO[place % len(OKABE_ITO)])
 
 

@@ -69,7 +69,7 @@ def interval(found: Quantiles | None) -> str:
 
 
 def median(q: ParameterResult) -> str:
-    """Of the posterior; a dash without one."""
+    """Median of the posterior; a dash without one."""
     return number(q.quantiles.q50) if q.quantiles else "-"
 
 

@@ -15,7 +15,7 @@ ROW_INCHES = 0.68
 
 @printable
 def trace(subject: Subject) -> Figure:
-    """Of each free coordinate the median of all walkers and 5 to 95 % of them, at every step after tuning."""
+    """The median of each free coordinate over all walkers, and 5 to 95 % of them, at every step after tuning."""
     subject.draws  # noqa: B018 - says so if there are none
     states, posterior = subject.walkers, subject.result.posterior
     if states is None or posterior is None:

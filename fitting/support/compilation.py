@@ -77,12 +77,12 @@ class Programs:
         self._new: set[int] = set()  # threads that have compiled one
 
     def event(self, event: str, **_: str | int) -> None:
-        """Of JAX."""
+        """Hear of an event of JAX's."""
         if event == NEW:
             self._new.add(get_ident())
 
     def duration(self, event: str, duration_secs: float, **_: str | int) -> None:
-        """Of JAX."""
+        """Hear of a duration that JAX has measured."""
         if event != READY:
             return
         self.ready += 1

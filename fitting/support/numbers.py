@@ -13,13 +13,13 @@ def number(x: float | None, digits: int = 4) -> str:
 
 
 def median(values: Iterable[float | None]) -> float:
-    """Of those that are known; NaN where none is."""
+    """Median of the numbers that are known; NaN where none is."""
     known = sorted(x for x in values if x is not None and math.isfinite(x))
     return statistics.median(known) if known else math.nan
 
 
 def unit(name: str) -> str:
-    """Of a quantity; a dash for none."""
+    """Unit of a quantity; a dash for none."""
     return "-" if name == "1" else name
 
 

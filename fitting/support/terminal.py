@@ -314,7 +314,7 @@ def reporter(progress: Progress, task: TaskID, label: str) -> Callable[[str], No
 
 @contextmanager
 def reporting(name: str, label: str) -> Iterator[Callable[[str], None]]:
-    """Of one piece of work a progress display, and what its stages are told to."""
+    """A progress display of one piece of work; yields what its stages are told to."""
     with progress_display() as progress:
         yield reporter(progress, progress.add_task(name, total=None), label)
 

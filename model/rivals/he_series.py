@@ -57,7 +57,7 @@ def full(g: Array, e: Array) -> Array:
 
 @full.defjvp
 def _full_jvp(primals: Pair, tangents: Pair) -> Pair:
-    """Of the same terms: d/dg multiplies each by (m - 1)/g - 1, d/de by -1/m."""
+    """The derivative of the same terms: d/dg multiplies each by (m - 1)/g - 1, d/de by -1/m."""
     value, by_g, by_e = _sums(*primals)
     return value, by_g * tangents[0] + by_e * tangents[1]
 

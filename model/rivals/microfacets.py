@@ -82,7 +82,7 @@ class Microfacets(Reflectance):
 
 @dataclass(frozen=True)
 class NumericMasking(Microfacets):
-    """Of a distribution whose Smith masking has no closed form: by quadrature, tabulated once a parameter set."""
+    """Microfacets whose Smith masking has no closed form: by quadrature, tabulated once a parameter set."""
 
     @abstractmethod
     def slopes(self, squared: Array, v: Values) -> Array:

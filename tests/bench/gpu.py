@@ -79,7 +79,7 @@ def run(folder, out, every, on_cpu=False):
         "gpu", "Fits batched over materials",
         f"synthetic: published parameters on MERL's grid ({SOURCES[SOURCE].citation})",
         [f"Device: {device.device_kind} ({device.platform}). `tests/bench/stacked.py`, body {BODY}, all bins, "
-         "float64: a successive_halving on the coarse grid, then all bins; after compilation, one repeat. One by "
+         "float64: successive halving on the coarse grid, then all bins; after compilation, one repeat. One by "
          f"one: the same fits without a batch, on the same device. Reading and gathering a file, {preparing:.2g} s "
          "each on the CPU, is not in it. Steps: of the fine stage, of the slowest material and of the mean one."],
         {"cost": Target("cost differs from that of single fits, largest", 1e-6, "relative")},

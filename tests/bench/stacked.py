@@ -55,7 +55,7 @@ def prepare(samples, config):
 
 
 def fit_batch(layout, materials, config):
-    """All materials with the same effects: a successive_halving on the coarse grid, then the last grid.
+    """All materials with the same effects: successive halving on the coarse grid, then the last grid.
 
     As `run.fit` does it one by one, without its choice of a body and its assessment on all bins.
     """

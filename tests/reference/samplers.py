@@ -198,7 +198,7 @@ class Mixture(eqx.Module):
         return 1 + max(part.dimensions for part in self.parts)
 
     def draw(self, given: Array, u: Array) -> Array:
-        """Of the part that the first number chooses."""
+        """Direction of the part that the first number chooses."""
         below, drawn = jnp.zeros_like(u[..., 0]), jnp.broadcast_to(given, (*u.shape[:-1], 3))
         for part, share in zip(self.parts, self._shares(given), strict=True):
             chosen = (u[..., 0] >= below) & (u[..., 0] < below + share)
@@ -224,7 +224,7 @@ class Mixture(eqx.Module):
 
 
 def _mean(value: ArrayLike) -> Array:
-    """Of the channels."""
+    """Mean over the channels."""
     return jnp.mean(jnp.asarray(value, float))
 
 
