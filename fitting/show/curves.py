@@ -51,7 +51,7 @@ def added(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, d
 
 
 def lobe_rows(subject: Subject) -> tuple[Rows, Rows]:
-    """Rows of :func:`lobe` and :func:`added`: ``i``, ``o`` (deg), ``channel``, curves; ``i``, ``o``, ``part``, ``value``.
+    """Rows of `lobe` and `added`: ``i``, ``o`` (deg), ``channel``, curves; ``i``, ``o``, ``part``, ``value``.
 
     Of the file only data are shown.
     """
