@@ -133,15 +133,16 @@ def fit(
         models = candidates(config)
         report(f"coarse grid: {', '.join(model.variant for model in models)}")
         layouts = [layout_for(config, model, samples.bands) for model in models]
-        sought = [
+        search_variants = [
             cheaper(replace(layout, model=hints_of(layout.model).search or layout.model), COARSE_ORDER)
             for layout in layouts
         ]
         problem, roughly = make_coarse(samples)
-        found = fit_coarse(sought, start_hints(samples), problem, roughly, config, first)
-        compared, chosen = compare(sought, found, thinned(samples, COARSE))
+        found = fit_coarse(search_variants, start_hints(samples), problem, roughly, config, first)
+        compared, chosen = compare(search_variants, found, thinned(samples, COARSE))
         z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
-        if last != sought[chosen]:  # the conserving split costs a hundred times as much, and moves a fit a little
+        # the conserving split costs a hundred times as much, and moves a fit a little
+        if last != search_variants[chosen]:
             z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
     report(f"{config.fit.grid} grid: {models[chosen].variant}")
     tried = descend(layouts[chosen], z, measurement, samples, config, clock)

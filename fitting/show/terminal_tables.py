@@ -183,7 +183,7 @@ def print_result(console: Console, result: Result) -> None:
     least = min((x or 0.0 for x in p.effective_size), default=0.0)
     console.print(
         f"posterior: {p.message}; {p.walkers} walkers, acceptance {p.acceptance:.2f}. {p.draws} draws are weighted by "
-        f"the likelihood of all bins; the smallest effective sample size is {number(least, 3)}. The residuals are "
+        f"the likelihood of all data; the smallest effective sample size is {number(least, 3)}. The residuals are "
         f"correlated: they count as {number(p.effective_bins, 3)} independent ones"
     )
 
