@@ -93,7 +93,7 @@ def test_normal_equations_that_are_not_finite_are_no_fit():
     broken = replace(one.solution, normal=one.solution.normal * np.nan)
     file = SimpleNamespace(
         path="x.binary", name="x", sha1="0" * 40, blob_sha1="0" * 40, format="MERL", genuine=None, dims=DIMS,
-        valid=np.ones(3, bool), outliers=0,
+        valid=np.ones(3, bool), outliers=0, quantity="brdf",
     )  # fmt: skip
     samples = SimpleNamespace(weight=np.ones((3, 2, 2)))
     found = make_result(file, samples, replace(one, solution=broken), None, load(), {"total": 0.1})
