@@ -45,7 +45,7 @@ class Slice:
         azimuth, incidence: which of the file's. node: which nodes are samples, (n, n), one of those at theta_m = 0.
         normal: weights of these in their mean, (n,). theta_i, theta_o, phi: of the samples, as of
             `scattered.ScatteredMeasurement`, (k,).
-        factor: BRDF (1/sr) over S, (k,). share: of Eq. 56, (k,).
+        factor: BRDF (1/sr) over S, (k,). solid_angle: (sr), (k,). share: of Eq. 56, (k,).
     """
 
     azimuth: int
@@ -56,6 +56,7 @@ class Slice:
     theta_o: np.ndarray
     phi: np.ndarray
     factor: np.ndarray
+    solid_angle: np.ndarray
     share: np.ndarray
 
     def values(self, stored: np.ndarray) -> np.ndarray:
@@ -98,9 +99,10 @@ def _slice(
     used[:, 0] = (normal > 0) & (np.arange(len(used)) == np.argmax(normal > 0))
     o = o[used]
     theta_o, phi = np.arctan2(np.hypot(o[:, 0], o[:, 1]), o[:, 2]), np.arctan2(o[:, 1], o[:, 0])
-    share = cosine * solid[used] / len(parts["phi_i"])
+    solid_angle = solid[used] / len(parts["phi_i"])
     factor = scale[used] / o[:, 2]
-    return Slice(azimuth, incidence, used, normal, np.full(len(o), theta_i), theta_o, phi, factor, share)
+    theta = np.full(len(o), theta_i)
+    return Slice(azimuth, incidence, used, normal, theta, theta_o, phi, factor, solid_angle, cosine * solid_angle)
 
 
 def _scale(parts: Mapping[str, np.ndarray], u: tuple[np.ndarray, np.ndarray], sigma: float) -> np.ndarray:

@@ -76,5 +76,6 @@ def usable(measured: ScatteredMeasurement, place: Callable[[int], str] | None = 
     kept = replace(
         measured, theta_i=measured.theta_i[above], theta_o=measured.theta_o[above], phi=measured.phi[above],
         values=values, share=measured.share[above], notes=notes,
+        solid_angle=None if measured.solid_angle is None else measured.solid_angle[above],
     )  # fmt: skip
     return kept if place is None else examined(kept, lambda k: place(int(above[k])))

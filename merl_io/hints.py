@@ -111,11 +111,16 @@ def reflected(angles: np.ndarray, value: np.ndarray) -> float:
     for incidence in np.unique(theta_i) if len(np.unique(theta_i)) <= MOST else []:
         rows = np.flatnonzero(theta_i == incidence)
         at, f = angles[1:, rows], value[rows]
-        azimuths = len(np.unique(np.round(np.degrees(np.arccos(np.cos(at[1]))))))
-        wide = np.ptp(at[0]) > 1.0 and np.ptp(np.abs(np.cos(at[1]) - 1)) > 1.0
-        if len(rows) >= LEAST and azimuths >= FEWEST_AZIMUTHS and wide:
+        if cover_hemisphere(*at):
             albedos.append(_hemisphere(at, f))
     return max(albedos)
+
+
+def cover_hemisphere(theta_o: np.ndarray, phi: np.ndarray) -> bool:
+    """Whether an incidence's directions of viewers, (N,), are all over the hemisphere: no line, no spot."""
+    azimuths = len(np.unique(np.round(np.degrees(np.arccos(np.cos(phi))))))
+    wide = len(phi) >= LEAST and np.ptp(theta_o) > 1.0 and np.ptp(np.abs(np.cos(phi) - 1)) > 1.0
+    return bool(wide) and azimuths >= FEWEST_AZIMUTHS
 
 
 def _hemisphere(at: np.ndarray, f: np.ndarray) -> float:

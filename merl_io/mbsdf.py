@@ -52,7 +52,8 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     distinct = _distinct(stored), _distinct(stored.swapaxes(0, 1))
     measured = np.ix_(np.arange(thetas) < distinct[0], np.arange(thetas) < distinct[1], np.ones(phis, bool))
     theta_i, theta_o, phi = (x[measured].ravel() for x in np.meshgrid(*middles, indexing="ij"))
-    share = np.diff(np.sin(theta))[:, None, None] * -np.diff(np.cos(theta))[:, None] * np.full(phis, 2 * np.pi / phis)
+    solid = np.broadcast_to(-np.diff(np.cos(theta))[:, None] * np.full(phis, 2 * np.pi / phis), stored.shape[:3])
+    share = np.diff(np.sin(theta))[:, None, None] * solid
     bands, notes = (MERL, ()) if kind else stated_band(path, remarks)
     for name, number in zip(("theta_i", "theta_o"), distinct, strict=True):
         if number < thetas:
@@ -64,7 +65,18 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
         values = stored[measured].reshape(-1, channels).T.astype(float)
     return usable(
         ScatteredMeasurement(
-            path, "MBSDF", theta_i, theta_o, phi, values, share[measured].ravel(), bands, sha1, blob, notes=notes
+            path,
+            "MBSDF",
+            theta_i,
+            theta_o,
+            phi,
+            values,
+            share[measured].ravel(),
+            bands,
+            sha1,
+            blob,
+            notes=notes,
+            solid_angle=solid[measured].ravel(),
         )
     )
 

@@ -49,14 +49,15 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
                 plane[rows] = np.where(np.abs(value) < BRIGHTEST, value, np.nan)
     if not any(np.isfinite(plane).any() for plane in values):
         raise MerlError(f"{path}: holds no datum: every value is not finite, or below the horizon")
-    theta_i, theta_o, phi, share = (
-        np.concatenate([getattr(part, name) for part in incidences]) for name in ("theta_i", "theta_o", "phi", "share")
+    theta_i, theta_o, phi, share, solid = (
+        np.concatenate([getattr(part, name) for part in incidences])
+        for name in ("theta_i", "theta_o", "phi", "share", "solid_angle")
     )
     left_out = spectra.shape[2] - len(bands)
     kept, bands, notes = filled(values, bands)
     values = values[kept] if notes else values
     return ScatteredMeasurement(
-        path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out, tuple(notes)
+        path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out, tuple(notes), solid
     )
 
 

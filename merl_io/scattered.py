@@ -31,6 +31,7 @@ class ScatteredMeasurement:
         share: of the fitting measure, in any unit, (N,).
         bands: of the values. left_out: how many wavelengths of the file are not read. notes: what was left out of it
             besides, in words.
+        solid_angle: that a sample stands for (sr), (N,); None where the format has none of its own.
         stated_tis: what a file says of the total integrated scatter: incidence (rad) and share of the light, in pairs.
         quantity: that the file holds, as the user declared it; values are BRDFs whatever it is.
         sha1, blob_sha1: as of `binary.Measurement`.
@@ -48,6 +49,7 @@ class ScatteredMeasurement:
     blob_sha1: str
     left_out: int = 0
     notes: tuple[str, ...] = ()
+    solid_angle: np.ndarray | None = None
     stated_tis: tuple[tuple[float, float], ...] = ()
     quantity: Quantity = "brdf"
     dims: None = None

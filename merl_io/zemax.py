@@ -69,6 +69,7 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
         solid[0, 0] = solid[:, 0].sum()
         padded[:, 1:, 0] = True
     theta_o, phi = _directions(theta_i, azimuth, radial)
+    solid = np.broadcast_to(solid, padded.shape)
     share = cosine_shares(theta_i)[:, None, None] * solid
     left_out = np.sum(padded[..., 1:] & (theta_o[..., 1:] < np.pi / 2))
     if left_out:
@@ -79,7 +80,8 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     tis = tuple(zip(theta_i.tolist(), scatter.tis[names[len(names) // 2]], strict=True))
     measured = ScatteredMeasurement(
         path, "Zemax", np.broadcast_to(theta_i[:, None, None], padded.shape)[~padded], theta_o[~padded],
-        phi[~padded], values[:, ~padded], share[~padded], bands, sha1, blob, notes=notes, stated_tis=tis,
+        phi[~padded], values[:, ~padded], share[~padded], bands, sha1, blob, notes=notes,
+        solid_angle=solid[~padded], stated_tis=tis,
     )  # fmt: skip
     return usable(measured)
 

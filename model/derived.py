@@ -9,13 +9,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from . import diffraction
-from .albedo import directional_albedo
 from .fresnel import fresnel
 from .parameters import WAVELENGTHS_UM
 from .reflectance import Reflectance, Wavelengths
 from .two_scale import TwoScale
-
-ALBEDO_INCIDENCES_DEG = (0, 60)
 
 
 class Quantity(NamedTuple):
@@ -30,17 +27,13 @@ class Quantity(NamedTuple):
 LOBE = Quantity("lobe_half_width", "half width at half maximum of the distribution of the facets' slopes", "deg", False)
 DIFFRACTED = Quantity("diffracted_fraction", "share of a facet's reflection at normal incidence", "1", True)
 F0 = Quantity("f0", "Fresnel reflectance at normal incidence", "1", True)
-ALBEDOS = tuple(
-    Quantity(f"albedo_{degrees}_deg", f"directional albedo, light at {degrees} degrees", "1", True)
-    for degrees in ALBEDO_INCIDENCES_DEG
-)
 
 
 def quantities(material: Reflectance) -> tuple[Quantity, ...]:
     """Those that a material has; of other models than the two-scale one none."""
     if not isinstance(material, TwoScale):
         return ()
-    return (LOBE, *((DIFFRACTED,) if material.diffraction != "off" else ()), F0, *ALBEDOS)
+    return (LOBE, *((DIFFRACTED,) if material.diffraction != "off" else ()), F0)
 
 
 def derived(
@@ -51,7 +44,6 @@ def derived(
     - lobe_half_width (degrees): arctan(beta (ln 2)^(1 / 2p)), where exp(-(tan/beta)^(2p)) of HP17 Eq. 35 is a half.
     - diffracted_fraction: 1 - A_spec of HP17 Eq. 25 on a facet that the light meets along its normal.
     - f0: HP17 Eq. 3 at theta_d = 0.
-    - albedo_0_deg, albedo_60_deg: :func:`directional_albedo`.
 
     Args:
         values: by name, as for :func:`merlfit.model.two_scale.two_scale`.
@@ -71,6 +63,4 @@ def derived(
             share = diffraction.renormalisation(jnp.zeros(()), v["b"] / wavelength, v["c"])
         phase = diffraction.phase_variance(share * v["sigma_s"] ** 2, jnp.ones(()), wavelength)
         quantities_by_name[DIFFRACTED.name] = -jnp.expm1(-phase)
-    incidences = jnp.radians(jnp.asarray(ALBEDO_INCIDENCES_DEG, float))
-    albedos = directional_albedo(material, v, incidences, wavelengths_um)
-    return quantities_by_name | dict(zip((q.name for q in ALBEDOS), albedos.T, strict=True))
+    return quantities_by_name

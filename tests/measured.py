@@ -15,15 +15,16 @@ import sys
 import jax
 import jax.numpy as jnp
 import numpy as np
+from merlfit.fitting.fit.total_scatter import of_file
 from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io import inputs
 from merlfit.merl_io.atomic import write_atomically
-from merlfit.model.derived import directional_albedo
+from merlfit.model.albedo import directional_albedo
 
 from .bench.processes import MERLFIT, ROOT
 from .measured_albedo import TABLE as MITSUBA
-from .measured_albedo import THETA_I, own
+from .measured_albedo import THETA_I
 from .support.reconstructions import DATA
 
 FOLDER = ROOT / "results" / "measured"
@@ -76,12 +77,9 @@ def read(out, files):
 
 def of_the_file(path):
     """Albedo (C, A) at THETA_I by the shares."""
-    found, theta = inputs.read(path), np.radians(own(path))
-    edges = np.concatenate([[0.0], (theta[1:] + theta[:-1]) / 2, [(theta[-1] + np.pi / 2) / 2]])
-    cosine, at = np.diff(np.sin(edges)), np.abs(found.theta_i[:, None] - theta).argmin(1)
-    light = np.nan_to_num(found.values) * found.share * np.cos(found.theta_o)
-    albedo = np.stack([np.bincount(at, channel, len(theta)) / cosine for channel in light])
-    return np.stack([np.interp(np.radians(THETA_I), theta, channel) for channel in albedo])
+    found = inputs.read(path)
+    theta = np.unique(found.theta_i)
+    return np.stack([np.interp(np.radians(THETA_I), theta, channel) for channel in of_file(found, theta)])
 
 
 def of_the_fit(result):

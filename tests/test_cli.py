@@ -99,7 +99,9 @@ def test_a_chain_too_short_says_so_and_gives_no_intervals(fitted):
     said = r"\d+ steps are \d+ autocorrelation times, 50 are needed; continue the chain with `merlfit sample`"
     assert re.fullmatch(said, result.posterior.message)
     assert result.derived
-    assert all(q.quantiles is None for q in [*result.parameters, *result.derived])
+    assert all(q.quantiles is None for q in [*result.parameters, *result.derived, *result.tis])
+    assert [(q.theta_i_deg, q.channel) for q in result.tis] == [(theta, c) for theta in (0, 30, 60) for c in "RGB"]
+    assert all(q.laplace and q.laplace.q05 < q.value < q.laplace.q95 for q in result.tis)
     size, p = len(result.parameters), result.posterior
     assert len(p.coordinates) == len(p.r_hat) == len(p.effective_size) == len(p.contraction) == size
     with np.load(fitted[0] / "out" / p.chain_file, allow_pickle=False) as chain:
@@ -119,7 +121,7 @@ def test_inspect_prints_and_draws(fitted):
     words = ("-o", folder / "pictures", "--pictures", "lobes")  # of all pictures: tests/fitting/test_pictures.py
     shown = call("inspect", folder / "out" / "blue-metallic-paint.json", *words)
     assert shown.exit_code == 0
-    for word in ("beta", "sigma_s", "50 are needed", "conductor", "derived quantities"):
+    for word in ("beta", "sigma_s", "50 are needed", "conductor", "derived quantities", "total integrated scatter"):
         assert word in shown.stdout
     assert (folder / "pictures" / "blue-metallic-paint.two-scale.lobes.png").stat().st_size > 20_000
 

@@ -18,6 +18,7 @@ from .laplace import laplace_covariance
 from .largest_albedo import largest_albedo
 from .levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
 from .selection import VISIBLE, alike, lost
+from .total_scatter import of_values
 from .transforms import ODDS, Layout
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
@@ -94,6 +95,23 @@ class Fitted:
             (end(k, -NINETY * error), end(k, NINETY * error)) if error < DECIDED * prior[k] and own[k] > 0 else None
             for k, error in enumerate(self.standard_errors)
         ]
+
+    def total_scatter(self, theta_i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Total integrated scatter at incidences (rad), (A,): (C, A), and ends of its 90 % interval, (2, C, A).
+
+        It is taken to be normal in its logarithm; NaN where the data do not decide, as of :attr:`laplace`.
+        """
+        values = self.layout.values(self.solution.z)
+        at_fit, slopes = of_values(self.material, values, self.layout.bands, theta_i)
+        by_entry = np.zeros((*at_fit.shape, len(self.values)))
+        for name, slope in slopes.items():
+            for k in range(self.layout.slices[name].start, self.layout.slices[name].stop):
+                own = k - self.layout.slices[name].start if self.layout.entries[k].per_channel else slice(None)
+                by_entry[own, :, k] = slope[own]
+        error = np.sqrt(np.einsum("cap,pq,caq->ca", by_entry, self.covariance, by_entry))
+        prior = np.linalg.norm(by_entry @ np.asarray(self.layout.slopes(self.solution.z)), axis=-1)
+        relative = np.where((error < DECIDED * prior) & (at_fit > 0), error / np.maximum(at_fit, 1e-30), np.nan)
+        return at_fit, at_fit * np.exp(NINETY * np.stack([-relative, relative]))
 
     @cached_property
     def at_bound(self) -> list[Bound]:

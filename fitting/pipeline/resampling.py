@@ -12,7 +12,7 @@ from ..settings.config import parse
 from ..support.clock import Clock, Report, silent
 from .draws import chain_of
 from .models import layout_for
-from .result import posterior_parts
+from .result import posterior_parts, total_scatter_results
 from .run import assess
 
 
@@ -59,6 +59,7 @@ def resample(
     result = result.model_copy(
         update={
             **posterior_parts(result.parameters, fitted, sampled, measurement.name),
+            "tis": total_scatter_results(fitted, measurement, sampled),
             "seconds": {**result.seconds, "posterior": round(spent, 3), "total": round(seconds, 3)},
         }
     )

@@ -8,13 +8,14 @@ import numpy as np
 from ...merl_io.bands import ColourSpace
 from ...merl_io.inputs import Input, remarks
 from ...merl_io.samples import Samples
-from ...merl_io.scattered import ScatteredSamples
+from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.derived import quantities
 from ...model.measured import Measured
 from ..fit.identifiability import identifiability
 from ..fit.levenberg_marquardt import Status
 from ..fit.outcome import Fitted, cautions, said
 from ..fit.problem import energy
+from ..fit.total_scatter import SAME, incidences_of, of_draws, of_file
 from ..fit.transforms import Layout
 from ..results import schema, storage
 from ..results.schema_posterior import sha1_of_draws
@@ -68,7 +69,8 @@ def make_result(
     found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)
     result = schema.Result(
         model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
-        fit=fit_part, metrics=errors, identifiability=found, posterior=None, **common,
+        fit=fit_part, metrics=errors, identifiability=found, posterior=None,
+        tis=total_scatter_results(fitted, measurement, sampled), **common,
     )  # fmt: skip
     more = {} if sampled is None else posterior_parts(result.parameters, fitted, sampled, measurement.name)
     return result.model_copy(update={"numbers_sha1": result.digest, **more})
@@ -131,6 +133,32 @@ def derived_results(fitted: Fitted, sampled: "Sampled") -> list[schema.DerivedRe
                 unit=q.unit, value=value, quantiles=interval,
             ))  # fmt: skip
     return found
+
+
+def total_scatter_results(fitted: Fitted, measurement: Input, sampled: "Sampled | None") -> list[schema.TotalScatter]:
+    """Total integrated scatter of the fit by incidence and channel, beside the file's own and what it states."""
+    theta_i, channels = incidences_of(measurement), fitted.layout.channels
+    at_fit, ends = fitted.total_scatter(theta_i)
+    own, stated = of_file(measurement, theta_i), [None] * len(theta_i)
+    if isinstance(measurement, ScatteredMeasurement) and len(channels) == 1:
+        at = {k: x for k, t in enumerate(theta_i) for theta, x in measurement.stated_tis if abs(theta - t) < SAME}
+        stated = [at.get(k) for k in range(len(theta_i))]
+    drawn: list[schema.Quantiles | None] = [None] * at_fit.size
+    if sampled is not None and sampled.posterior.sufficient:
+        scatter = of_draws(fitted.layout, sampled.posterior.draws, theta_i)
+        drawn = _intervals(sampled, scatter.reshape(len(scatter), -1))
+    return [
+        schema.TotalScatter(
+            theta_i_deg=round(float(np.degrees(theta)), 3), channel=channel, value=float(at_fit[c, k]),
+            laplace=_ends(ends[0, c, k], at_fit[c, k], ends[1, c, k]), quantiles=drawn[c * len(theta_i) + k],
+            file=storage.finite(float(own[c, k])), stated=stated[k],
+        )
+        for k, theta in enumerate(theta_i) for c, channel in enumerate(channels)
+    ]  # fmt: skip
+
+
+def _ends(low: float, value: float, high: float) -> schema.Quantiles | None:
+    return schema.Quantiles(q05=low, q50=value, q95=high) if np.isfinite(low + high) else None
 
 
 def _model_part(layout: Layout, z: np.ndarray, colour_space: ColourSpace) -> schema.Model:

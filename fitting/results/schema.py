@@ -10,7 +10,16 @@ from pydantic import Field, model_validator
 
 from .schema_fit import Accuracy, Candidate, Fit, Metrics, Tried
 from .schema_material import Acquisition, Model, Source
-from .schema_parameters import ROUNDING, DerivedResult, Direction, Identifiability, ParameterResult, Prior, Quantiles
+from .schema_parameters import (
+    ROUNDING,
+    DerivedResult,
+    Direction,
+    Identifiability,
+    ParameterResult,
+    Prior,
+    Quantiles,
+    TotalScatter,
+)  # fmt: skip
 from .schema_posterior import PosteriorResult
 from .schema_run import Run, this_run
 from .strict import Many, Strict
@@ -18,7 +27,7 @@ from .strict import Many, Strict
 __all__ = [
     "EDITED", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
     "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result",
-    "Run", "Source", "Tried", "genuine_words", "this_run",
+    "Run", "Source", "TotalScatter", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
 SCHEMA_VERSION = "2.5"
 EDITED = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
@@ -47,6 +56,8 @@ class Result(Strict):
     """What the data determine."""
     derived: Many[DerivedResult] = []  # noqa: RUF012 - pydantic copies it
     """Quantities that follow from the parameters; empty without a posterior."""
+    tis: Many[TotalScatter] = []  # noqa: RUF012 - pydantic copies it
+    """Total integrated scatter, by incidence and channel; empty in results of before it was stated."""
     posterior: PosteriorResult | None
     """How the posterior was sampled; null if it was not."""
     accuracy: Accuracy | None = None

@@ -82,6 +82,25 @@ class DerivedResult(Strict):
     """Quantiles of the posterior; null without a posterior that is good enough."""
 
 
+class TotalScatter(Strict):
+    """Total integrated scatter (TIS): the share of the light from one direction that comes back, in one channel."""
+
+    theta_i_deg: float
+    """Angle of the light to the normal (degrees)."""
+    channel: str
+    """Colour channel or wavelength."""
+    value: float
+    """Of the fitted material, without the apparatus: the integral of the BRDF times cos theta_o over all viewers."""
+    laplace: Quantiles | None
+    """By the Laplace approximation, as a log-normal distribution; null where the prior says more than the data."""
+    quantiles: Quantiles | None
+    """Quantiles of the posterior; null without a posterior that is good enough."""
+    file: float | None
+    """Integral of the file's own values (docs/result.md); null where its samples do not cover the hemisphere."""
+    stated: float | None
+    """What the file itself states; null where it does not."""
+
+
 class Direction(Strict):
     """A direction in free coordinates that the data do not determine."""
 

@@ -16,6 +16,7 @@ from ..support.numbers import counted, distance, number, unit
 from ..support.tables import table
 
 LAPLACE = "by the Laplace approximation"
+SCATTER_OF = {"file": "file's values", "stated": "stated in the file"}  # beside that of the fit
 LATEX_UNITS = {"1": "", "um": "\\textmu m", "1/sr": "sr$^{-1}$", "deg": "$^\\circ$"}
 
 
@@ -139,7 +140,7 @@ def print_result(console: Console, result: Result) -> None:
     """Everything a person asks first of one result."""
     s, f = result.source, result.fit
     grid = s.format == "MERL"
-    what = VALID_OF.get(s.format, f"the values of an {s.format} file")
+    what = VALID_OF.get(s.format, f"the values of the {s.format} file")
     console.print(f"{s.material}: {s.path}, {s.fraction_valid:.1%} of {what} valid")
     console.print(f"data: {result.data_words}")
     if result.model is None:
@@ -161,6 +162,8 @@ def print_result(console: Console, result: Result) -> None:
         f"picture: {picture}; highlight {number(e.highlight, 3)} times the file's; "
         f"cube-root error {number(e.cube_root, 3)}, log error {number(e.log, 3)}"
     )
+    if result.tis:
+        console.print(scatter_table(result))
     for caution in f.cautions:
         console.print(f"caution: {caution}")
     if len(f.candidates) > 1:
@@ -201,6 +204,22 @@ def derived_table(result: Result) -> Table:
     return table(title, ("quantity", "value", "5 .. 95 %", "unit", "meaning"), ("quantity", "unit", "meaning"), (
         (q.name, number(q.value), interval(q.quantiles), unit(q.unit), q.meaning) for q in result.derived
     ))  # fmt: skip
+
+
+def scatter_table(result: Result) -> Table:
+    """Total integrated scatter by incidence, with one kind of interval; the file's where there is one."""
+    sampled = any(q.quantiles for q in result.tis)
+    said = f"90 % intervals {'of the posterior' if sampled else LAPLACE}"
+    more = [name for name in ("file", "stated") if any(getattr(q, name) is not None for q in result.tis)]
+    drawn = table(
+        f"total integrated scatter (TIS), the share of the light that comes back; {said}",
+        ("light at", "channel", "fit", "5 .. 95 %", *(SCATTER_OF[name] for name in more)), ("channel",),
+    )  # fmt: skip
+    for q in result.tis:
+        found = interval(q.quantiles if sampled else q.laplace)
+        beside = [number(getattr(q, name)) for name in more]
+        drawn.add_row(f"{number(q.theta_i_deg)} deg", q.channel, number(q.value), found, *beside)
+    return drawn
 
 
 def accuracy_line(found: Accuracy) -> str:

@@ -1,0 +1,141 @@
+"""Total integrated scatter (TIS): what comes back of the light from one direction, of the file and of the fit.
+
+It is the directional-hemispherical reflectance, the integral of the BRDF times cos theta_o over all viewers.
+"""
+
+from collections.abc import Mapping
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from scipy.spatial import SphericalVoronoi
+
+from ...merl_io.bands import Bands
+from ...merl_io.binary import Measurement
+from ...merl_io.grid import merl_grid
+from ...merl_io.hints import cover_hemisphere
+from ...merl_io.inputs import Input
+from ...merl_io.scattered import ScatteredMeasurement
+from ...model.albedo import directional_albedo
+from ...model.reflectance import Reflectance
+from ..support.choices import THETA_MAX
+from ..support.threads import SHARES, side_by_side
+from .hints import general_of
+from .transforms import Layout
+
+COUNT = 4  # incidences that are stated at the most: one program for all files
+USUAL = np.radians([0.0, 30.0, 60.0])  # of a file that has none of its own
+FEWEST = 8  # samples of an incidence of the file's own
+SAME = 1e-4  # rad: incidences that differ by less are one
+BAND = np.radians(2.5)  # around an incidence: bins that count for it
+APART = 4  # digits of the coordinates of directions by which they differ
+
+
+def incidences_of(measured: Input) -> np.ndarray:
+    """Incidences (rad) at which it is stated: the file's own, evenly chosen where it has many, or the usual ones."""
+    if isinstance(measured, Measurement):
+        return USUAL
+    place = np.round(measured.theta_i / SAME).astype(int)
+    _, first, count = np.unique(place, return_index=True, return_counts=True)
+    own = measured.theta_i[first]
+    own = own[(count >= FEWEST) & (own <= THETA_MAX)]
+    if not len(own):
+        return USUAL
+    return own[np.unique(np.round(np.linspace(0, len(own) - 1, COUNT)).astype(int))]
+
+
+def of_file(measured: Input, theta_i: np.ndarray) -> np.ndarray:
+    """TIS of a file's own values at incidences (rad), (A,): (C, A), NaN where its samples do not cover the hemisphere.
+
+    Of bins, those within 2.5 degrees of the incidence are averaged with their weights. Scattered samples count with
+    the solid angles of their format, and what is beyond them as 0; of a list of directions each counts with its cell of
+    the hemisphere's Voronoi diagram, so that what is beyond the samples is as bright as the nearest of them.
+    """
+    of_one = _of_bins if isinstance(measured, Measurement) else _of_samples
+    return np.stack([of_one(measured, float(theta)) for theta in theta_i], -1)  # pyright: ignore[reportArgumentType]
+
+
+def _of_bins(measured: Measurement, theta_i: float) -> np.ndarray:
+    grid, bins = merl_grid(measured.dims), measured.values
+    near = measured.valid & grid.above & (np.abs(np.arccos(np.clip(grid.cos_i, -1, 1)) - theta_i) < BAND)
+    light = grid.weight[near] * grid.cos_o[near]
+    return np.pi * (bins[:, near] @ light) / light.sum() if near.any() else np.full(len(bins), np.nan)
+
+
+def _of_samples(measured: ScatteredMeasurement, theta_i: float) -> np.ndarray:
+    rows = np.flatnonzero(np.abs(measured.theta_i - theta_i) < SAME)
+    theta_o, phi, values = measured.theta_o[rows], measured.phi[rows], measured.values[:, rows]
+    if not cover_hemisphere(theta_o, phi):
+        return np.full(len(values), np.nan)
+    if measured.solid_angle is not None:
+        return np.nan_to_num(values) @ (np.cos(theta_o) * measured.solid_angle[rows])
+    return np.array([_of_list(theta_o[there], phi[there], plane[there])
+                     for plane, there in zip(values, np.isfinite(values), strict=True)])  # fmt: skip
+
+
+def _of_list(theta_o: np.ndarray, phi: np.ndarray, value: np.ndarray) -> float:
+    return float(value @ (np.cos(theta_o) * solid_angles(theta_o, phi))) if cover_hemisphere(theta_o, phi) else np.nan
+
+
+def solid_angles(theta_o: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """Part of the hemisphere (sr) that is nearer to each direction, or its mirror image, than to the others, (N,).
+
+    Their images below the horizon make it the boundary. Directions that are there several times share their part.
+    """
+    x, y, z = np.sin(theta_o) * np.cos(phi), np.abs(np.sin(theta_o) * np.sin(phi)), np.cos(theta_o)
+    images = [[x, s * y, t * z] for s in (1, -1) for t in (1, -1)]
+    place = np.round(np.moveaxis(np.array(images), 1, -1).reshape(-1, 3), APART) + 0.0
+    points, at, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
+    area = SphericalVoronoi(points / np.linalg.norm(points, axis=1, keepdims=True)).calculate_areas()
+    return (area / count)[at].reshape(len(images), -1).sum(0) / 2
+
+
+def of_values(
+    material: Reflectance, values: Mapping[str, ArrayLike], bands: Bands, theta_i: np.ndarray
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """TIS of parameters at incidences (rad), `COUNT` at the most, (A,): (C, A), and its slopes by parameter, (C, A).
+
+    A channel's depends on no other channel's parameters, so that one slope says what its own do to it. Without the
+    apparatus. One program for all variants of a model (:func:`.hints.general_of`).
+    """
+    general = general_of(material)
+    given = general.values({q.name: jnp.asarray(values[q.name]) for q in material.parameters})
+    padded = jnp.asarray(np.resize(theta_i, COUNT))
+    at_fit, slopes = jax.device_get(_with_slopes(general.model, given, jnp.asarray(bands.wavelengths_um), padded))
+    return at_fit[:, : len(theta_i)], {
+        q.name: slopes[name][:, : len(theta_i)] for q, name in zip(material.parameters, general.names, strict=True)
+    }
+
+
+def of_draws(layout: Layout, draws: np.ndarray, theta_i: np.ndarray) -> np.ndarray:
+    """TIS of draws (n, P) in free coordinates at incidences (rad), `COUNT` at the most, (A,): (n, C, A)."""
+    size = -(-len(draws) // SHARES)
+    padded = np.concatenate([draws, np.repeat(draws[:1], size * SHARES - len(draws), 0)])
+    incidences = np.resize(theta_i, COUNT)
+    shares = side_by_side(lambda few: np.asarray(_of_many(layout, few, incidences)), np.split(padded, SHARES))
+    return np.concatenate(shares)[: len(draws), :, : len(theta_i)]
+
+
+@partial(jax.jit, static_argnums=0)
+def _of_many(layout: Layout, draws: Array, theta_i: Array) -> Array:
+    material, wavelengths = layout.material, layout.bands.wavelengths_um
+    return jax.lax.map(lambda z: directional_albedo(material, layout.values(z), theta_i, wavelengths), draws)
+
+
+@partial(jax.jit, static_argnums=0)
+def _with_slopes(
+    model: Reflectance, values: Mapping[str, Array], wavelengths_um: Array, theta_i: Array
+) -> tuple[Array, dict[str, Array]]:
+    names = [q.name for q in model.parameters]
+    which = {name: x for name, x in values.items() if name not in names}
+
+    def albedo(own: dict[str, Array]) -> Array:
+        return directional_albedo(model, {**which, **own}, theta_i, wavelengths_um)
+
+    own = {name: jnp.asarray(values[name], float) for name in names}
+    at_fit, push = jax.linearize(albedo, own)
+    each = {name: jnp.stack([jnp.full_like(own[name], name == moved) for moved in names]) for name in names}
+    return at_fit, dict(zip(names, jax.lax.map(push, each), strict=True))
