@@ -43,7 +43,7 @@ def interpolation_nodes(order: int) -> int:
 
 LAST_HALF = math.radians(89.999)  # the largest theta_h of `surface`; beyond it (S * D) stays what it is there
 LEAST_VALUE = 1e-300  # of (S * D), whose logarithm is taken
-CHUNK = 2048  # points convolved at a time: 2048 points x 2 x 32 x 10 nodes x 8 bytes = 10 MB an intermediate
+CHUNK = 1024  # points convolved at a time at the most: 1024 x 2 x 32 x 10 nodes x 8 bytes = 5 MB an intermediate
 EDGE = 2.5  # start of the edge of D, in units of its own log-width
 SHARPNESS = 3  # exponent of the partition of unity
 
@@ -316,12 +316,13 @@ def _position(theta_h: Real, sharpest: Scalar, last: Scalar) -> Real:
 
 
 def _in_chunks(theta_h: Real, B: Real, c: Scalar, beta: Scalar, p: Scalar, order: int) -> Real:
-    """`convolve`, no more than ``CHUNK`` points at a time."""
+    """`convolve`, no more than ``CHUNK`` points at a time, in chunks of about one size: a rest is a program more."""
     theta_h, B = jnp.broadcast_arrays(theta_h, B)
-    if theta_h.size <= CHUNK:
+    chunks = -(-theta_h.size // CHUNK)
+    if chunks <= 1:
         return convolve(theta_h, B, c, beta, p, order)
 
     def at(point: tuple[Real, Real]) -> Real:
         return convolve(*point, c, beta, p, order)
 
-    return jax.lax.map(at, (theta_h.ravel(), B.ravel()), batch_size=CHUNK).reshape(theta_h.shape)
+    return jax.lax.map(at, (theta_h.ravel(), B.ravel()), batch_size=-(-theta_h.size // chunks)).reshape(theta_h.shape)

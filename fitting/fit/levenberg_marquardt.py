@@ -163,7 +163,7 @@ def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState]
         never, finite = jnp.asarray(-CLEAR), jnp.all(jnp.isfinite(kept))
         return _SolverState(y, state, kept, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
 
-    def advance(way: _SolverState, normal: Array) -> _SolverState:
+    def advance(tolerance: float | Array, way: _SolverState, normal: Array) -> _SolverState:
         state: Any = eqx.combine(way.state, static)
         near = compress(state.y_eval, normal)
         y, state, _ = solver.step(affine, way.y, near, {}, state, frozenset())
@@ -172,7 +172,7 @@ def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState]
         better = (state.num_steps_since_acceptance == 0) | (steps == 1)
         offset = jnp.where(better, relative_offset(near.value), way.offset)
         blocked = jnp.where(jnp.all(jnp.isfinite(normal)), way.blocked, steps)
-        converged = (stop & (steps > blocked + CLEAR)) | (offset < OFFSET_TOLERANCE)
+        converged = (stop & (steps > blocked + CLEAR)) | (offset < tolerance)
         kept = jnp.where(better, normal, way.kept)
         moved = _SolverState(y, eqx.filter(state, eqx.is_array), kept, offset, steps, blocked, converged, ~converged)
         return jax.tree.map(lambda new, old: jnp.where(way.active, new, old), moved, way)
@@ -181,20 +181,24 @@ def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState]
 
 
 def _one_after_the_other(
-    advance: Callable[[_SolverState, Array], _SolverState],
-) -> Callable[[_SolverState, Array], _SolverState]:
-    """Over the leading axis; on a GPU side by side.
+    advance: Callable[[float | Array, _SolverState, Array], _SolverState],
+) -> Callable[[float | Array, _SolverState, Array], _SolverState]:
+    """Over the leading axis of states and equations; on a GPU side by side.
 
     On a CPU XLA spreads a batch of decompositions over its own threads, and waits for them in one of these: calls from
     as many threads of ours as it has would wait for ever (jaxlib 0.10).
     """
     if jax.default_backend() != "cpu":
-        return jax.vmap(advance)
-    return lambda ways, normal: jax.lax.map(lambda pair: advance(*pair), (ways, normal))
+        return jax.vmap(advance, (None, 0, 0))
+    return lambda tolerance, ways, normal: jax.lax.map(lambda pair: advance(tolerance, *pair), (ways, normal))
 
 
 def solve_many(
-    evaluate: Callable[[np.ndarray], np.ndarray | Array], points: np.ndarray, max_steps: int = 100, rtol: float = 1e-5
+    evaluate: Callable[[np.ndarray], np.ndarray | Array],
+    points: np.ndarray,
+    max_steps: int = 100,
+    rtol: float = 1e-5,
+    offset: float = OFFSET_TOLERANCE,
 ) -> list[Solution]:
     """Several solves side by side, each of which goes the way that it would go by itself.
 
@@ -202,7 +206,7 @@ def solve_many(
 
     Args:
         evaluate: normal equations (M, C, P+1, P+1) of M points (M, P). points: where to start, (M, P).
-        max_steps, rtol: as for `solve`, of each.
+        max_steps, rtol, offset: as for `solve`, of each.
     """
     start, advance = _compiled_steps(points.shape[1], rtol)
     begun = np.asarray(points, float)
@@ -210,7 +214,7 @@ def solve_many(
     for step in range(max_steps):
         if not np.asarray(ways.active).any():
             break
-        ways = advance(ways, evaluate(np.asarray(ways.state.y_eval)) if step else ways.kept)
+        ways = advance(offset, ways, evaluate(np.asarray(ways.state.y_eval)) if step else ways.kept)
     ended: _SolverState = jax.tree.map(np.asarray, ways)
     return [_ended(jax.tree.map(lambda x, k=k: x[k], ended)) for k in range(len(begun))]
 
@@ -272,12 +276,14 @@ def solve(
     max_steps: int = 100,
     rtol: float = 1e-5,
     backend: Backend = "optimistix",
+    offset: float = OFFSET_TOLERANCE,
 ) -> Solution:
     """Minimise Eq. 56 from the free coordinates ``z``.
 
     Args:
         max_steps: evaluations of the normal equations at the most; 1 evaluates the starting point.
         rtol: tolerance on z and on the residuals.
+        offset: of :func:`relative_offset`, below which ``optimistix`` goes no further.
         backend: ``optimistix``; ``scipy`` (MINPACK) and ``jaxopt`` (an extra) are there for cross-checks.
 
     A trial step to where the model is not finite is rejected; the returned ``z`` is always finite.
@@ -288,7 +294,9 @@ def solve(
         return _scipy(objective.normal_equations, start, max_steps, rtol)
     if backend == "jaxopt":
         return _jaxopt(objective.normal_equations, start, max_steps, rtol)
-    (found,) = solve_many(lambda points: objective.normal_equations(points[0])[None], start[None], max_steps, rtol)
+    (found,) = solve_many(
+        lambda points: objective.normal_equations(points[0])[None], start[None], max_steps, rtol, offset
+    )
     return found
 
 

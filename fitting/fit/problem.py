@@ -119,7 +119,7 @@ def _of_scattered(samples: ScatteredSamples, unit: float, precision: Precision, 
 
 @dataclass(frozen=True)
 class Arrangement:
-    """Scattered directions in blocks (N, h, D, 1), the last ones empty: sizes go in steps of an eighth of an octave.
+    """Scattered directions in blocks (N, h, D, 1), the last ones empty: sizes go in steps of a quarter of an octave.
 
     So a program that is compiled for one file serves others of about its size.
     """
@@ -134,9 +134,8 @@ class Arrangement:
         """For so many directions; blocks are as large as stays in a core's cache."""
         rows = _stepped(-(-count // columns))
         largest = 1 << max(4, (3 * BLOCK // (channels * columns)).bit_length() - 1)
-        if rows <= largest or columns > 1:
-            return cls(count, 1, rows, columns)
-        return cls(count, _stepped(-(-count // largest)), largest, columns)
+        blocks = -(-rows // largest) if columns == 1 else 1
+        return cls(count, blocks, -(-rows // blocks), columns)
 
     @property
     def threads_for(self) -> int:
@@ -152,8 +151,8 @@ class Arrangement:
 
 
 def _stepped(count: int) -> int:
-    """The next larger of the sizes that there are, eight an octave."""
-    step = max(1, 1 << max(0, count.bit_length() - 4))
+    """The next larger of the sizes that there are, four an octave."""
+    step = max(1, 1 << max(0, count.bit_length() - 3))
     return -(-count // step) * step
 
 

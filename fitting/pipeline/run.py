@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,6 +52,8 @@ SHARES_OF = {GRIDS["fine"]: 1, GRIDS["medium"]: 7}
 AnySamples = Samples | ScatteredSamples
 # Successive halving on the coarse grid, steps and points: most basins tell themselves apart within ten steps.
 FIRST_ROUND_EACH, FIRST_ROUND, SECOND_ROUND = 3, 6, 14  # the first: for each of `fit.starts`, which go two rounds
+# Relative offset at which a round's points go no further: by another step they would lower the cost by 0.25 or 0.01 %.
+OFFSET_EARLY, OFFSET_LATE = 0.05, 0.01
 MARGINS = 1.6, 1.3  # times the lowest after the first and after the second round: who is so much behind gives up
 APART = 0.3  # in standard deviations of the prior: points nearer to each other are on the way to the same minimum
 Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, schema.Accuracy | None]]
@@ -275,21 +278,20 @@ def fit_coarse(
         rough = [cheaper(layout, CANDIDATE_ORDER) for layout in layouts]
         points = starting_points(rough, data, roughly, count, pool.map, first)
 
-        def follow(points: list[np.ndarray], steps: int, first: bool) -> list[list[Solution]]:
-            if first and config.fit.backend == "optimistix":
-                return follow_many(points, steps)
-            models, where = (rough, roughly) if first else (layouts, problem)
+        def follow(points: list[np.ndarray], stage: Round) -> list[list[Solution]]:
+            backend, limits = config.fit.backend, {"max_steps": stage.steps, "offset": stage.offset}
+            if stage.rough and backend == "optimistix":
+                return follow_many(points, limits)
+            models, where = (rough, roughly) if stage.rough else (layouts, problem)
             pairs = [(layout, z) for layout, each in zip(models, points, strict=True) for z in each]
-            solved = pool.map(
-                lambda pair: solve(Objective(pair[0], where), pair[1], steps, backend=config.fit.backend), pairs
-            )
+            solved = pool.map(lambda pair: solve(Objective(pair[0], where), pair[1], backend=backend, **limits), pairs)
             return [list(islice(solved, len(each))) for each in points]
 
-        def follow_many(points: list[np.ndarray], steps: int) -> list[list[Solution]]:
+        def follow_many(points: list[np.ndarray], limits: Mapping[str, Any]) -> list[list[Solution]]:
             """Several by each call: on few bins it takes as long as what it computes."""
             shares = [_shared_out(each) for each in points]
             pairs = [(Objective(layout, roughly), z) for layout, each in zip(rough, shares, strict=True) for z in each]
-            solved = pool.map(lambda pair: solve_many(pair[0].normal_equations_of_many, pair[1], steps), pairs)
+            solved = pool.map(lambda pair: solve_many(pair[0].normal_equations_of_many, pair[1], **limits), pairs)
             together = [list(chain.from_iterable(islice(solved, len(each)))) for each in shares]
             return [found[: len(each)] for found, each in zip(together, points, strict=True)]
 
@@ -301,7 +303,20 @@ def _shared_out(points: np.ndarray) -> list[np.ndarray]:
     return np.split(np.concatenate([points, points[-1:].repeat(len(points) % 2, 0)]), 2)
 
 
-Follow = Callable[[list[np.ndarray], int, bool], list[list[Solution]]]
+class Round(NamedTuple):
+    """A round of successive halving: how far its points go, and how many of a team's leaders go on from there.
+
+    Attributes:
+        steps: at the most. offset: relative offset at which a point goes no further. rough: whether a few bins will do.
+    """
+
+    steps: int
+    offset: float
+    kept: int
+    rough: bool = False
+
+
+Follow = Callable[[list[np.ndarray], Round], list[list[Solution]]]
 
 
 def successive_halving(
@@ -311,16 +326,21 @@ def successive_halving(
 
     Args:
         points: free coordinates of every team's starting points, (R, P) each: a team is a body, or a material.
-        follow: solutions, by team and point, after so many steps at the most; whether it is the first round.
+        follow: solutions, by team and point, at the end of a round.
         rivals: whether the teams compete: then who is far behind the leader of all gives up, and a team that has but
             such points sends its best one into the second round, and none into the last.
     """
     settings = config.fit
-    rounds = ((FIRST_ROUND, settings.starts), (SECOND_ROUND, -(-settings.starts // 2)), (settings.coarse_steps, 1))
+    first, second = (min(steps, settings.coarse_steps) for steps in (FIRST_ROUND, SECOND_ROUND))
+    rounds = (
+        Round(first, OFFSET_EARLY, settings.starts, rough=True),
+        Round(second, OFFSET_EARLY, -(-settings.starts // 2)),
+        Round(settings.coarse_steps, OFFSET_LATE, 1),
+    )
     leaders: list[list[Solution]] = [[] for _ in points]
-    for number, (steps, kept) in enumerate(rounds):
-        found = follow(points, min(steps, settings.coarse_steps), number == 0)
-        leaders = [_leaders(each, kept) if each else before for each, before in zip(found, leaders, strict=True)]
+    for number, stage in enumerate(rounds):
+        found = follow(points, stage)
+        leaders = [_leaders(each, stage.kept) if each else before for each, before in zip(found, leaders, strict=True)]
         going = leaders
         if rivals and number < len(MARGINS):
             limit = MARGINS[number] * min(_rank(each[0]) for each in leaders)

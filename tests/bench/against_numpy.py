@@ -68,9 +68,9 @@ def coarse_stage(layout, samples, config):
     begun, plain = time.perf_counter(), Plain(layout, thin(samples, COARSE_RUNS))
     begin = Plain(layout, thin(samples, FIRST_RUNS))
 
-    def follow(points, steps, first):
-        model = begin if first else plain
-        ends = [[model.solve(z, steps) for z in each] for each in points]
+    def follow(points, stage):
+        model = begin if stage.rough else plain
+        ends = [[model.solve(z, stage.steps) for z in each] for each in points]
         return [[SimpleNamespace(z=end.x, objective=2 * end.cost) for end in each] for each in ends]
 
     (best,) = successive_halving([points], follow, config)

@@ -63,10 +63,12 @@ def fit_batch(layout, materials, config):
     count, rough = FIRST_ROUND_EACH * settings.starts, cheaper(layout, CANDIDATE_ORDER)
     points = [starting_points([rough], m.data, m.roughly, count)[0] for m in materials]
 
-    def follow(points, steps, first):
-        model, problems = (rough, [m.roughly for m in materials]) if first else (cheap, [m.coarse for m in materials])
+    def follow(points, stage):
+        model, problems = (
+            (rough, [m.roughly for m in materials]) if stage.rough else (cheap, [m.coarse for m in materials])
+        )
         rows = [[each[min(k, len(each) - 1)] for each in points] for k in range(max(map(len, points)))]
-        found = [solve_batch(model, np.array(row), problems, steps) for row in rows]
+        found = [solve_batch(model, np.array(row), problems, stage.steps) for row in rows]
         return [list(each)[: len(own)] for each, own in zip(zip(*found, strict=True), points, strict=True)]
 
     best = successive_halving(points, follow, config)

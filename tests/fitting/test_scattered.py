@@ -310,7 +310,7 @@ def _measured(brdf):
 
 @pytest.mark.parametrize("count", [1, 30, 1000, 70_001])
 @pytest.mark.parametrize("columns", [1, 12])
-def test_padding_is_an_eighth_at_the_most(count, columns):
+def test_padding_is_a_quarter_at_the_most(count, columns):
     arranged = Arrangement.of(count, 31, columns)
     x = np.arange(float(count))
     split = arranged.split(x)
