@@ -8,7 +8,8 @@ their projected area, bilinear between the nodes of their tables over u(m) and u
     f(i, o) cos theta_o = S(s) D(m) / (4 sigma(i)),
 
 as Mitsuba's plugin `measured` has it, which returns the left side (pbrt-v4's `MeasuredBxDF` divides by the cosine).
-These find s by the inverse warp and interpolate S; here every node goes forwards.
+These find s by the inverse warp and interpolate S, between incidences the densities, too (`Nodes.between`, for
+pictures alone); for a fit every node goes forwards.
 
 S is bilinear between the nodes, so that the light that a file reflects from i is a sum over them,
 
@@ -29,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .scattered import cosine_shares
-from .warp import warped
+from .warp import Densities, warped
 
 GRAZING = np.radians(
     89.99
@@ -65,6 +66,58 @@ class Slice:
         if counted.any():
             whole[:, 0] = np.average(whole[counted, 0], weights=self.normal[counted])
         return whole[self.node] * self.factor
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """All samples of a file and the way in which renderers draw what lies between them.
+
+    Attributes:
+        parts: of the file, as of `slices`. slices: of its samples, in their order.
+    """
+
+    parts: Mapping[str, np.ndarray]
+    slices: tuple[Slice, ...]
+
+    def between(
+        self, values: np.ndarray, theta_i: np.ndarray, cos_o: np.ndarray, theta_m: np.ndarray, phi_m: np.ndarray
+    ) -> np.ndarray:
+        """BRDF (1/sr), (C, M), as Mitsuba's `measured` has it; NaN where it is drawn from nodes that are no samples.
+
+        Args:
+            values: of the samples, (C, N), 1/sr. theta_i, cos_o: of light and viewer, and theta_m, phi_m: of the normal
+                between them, phi_m from the light's azimuth (rad), (M,).
+        """
+        theta = self.parts["theta_i"].astype(float)[: self.slices[-1].incidence + 1]
+        low = np.clip(np.searchsorted(theta, theta_i) - 1, 0, max(len(theta) - 2, 0))
+        span = theta[np.minimum(low + 1, len(theta) - 1)] - theta[low]
+        high = np.clip((theta_i - theta[low]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        beside = [(low, 1 - high), (np.minimum(low + 1, len(theta) - 1), high)]
+        u, v = np.sqrt(2 * theta_m / np.pi), (phi_m + np.pi) / (2 * np.pi)
+        found = np.zeros((len(values), len(theta_i)))
+        for azimuth, phi_i in enumerate(self.parts["phi_i"].astype(float)):
+            s, t = Densities(self.parts["vndf"][azimuth, : len(theta)]).back(beside, u, v)
+            stored = self._stored(values, azimuth)
+            drawn = sum(weight * _bilinear_of(stored, k, s, t, weight > 0) for k, weight in beside)
+            scale = np.ones_like(u)
+            if self.parts["jacobian"][0]:
+                sigma = _bilinear(self.parts["sigma"], np.sqrt(2 * theta_i / np.pi), (phi_i + np.pi) / (2 * np.pi))
+                scale = _bilinear(self.parts["ndf"], u, v) / (4 * np.where(sigma > 0, sigma, np.inf))
+            found += drawn * scale / cos_o / len(self.parts["phi_i"])
+        return found
+
+    def _stored(self, values: np.ndarray, azimuth: int) -> np.ndarray:
+        """S of the nodes of every incidence, (C, T, n, n), of values (C, N); NaN at those that are no samples."""
+        size, first = self.parts["luminance"].shape[2], 0
+        found = np.full((len(values), self.slices[-1].incidence + 1, size, size), np.nan)
+        for part in self.slices:
+            own = values[:, first : (first := first + len(part.factor))]
+            if part.azimuth == azimuth:
+                plane = found[:, part.incidence]
+                plane[:, part.node] = own / part.factor
+                normal = part.node[:, 0]
+                plane[:, :, 0] = plane[:, normal, 0] if normal.any() else np.nan
+        return found
 
 
 def slices(parts: Mapping[str, np.ndarray]) -> Iterator[Slice]:
@@ -163,3 +216,16 @@ def _bilinear(table: np.ndarray, x: np.ndarray | float, y: np.ndarray | float) -
     upper = table[row, column] * (1 - right) + table[row, column + 1] * right
     lower = table[row + 1, column] * (1 - right) + table[row + 1, column + 1] * right
     return np.asarray(upper * (1 - down) + lower * down)
+
+
+def _bilinear_of(tables: np.ndarray, which: np.ndarray, x: np.ndarray, y: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """`_bilinear` of the tables (C, T, n, n) that ``which`` names, (C, M); 0 where it does not count."""
+    size = tables.shape[-1]
+    column, row = (np.minimum((np.clip(z, 0.0, 1.0) * (size - 1)).astype(int), size - 2) for z in (x, y))
+    right, down = np.clip(x, 0.0, 1.0) * (size - 1) - column, np.clip(y, 0.0, 1.0) * (size - 1) - row
+    found = np.zeros((len(tables), len(x)))
+    for a, part in ((0, 1 - down), (1, down)):
+        for b, other in ((0, 1 - right), (1, right)):
+            share = np.where(counts, part * other, 0.0)
+            found += np.where(share > 0, share * tables[:, which, row + a, column + b], 0.0)
+    return found

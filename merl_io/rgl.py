@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .adaptive import slices
+from .adaptive import Nodes, slices
 from .bands import MERL, Bands, filled
 from .binary import BRIGHTEST
 from .columns import spectral
@@ -39,7 +39,7 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
     file = tensors(path, data)
     parts = _parts(file)
     spectra, chosen, bands = _spectra(file, parts["luminance"].shape, most)
-    incidences, at = list(slices(parts)), 0
+    incidences, at = tuple(slices(parts)), 0
     values = np.empty((len(bands), sum(len(part.phi) for part in incidences)))
     for part in incidences:
         rows = slice(at, at := at + len(part.phi))
@@ -57,8 +57,9 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
     kept, bands, notes = filled(values, bands)
     values = values[kept] if notes else values
     return ScatteredMeasurement(
-        path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out, tuple(notes), solid
-    )
+        path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out, tuple(notes), solid,
+        between=Nodes(parts, incidences).between,
+    )  # fmt: skip
 
 
 def _parts(file: Tensors) -> dict[str, np.ndarray]:

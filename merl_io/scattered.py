@@ -4,8 +4,9 @@ Nothing that is fitted is resampled. The share of the fitting measure that a sam
 scattered directions; it is what the file says (a weight), or the same for every sample.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,9 @@ Format = Literal["table", "RGL", "Zemax", "FRED", "ALTA", "MBSDF"]
 """Of files of scattered directions (docs/formats.md)."""
 Quantity = Literal["brdf", "brdf_cos", "reflectance_factor"]
 """What a file's numbers are: BRDF (1/sr), BRDF times cos theta_o (1/sr), or pi times the BRDF."""
+Between = Callable[..., np.ndarray]
+"""Values anywhere, of those of the samples (`adaptive.Nodes.between`)."""
+SAME, DIGITS = 1e-5, 20  # rad: directions no further apart are one; binary digits of an angle in this unit
 LEAF = 4  # samples that need no order among themselves
 
 
@@ -34,6 +38,7 @@ class ScatteredMeasurement:
         solid_angle: that a sample stands for (sr), (N,); None where the format has none of its own.
         stated_tis: what a file says of the total integrated scatter: incidence (rad) and share of the light, in pairs.
         quantity: that the file holds, as the user declared it; values are BRDFs whatever it is.
+        between: how a file of RGL's is drawn between its samples, in pictures alone.
         sha1, blob_sha1: as of `binary.Measurement`.
     """
 
@@ -52,6 +57,7 @@ class ScatteredMeasurement:
     solid_angle: np.ndarray | None = None
     stated_tis: tuple[tuple[float, float], ...] = ()
     quantity: Quantity = "brdf"
+    between: Between | None = None
     dims: None = None
     genuine: None = None
     outliers: None = None
@@ -95,7 +101,8 @@ class ScatteredSamples:
     Attributes:
         theta_h, theta_d: (rad), (S,). cos_i, cos_o: of light and viewer, (S,).
         value: BRDF (1/sr), (C, S), 0 where no datum is valid. weight: (C, S), 0 there. share: see above, (S,).
-        bands: of the channels. scatter: of folding, which there is none of.
+        bands: of the channels. scatter: of what was taken together (`together`). between: how the file draws what
+            lies between the samples.
     """
 
     theta_h: np.ndarray
@@ -107,12 +114,14 @@ class ScatteredSamples:
     share: np.ndarray
     bands: Bands
     scatter: float = 0.0
+    between: Between | None = None
 
     def taken(self, rows: np.ndarray) -> "ScatteredSamples":
         """Some of them, in another order."""
         return replace(
             self, theta_h=self.theta_h[rows], theta_d=self.theta_d[rows], cos_i=self.cos_i[rows],
             cos_o=self.cos_o[rows], value=self.value[:, rows], weight=self.weight[:, rows], share=self.share[rows],
+            between=None,
         )  # fmt: skip
 
 
@@ -145,7 +154,52 @@ def scattered(
         theta_h, theta_d, np.cos(angles[0]), np.cos(angles[1]), np.where(used, values, 0.0)[:, some],
         np.where(used, weight, 0.0)[:, some], measured.share[some], measured.bands,
     )  # fmt: skip
-    return found.taken(order(np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2)))
+    pair = alike(*angles)
+    found, (theta_h, theta_d, phi_d) = together(found, pair, np.stack([theta_h, theta_d, phi_d]))
+    rows = order(np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2))
+    whole = np.full(some.shape, len(rows))
+    whole[some] = np.argsort(rows)[pair]
+    between = measured.between and partial(_of_samples, measured.between, whole)
+    return replace(found.taken(rows), between=between)
+
+
+def _of_samples(between: Between, rows: np.ndarray, values: np.ndarray, *where: np.ndarray) -> np.ndarray:
+    """`between` of values (C, S) of samples; ``rows`` says which of them each sample of the file is, S if none."""
+    padded = np.concatenate([values, np.full((len(values), 1), np.nan)], 1)
+    return between(padded[:, rows], *where)
+
+
+def alike(theta_i: np.ndarray, theta_o: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """The number of the pair of directions that each sample has, (S,), from 0 on, rising with these angles (rad).
+
+    Pairs that an isotropic material cannot tell apart have one number: mirror images at the plane of incidence, and all
+    azimuths of light or viewer at the normal.
+    """
+    turned = np.abs((phi + np.pi) % (2 * np.pi) - np.pi) * np.sin(np.minimum(theta_i, theta_o))
+    i, o, across = (np.round(x / SAME).astype(np.int64) for x in (theta_i, theta_o, turned))
+    return np.unique((i << DIGITS | o) << DIGITS | across, return_inverse=True)[1]
+
+
+def together(samples: ScatteredSamples, pair: np.ndarray, angles: np.ndarray) -> tuple[ScatteredSamples, np.ndarray]:
+    """Samples of one pair of directions as one, their weighted mean.
+
+    The sum of squares splits exactly, as in `samples.fold`. RGL's isotropic files hold every value twice, on either
+    side of the plane of incidence.
+
+    Args:
+        pair: of each sample (`alike`). angles: (A, S), given back of those kept.
+    """
+    first = np.unique(pair, return_index=True)[1]
+
+    def summed(x: np.ndarray) -> np.ndarray:
+        return np.bincount(pair, x, len(first))
+
+    weight = np.stack([summed(w) for w in samples.weight])
+    light = np.stack([summed(w * v) for w, v in zip(samples.weight, samples.value, strict=True)])
+    value = light / np.where(weight > 0, weight, 1.0)
+    scatter = float(np.sum(samples.weight * (samples.value - value[:, pair]) ** 2))
+    kept = replace(samples.taken(first), value=value, weight=weight, share=summed(samples.share), scatter=scatter)
+    return kept, angles[:, first]
 
 
 def order(points: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from scipy.spatial import KDTree
 
 from ..merl_io.binary import Dims
 from ..merl_io.grid import merl_grid
+from ..merl_io.scattered import Between
 
 GRID: Dims = (90, 90, 36)  # theta_h as finely as MERL's files; along phi_d a bin of 5 degrees
 REFLECTED = 0.2  # of the range of a coordinate: samples so near to its end are mirrored there
@@ -44,6 +45,26 @@ def gridded(
         found[above] = np.where(near[:, None], LinearNDInterpolator(points, roots)(asked), np.nan)
     shape = GRID[0], GRID[1], GRID[2] // 2
     return (found.T**3).reshape(-1, *shape), np.all(np.isfinite(found), axis=1).reshape(shape)
+
+
+def drawn(between: Between, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `gridded`, between the samples as their file is drawn, the mean of light and viewer and of both exchanged.
+
+    Args:
+        between: of the file. values: in the directions of its samples, (C, N), 1/sr.
+    """
+    grid, half = merl_grid(GRID), GRID[2] // 2
+    theta_h, theta_d, _ = np.meshgrid(grid.theta_h, grid.theta_d, grid.phi_d, indexing="ij")
+    cos_i, cos_o, theta_h, theta_d = (x[grid.above] for x in (grid.cos_i, grid.cos_o, theta_h, theta_d))
+    theta_i = np.arccos(np.clip(cos_i, -1, 1))
+    toward = np.cos(theta_d) - cos_i * np.cos(theta_h)  # sin theta_i sin theta_h cos phi_m
+    phi_m = np.arccos(np.clip(toward / np.maximum(np.sin(theta_i) * np.sin(theta_h), 1e-12), -1, 1))
+    found = np.full((len(values), *GRID), np.nan)
+    found[:, grid.above] = between(values, theta_i, cos_o, theta_h, phi_m)
+    both = found[..., :half], found[..., : half - 1 : -1]
+    one = np.where(np.isnan(both[0]), both[1], both[0])
+    mean = np.where(np.isnan(both[1]), one, (one + both[1]) / 2)
+    return mean, np.asarray(np.isfinite(mean).all(0))
 
 
 def _places(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:

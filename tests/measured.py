@@ -75,6 +75,12 @@ def read(out, files):
     return {path: read_result(there) if there.is_file() else None for path, there in kept.items()}
 
 
+def kinds():
+    """Index and body that the files of the committed table were given, by material."""
+    rows = json.loads((FOLDER / "fits.json").read_text())["fits"]
+    return {row["material"]: (row["index"], row["body"]) for row in rows}
+
+
 def of_the_file(path):
     """Albedo (C, A) at THETA_I by the shares."""
     found = inputs.read(path)

@@ -10,7 +10,7 @@ import numpy as np
 from ...merl_io.grid import merl_grid
 from ...merl_io.scattered import ScatteredSamples
 from ...scene.colour import coloured
-from ...scene.gridded import GRID, gridded
+from ...scene.gridded import GRID, drawn, gridded
 from ...scene.spheres import distances, shown
 from ..support.choices import THETA_MAX
 from .error_metrics import HIGHLIGHT_THETA_D, Errors, correlation_length
@@ -49,13 +49,15 @@ def pictures(samples: ScatteredSamples, predicted: np.ndarray) -> tuple[float, f
     Both are interpolated between the samples alike, so that a fit that is right differs by nothing. They are no numbers
     where the samples cover less than `LEAST_SHOWN` of what a sphere shows.
     """
+    both = np.concatenate([coloured(x, samples.bands) for x in (samples.value, predicted)])
     whole = np.all(samples.weight > 0, axis=0)
-    across = np.abs(samples.cos_o - samples.cos_i)
-    around = 2 * np.sin(samples.theta_h) * np.sin(samples.theta_d)
-    phi_d = np.arccos(np.clip(across / np.maximum(around, 1e-12), 0, 1))
-    theta_h, theta_d, phi_d = (x[whole] for x in (samples.theta_h, samples.theta_d, phi_d))
-    both = np.concatenate([coloured(x[:, whole], samples.bands) for x in (samples.value, predicted)])
-    values, covered = gridded(theta_h, theta_d, phi_d, both)
+    if samples.between is not None:
+        values, covered = drawn(samples.between, np.where(whole, both, np.nan))
+    else:
+        across = np.abs(samples.cos_o - samples.cos_i)[whole]
+        theta_h, theta_d = samples.theta_h[whole], samples.theta_d[whole]
+        around = np.maximum(2 * np.sin(theta_h) * np.sin(theta_d), 1e-12)
+        values, covered = gridded(theta_h, theta_d, np.arccos(np.clip(across / around, 0, 1)), both[:, whole])
     if shown_by(covered) < LEAST_SHOWN:
         return float("nan"), float("nan"), float("nan")
     file, fit = np.split(np.nan_to_num(values), 2)

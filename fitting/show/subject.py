@@ -12,7 +12,7 @@ from ...merl_io.binary import DIMS, Dims, Measurement, MerlError
 from ...merl_io.grid import MerlGrid, merl_grid
 from ...merl_io.inputs import Input
 from ...merl_io.scattered import ScatteredMeasurement, half_difference, vectors_of
-from ...scene.gridded import gridded
+from ...scene.gridded import drawn, gridded
 from ..fit.scattered_errors import LEAST_SHOWN, shown_by
 from ..pipeline.draws import Chain, NoPicture, chain_file, states
 from ..results.schema import Model, Result
@@ -143,9 +143,13 @@ def wrapped(*said: str) -> str:
 
 def on_bins(measured: ScatteredMeasurement, values: np.ndarray) -> Measurement:
     """Values (C, N) in the directions of a file, interpolated on bins (`scene.gridded`)."""
-    whole = measured.valid.all(0)
-    angles = half_difference(*(x[whole] for x in (measured.theta_i, measured.theta_o, measured.phi)))
-    found, valid = (np.concatenate([x, x[..., ::-1]], -1) for x in gridded(*angles, values[:, whole]))
+    if measured.between is not None:
+        halves = drawn(measured.between, values)
+    else:
+        whole = measured.valid.all(0)
+        angles = half_difference(*(x[whole] for x in (measured.theta_i, measured.theta_o, measured.phi)))
+        halves = gridded(*angles, values[:, whole])
+    found, valid = (np.concatenate([x, x[..., ::-1]], -1) for x in halves)
     return Measurement(measured.path, found, valid, 0, 0, 0, measured.sha1, measured.blob_sha1, measured.bands)
 
 

@@ -33,33 +33,41 @@ def half_of(samples, kept):
     return replace(samples, weight=weight, scatter=samples.scatter * float(part))
 
 
+def intervals(measurement, samples, config):
+    """Of a fit to these samples: intervals of its parameters, or why there are none."""
+    fitted = fit(measurement, samples, config)
+    with tempfile.TemporaryDirectory() as folder:
+        chain = Path(folder) / "chain.npz"
+        sampled = sample(fitted, samples, config.posterior.max_steps, config.seed, chain)
+    return {
+        "count": fitted.count, "message": sampled.posterior.message, "steps": sampled.posterior.diagnosis.steps,
+        "k": sampled.posterior.pareto_k,
+        "parameters": {
+            q.name: [q.value, *((q.quantiles.q05, q.quantiles.q50, q.quantiles.q95) if q.quantiles else ())]
+            for q in with_quantiles(parameter_results(fitted), sampled)
+        },
+    }  # fmt: skip
+
+
 def measure(path, body):
     """Of every half: intervals of its parameters, or why there are none."""
     config, measurement = load(body=body), read(path)
-    whole, found = weighted_samples(measurement, config.exponents[0], config.fit.theta_max), {}
-    for name, kept in HALVES.items():
-        samples = half_of(whole, kept)
-        fitted = fit(measurement, samples, config)
-        with tempfile.TemporaryDirectory() as folder:
-            chain = Path(folder) / "chain.npz"
-            sampled = sample(fitted, samples, config.posterior.max_steps, config.seed, chain)
-        found[name] = {
-            "count": fitted.count, "message": sampled.posterior.message, "steps": sampled.posterior.diagnosis.steps,
-            "k": sampled.posterior.pareto_k,
-            "parameters": {
-                q.name: [q.value, *((q.quantiles.q05, q.quantiles.q50, q.quantiles.q95) if q.quantiles else ())]
-                for q in with_quantiles(parameter_results(fitted), sampled)
-            },
-        }  # fmt: skip
-    return found
+    whole = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
+    return {name: intervals(measurement, half_of(whole, kept), config) for name, kept in HALVES.items()}
+
+
+def apart(one, other):
+    """Parameters whose intervals have no point in common; None without intervals of both."""
+    pairs = {name: (a[1:], other["parameters"][name][1:]) for name, a in one["parameters"].items()}
+    if not all(a and b for a, b in pairs.values()):
+        return None
+    return [name for name, (a, b) in pairs.items() if max(a[0], b[0]) > min(a[2], b[2])]
 
 
 def overlap(one, other):
     """Share of the parameters whose intervals have a point in common; nan without intervals of both."""
-    pairs = [(a[1:], other["parameters"][name][1:]) for name, a in one["parameters"].items()]
-    if not all(a and b for a, b in pairs):
-        return float("nan")
-    return float(np.mean([max(a[0], b[0]) <= min(a[2], b[2]) for a, b in pairs]))
+    found = apart(one, other)
+    return float("nan") if found is None else 1 - len(found) / len(one["parameters"])
 
 
 def run(folder, out, every):

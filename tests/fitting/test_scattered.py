@@ -21,7 +21,7 @@ from merlfit.fitting.settings.config import load
 from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import read
-from merlfit.merl_io.scattered import ScatteredSamples
+from merlfit.merl_io.scattered import ScatteredSamples, half_difference, scattered
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured
 from merlfit.model.rivals.ggx import GGX
@@ -270,6 +270,30 @@ def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
     refused = call("fit", file, "-o", tmp_path, *words)
     assert refused.exit_code == 2
     assert said in " ".join(refused.stderr.split())
+
+
+def test_what_an_isotropic_material_cannot_tell_apart_is_one_sample(file):
+    """Mirror images with noise of their own: their sum of squares is that of the means, and what they scatter by."""
+    once, rng = inputs.read(file), np.random.default_rng(0)
+    twice = {name: np.tile(getattr(once, name), 2) for name in ("theta_i", "theta_o", "phi", "share")}
+    twice["phi"][len(once.phi) :] *= -1
+    values = np.tile(once.values, 2) * rng.uniform(0.9, 1.1, (4, 2 * len(once.phi)))
+    whole, weight = replace(once, **twice, values=values), rng.uniform(1, 2, values.shape)
+    found = scattered(whole, values, weight, np.ones(values.shape, bool))
+    alone = scattered(once, once.values, weight[:, : len(once.phi)], np.ones(once.values.shape, bool))
+    assert len(found.theta_h) == len(alone.theta_h)
+    assert np.sum(found.share) == pytest.approx(np.sum(whole.share))
+    predicted, means = (np.exp(-half_difference(*x)[0]) for x in angles_of(whole, found))
+    squares = np.sum(weight * (values - predicted) ** 2)
+    assert np.sum(found.weight * (found.value - means) ** 2) + found.scatter == pytest.approx(squares, rel=1e-9)
+
+
+def angles_of(measured, samples):
+    """theta_i, theta_o and phi (rad) of a file, and of its samples."""
+    theta_i, theta_o = np.arccos(samples.cos_i), np.arccos(samples.cos_o)
+    between = np.cos(2 * samples.theta_d) - samples.cos_i * samples.cos_o
+    phi = np.arccos(np.clip(between / np.maximum(np.sin(theta_i) * np.sin(theta_o), 1e-12), -1, 1))
+    return (measured.theta_i, measured.theta_o, measured.phi), (theta_i, theta_o, phi)
 
 
 def test_too_few_samples_are_no_data(tmp_path):
