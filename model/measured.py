@@ -20,7 +20,7 @@ from jax import Array
 from . import acquisition
 from .apparatus import APPARATUS, Apparatus, GrazingLoss
 from .geometry import Geometry
-from .parameters import LOSSES, WAVELENGTHS_UM, Parameter
+from .parameters import WAVELENGTHS_UM, Parameter, exponent_of
 from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values, Wavelengths, lobes_of, setting
 
 
@@ -45,8 +45,8 @@ class Measured(Reflectance):
         """Refuse what is no loss, a loss of what has no lobes, and an apparatus that nothing uses."""
         if isinstance(self.material, Measured):
             raise ValueError(f"{self.material} is measured already")
-        if unknown := [lobe for lobe in self.material.lobes if lobe not in LOSSES]:
-            raise ValueError(f"{self.material} has lobes without an exponent in `LOSSES`: {', '.join(unknown)}")
+        for lobe in self.material.lobes:
+            exponent_of(lobe)
         number = isinstance(self.grazing_loss, Real) and not isinstance(self.grazing_loss, bool)
         if not (0 <= float(self.grazing_loss) <= 1 if number else self.grazing_loss in get_args(GrazingLoss)):
             raise ValueError(f"grazing_loss {self.grazing_loss!r} is neither off, free, derived nor a number in [0, 1]")
@@ -76,12 +76,12 @@ class Measured(Reflectance):
         if self.grazing_loss != "free":
             return declared
         shared = tuple(q for q in declared if not q.per_channel)
-        return shared + tuple(LOSSES[lobe] for lobe in self.lobes) + declared[len(shared) :]
+        return shared + tuple(map(exponent_of, self.lobes)) + declared[len(shared) :]
 
     def exponent(self, lobe: str, v: Values, wavelengths_um: Wavelengths = WAVELENGTHS_UM) -> Array:
         """k of one sharp lobe at these parameter values; 0 where nothing is lost."""
         if self.grazing_loss == "free":
-            return v[LOSSES[lobe].name]
+            return v[exponent_of(lobe).name]
         if self.grazing_loss == "derived":
             table = f"{lobe}_exponent"
             return v[table] if table in v else self._derived(lobe, v, wavelengths_um)

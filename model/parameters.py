@@ -6,7 +6,7 @@ the square of their factor either way.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import jax.numpy as jnp
@@ -122,3 +122,15 @@ GRAZING_DIFFRACTED = Parameter("grazing_exponent_diffracted", "g_d",
                                "1", 0.3, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip
 LOSSES = {"specular": GRAZING, "diffracted": GRAZING_DIFFRACTED}
 """The apparatus's exponent of each sharp lobe that a model may have."""
+
+
+def exponent_of(lobe: str) -> Parameter:
+    """The apparatus's exponent of a sharp lobe; ``specular_2`` is the specular lobe of a second model (`sum`).
+
+    Raises:
+        ValueError: no loss is known of a lobe of that name.
+    """
+    kind, _, which = lobe.partition("_")
+    if kind not in LOSSES:
+        raise ValueError(f"no loss is known of a lobe {lobe!r}: lobes are named {', '.join(LOSSES)}")
+    return replace(LOSSES[kind], name=f"{LOSSES[kind].name}_{which}") if which else LOSSES[kind]

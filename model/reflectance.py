@@ -208,8 +208,9 @@ def innermost(model: Reflectance) -> Reflectance:
 
 def of_order(model: Reflectance, order: int) -> Reflectance:
     """The same with quadratures of no higher order, and without the tier that takes hours."""
-    if isinstance(material := getattr(model, "material", None), Reflectance):
-        return replace(model, material=of_order(material, order))  # pyright: ignore[reportArgumentType] - models are dataclasses
+    parts = {name: x for name, x in vars(model).items() if isinstance(x, Reflectance)}
+    if parts:
+        return replace(model, **{name: of_order(x, order) for name, x in parts.items()})  # pyright: ignore[reportArgumentType] - models are dataclasses
     if not isinstance(model, Effects):
         return model
     tier = "quadrature" if model.diffraction == "exact" else model.diffraction

@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from .effects import ANY, BODIES, KINDS
 from .reflectance import Reflectance
+from .sum import Sum, lowest, over
 from .two_scale import TwoScale
 
 
@@ -38,6 +39,10 @@ def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
             line that says what there is.
     """
     known = models()
+    if "+" in name:
+        return _sum(name, settings)
+    if name.startswith("coat("):
+        raise ValueError(f"{name!r}: a coat comes first, above another model, as in 'coat(ggx)+epd'")
     if name not in known:
         near = difflib.get_close_matches(name.casefold(), known, n=1)
         nearest = f"; the nearest is {near[0]!r}" if near else ""
@@ -57,10 +62,25 @@ def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
     return model
 
 
+def _sum(name: str, settings: Mapping[str, Any]) -> Sum:
+    """Of ``ggx+epd`` or ``coat(ggx)+epd``; settings of the first part are in ``top``, those of the rest in ``base``."""
+    first, _, rest = name.partition("+")
+    top = first.removeprefix("coat(").removesuffix(")")
+    coated = first == f"coat({top})"
+    if unknown := settings.keys() - {"top", "base", "coated"}:
+        raise ValueError(f"{name} has no setting {min(unknown)!r}: its settings are top and base, those of its parts")
+    if settings.get("coated", coated) != coated:
+        raise ValueError(f"{name}: coated should be {coated}, as the name says")
+    return Sum(made(top, settings.get("top", {})), made(rest, settings.get("base", {})), coated)
+
+
 def variants(name: str) -> tuple[Reflectance, ...]:
     """Those variants of a model that a fit may compare, the simplest first."""
-    kind = models()[name]
-    return tuple(kind(body, index=index) for index, body in KINDS) if kind is TwoScale else (kind(),)
+    model = made(name, {})
+    if not isinstance(lowest(model), TwoScale):
+        return (model,)
+    kinds = [TwoScale(body, index=index) for index, body in KINDS]
+    return tuple(over(model, kind) if isinstance(model, Sum) else kind for kind in kinds)
 
 
 def _checked(where: str, value: object, kind: Any) -> object:  # noqa: ANN401 - a type, or a form of several

@@ -13,7 +13,8 @@ def models_table() -> Table:
     found = table(
         "reflectance models; RGB: one value per channel; numbers: over three channels, without the "
         "grazing exponents. `merlfit fit` fits the two-scale model, in the variants that --body and --index name, or "
-        "another one by --model NAME; `merlfit compare` fits several",
+        "another one by --model NAME; `merlfit compare` fits several. Sums are models, too: ggx+epd is two "
+        "surfaces side by side, coat(ggx)+epd a clear coat over another model",
         heads, heads,
     )  # fmt: skip
     for name, kind in models().items():

@@ -142,7 +142,8 @@ def fit(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Model to fit, one of `merlfit models`; given several times, they are compared \\[default: two-scale]."
+            help="Model to fit, one of `merlfit models`, or a sum such as ggx+epd or coat(ggx)+epd; given several "
+            "times, they are compared \\[default: two-scale]."
         ),
     ] = None,
     preset: Annotated[

@@ -15,7 +15,6 @@ from ...merl_io.bands import MERL
 from ...merl_io.binary import read, write
 from ...merl_io.samples import folded
 from ...merl_io.source import PLAIN
-from ...model.registry import models
 from ...scene.description import SceneError
 from ...scene.surface import Material, measurement
 from ...scene.tables import write_tables
@@ -139,7 +138,7 @@ def parameters_of(result: Result) -> dict[str, Any]:
         "source_sha1": result.source.sha1, "versions": result.versions,
         "rmse_per_sr": None if result.edited else result.metrics.rmse,
         "model": m.name,
-        "citation": models()[m.name].citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
+        "citation": m.material.citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
         "channels": m.channels, "wavelengths_um": m.wavelengths_um,
         "parameters": {
             q.name: {

@@ -21,8 +21,10 @@ from ...model.measured import Measured
 from ...model.ndf.epd import HALF
 from ...model.parameters import WHICH_BODY
 from ...model.reflectance import Reflectance
+from ...model.sum import Sum, lowest, over
 
 TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # of a two-scale material, where fits start
+APART = 4.0  # times as wide as the highlight, or as narrow, may be the lobe of a second surface
 STRATA = 3  # of every shared parameter with a logarithmic scale
 _METALS = np.array(list(product(np.geomspace(0.05, 6, 14), np.geomspace(0.05, 12, 14)))).T
 METALS = {"n": _METALS[0], "k": _METALS[1]}
@@ -122,6 +124,8 @@ def hints_of(model: Reflectance) -> Hints:
             linear=linear and linear._replace(lobes=replace(model, material=linear.lobes)),
             search=search and replace(model, material=search),
         )
+    if isinstance(model, Sum):
+        return _sum(model)
     found = _BY_NAME[model.name](model) if model.name in _BY_NAME else Hints()
     if found.strata is not None:
         return found
@@ -138,19 +142,21 @@ def general_of(model: Reflectance) -> General:
     """
     material: Any = model.material if isinstance(model, Measured) else model
     names = tuple(q.name for q in model.parameters)
-    if material.name != "two-scale" or material.general == material:
+    base: Any = lowest(material)
+    if base.name != "two-scale" or base.general == base:
         return General(model, dict, names)
 
     def values(v: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
         given = dict(v)
-        if material.index == "real":
+        if base.index == "real":
             given["n"] = given.pop("eta")
             given["k"] = np.zeros_like(given["n"])
-        if material.body == "none":
+        if base.body == "none":
             given["albedo"] = np.zeros_like(given["n"])
-        return given | {WHICH_BODY: np.int32(BODIES.index(material.body))}
+        return given | {WHICH_BODY: np.int32(BODIES.index(base.body))}
 
-    whole = replace(model, material=material.general) if isinstance(model, Measured) else material.general
+    whole: Reflectance = over(material, base.general) if isinstance(material, Sum) else base.general
+    whole = replace(model, material=whole) if isinstance(model, Measured) else whole
     return General(whole, values, tuple("n" if name == "eta" else name for name in names))
 
 
@@ -237,6 +243,27 @@ def _hp15(model: Any) -> Hints:  # noqa: ANN401
         return [first, {**first, "a": float(np.clip(2 * data.half_width / (0.64 * middle_um), 0.02, 40.0))}]
 
     return Hints(starts, {"beta": 3, "p": 2, "a": 3})
+
+
+def _sum(model: Sum) -> Hints:
+    """The measured highlight is that of one surface, and the other's is wider or narrower by a factor of `APART`."""
+    top, base = hints_of(model.top), hints_of(model.base)
+    if top.linear is None or (base.linear is None and not isinstance(model.base, Sum)):
+        apart = model.top.name if top.linear is None else model.base.name
+        raise ValueError(f"{apart} cannot be part of a sum: how bright its lobe is, is not separated from its shape")
+
+    def starts(data: StartHints, middle_um: float) -> list[Start]:
+        found = []
+        for factor in (1 / APART, APART, 1.0):
+            beside = StartHints(float(np.clip(factor * data.half_width, 2e-3, 2.0)))
+            below = StartHints(float(np.clip(data.half_width * (1.0 if factor != 1.0 else APART), 2e-3, 2.0)))
+            for own, of_base in product(top.starts(beside, middle_um)[:1], base.starts(below, middle_um)):
+                found.append({**of_base, **{f"{name}{model.suffix}": x for name, x in own.items()}})
+        return found
+
+    of_top = {f"{name}{model.suffix}": 2 for name in top.strata or {}}
+    search = base.search and replace(model, base=base.search)
+    return Hints(starts, {**{name: 2 for name in base.strata or {}}, **of_top}, search=search)
 
 
 def _he_starts(data: StartHints, middle_um: float) -> list[Start]:

@@ -112,7 +112,7 @@ def _cost(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     values = with_tables(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
-        residual = b.target - weigh(b.root, evaluate_block(model, values, b.directions))
+        residual = b.target - weigh_rows(b.root, evaluate_block(model, values, b.directions))
         return total + jnp.sum(residual**2, (1, 2, 3), dtype=jnp.float64), None
 
     return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
@@ -123,12 +123,12 @@ def weighted_prediction(model: Reflectance, values: Mapping[str, Array], part: P
     values = with_tables(model, values, part.directions)
 
     def block(b: Part) -> Array:
-        return weigh(b.root, evaluate_block(model, values, b.directions))
+        return weigh_rows(b.root, evaluate_block(model, values, b.directions))
 
     return jax.vmap(block)(part)
 
 
-def weigh(root: Array, nodes: Array) -> Array:
+def weigh_rows(root: Array, nodes: Array) -> Array:
     """Root times the values at the nodes of every row."""
     return jnp.sum(root * nodes[..., None, :], -1)
 
@@ -188,17 +188,18 @@ def _places(structure: Structure) -> np.ndarray:
 
 def evaluate_block(model: Reflectance, values: Mapping[str, Array], b: Directions) -> Array:
     """BRDF of one block (1/sr), with tables if given."""
-    s = _setting(b)
+    s = setting_of(b)
     return reflectance.lobes_of(model, values, s).brdf(s)
 
 
-def _setting(b: Directions) -> Setting:
+def setting_of(b: Directions) -> Setting:
+    """The setting of one block."""
     return reflectance.setting(b.geometry, b.bands.wavelengths_um, b.log_base)
 
 
 def with_tables(model: Reflectance, values: Mapping[str, Array], where: Directions) -> dict[str, Array]:
     """Values and what all blocks look up."""
-    s = _setting(jax.tree.map(lambda x: x[0], where))
+    s = setting_of(jax.tree.map(lambda x: x[0], where))
     return {**values, **{name: table(values, s) for name, table in _tables(model, where).items()}}
 
 
@@ -210,7 +211,7 @@ def _rates(
     model: Reflectance, values: Mapping[str, Array], where: Directions
 ) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
     """Values with tables, and by parameter the rates at which they change when it moves, in all channels at once."""
-    s = _setting(jax.tree.map(lambda x: x[0], where))
+    s = setting_of(jax.tree.map(lambda x: x[0], where))
     rates = {q.name: {q.name: jnp.ones_like(values[q.name])} for q in model.parameters}
     found = {}
     for name, table in _tables(model, where).items():
@@ -231,7 +232,7 @@ def _block_gram(
     """Normal equations of one block, one row and column a parameter group and one for the residual."""
 
     def factor_derivatives(values: Mapping[str, Array], b: Directions) -> tuple[dict[str, Array], dict[str, Array]]:
-        s, read = _setting(b), reads(model, b.scattered)
+        s, read = setting_of(b), reads(model, b.scattered)
         shaped = reflectance.shaped(model, values, s)
         at, slopes = {}, {}
         for name, factor in model.factors().items():
@@ -245,13 +246,13 @@ def _block_gram(
         return at, slopes
 
     def columns(at: dict[str, Array], slopes: dict[str, Array], b: Part) -> list[Array]:
-        s = _setting(b.directions)
+        s = setting_of(b.directions)
         result = []
         for q in model.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
             change = lambda part: model.assemble({**at, **part}, s).brdf(s)  # noqa: E731
-            result.append(weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
-        return [*result, b.target - weigh(b.root, model.assemble(at, s).brdf(s))]
+            result.append(weigh_rows(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
+        return [*result, b.target - weigh_rows(b.root, model.assemble(at, s).brdf(s))]
 
     always = true_of(b.target[0, 0, 0, 0])
     at, slopes = materialised(factor_derivatives, always, values, b.directions)

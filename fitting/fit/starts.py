@@ -17,9 +17,10 @@ from scipy.stats.qmc import Sobol
 
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
+from ...model.sum import Sum
 from .hints import StartHints, hints_of
 from .problem import Problem
-from .projection import project
+from .projection import project, weigh
 from .residuals import Objective
 from .transforms import Layout
 
@@ -137,7 +138,10 @@ def _of_alike(
         rows, columns = np.flatnonzero(turn == k)[:, None], [shared.index(name) for name in moved[k] if name in shared]
         points[rows, columns] = begun[k][columns] + NEAR / SCATTER * points[rows, columns]
     kinds = np.column_stack([(places * [strata.get(name, 1) for name in shared]).astype(int), turn])
-    if hints.linear is None:
+    if isinstance(lead.material, Sum):
+        named = layouts[0].held(lead.values_of_many(points))
+        found = [weigh(layout, {name: named[name] for name in shared}, problem, over) for layout in layouts]
+    elif hints.linear is None:
         own = _classes(lead, size, most)
         kinds = np.column_stack([kinds, own])
         found = [_by_channel(layouts[0], points, size, readings[0], own, problem)]

@@ -79,7 +79,7 @@ def config_of(config: Config, name: str) -> Config:
     if config.fit.weights == "adaptive":
         raise ConfigError("fit.weights 'adaptive' gives every model another objective: compare with one of the others")
     data = {**config.plain(), "model": {"name": name}}
-    if name != TwoScale.name:
+    if TwoScale.name not in name.split("+"):
         data["effects"] = {}
     if not made(name, {}).lobes:
         data["acquisition"], data["apparatus"] = {}, {}

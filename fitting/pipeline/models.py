@@ -7,6 +7,7 @@ from ...merl_io.bands import MERL, Bands
 from ...model.effects import KINDS, TWO_SCALE, Kind
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance
+from ...model.sum import Sum, lowest, over
 from ...model.two_scale import TwoScale
 from ..fit.transforms import Layout, layout_of, refuse_contradictions
 from ..settings.config import Config, ConfigError
@@ -16,9 +17,17 @@ def candidates(config: Config) -> list[Measured]:
     """Models to compare, those with the fewest parameters first; of the two-scale model every kind asked for."""
     kinds = _kinds(config) if TWO_SCALE in config.model.names else []
     found = {TWO_SCALE: [two_scale(config, kind) for kind in kinds]}
-    found |= {material.name: [measured(config, material)] for material in config.model.rivals}
+    found |= {material.name: _variants(config, material) for material in config.model.rivals}
     named = [model for name in config.model.names for model in _constrained(config, name, found[name])]
     return sorted(named, key=lambda model: _numbers(model.material))
+
+
+def _variants(config: Config, material: Reflectance) -> list[Measured]:
+    """A rival; of a sum over the two-scale model one for each kind asked for."""
+    if not (isinstance(material, Sum) and isinstance(lowest(material), TwoScale)):
+        return [measured(config, material)]
+    bases = [two_scale(config, kind).material for kind in _kinds(config)]
+    return [measured(config, over(material, base)) for base in bases]
 
 
 def _constrained(config: Config, name: str, variants: list[Measured]) -> list[Measured]:

@@ -19,7 +19,7 @@ from merlfit.model.measured import Measured, profile
 from merlfit.model.parameters import Parameter
 from merlfit.model.reads import reads
 from merlfit.model.reflectance import evaluate
-from merlfit.model.registry import models
+from merlfit.model.registry import made, models
 from merlfit.model.rivals.cook_torrance import CookTorrance
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.gtr import GTR
@@ -34,6 +34,7 @@ MODELS = [kind() for kind in models().values()]
 BLURRED = ("two-scale", "ggx", "hp15")  # by the apparatus: two lobes, one, and two of few parameters
 MEASURED = [Measured(model, how) for model in MODELS for how in ("free", "derived") if model.name in BLURRED]
 RIVALS = [m for m in MODELS if m.name != "two-scale"]
+SUMS = [made("ggx+epd", {}), made("coat(ggx)+epd", {})]
 UNUSUAL = [
     GGX("conductor"), GGX("dielectric", "v-groove"), GTR(gamma="1"), GTR("conductor", "v-groove"), CookTorrance("ngan"),
     OrenNayar(surface="none"), InterfacedLambertian("ggx", "v-groove"), InterfacedLambertian("gaussian", "v-groove"),
@@ -60,6 +61,11 @@ TRUTH = {
         "diffuse_albedo": ALBEDO,
     },
     "interfaced-lambertian": {"roughness": 0.3, "eta": np.array([1.4, 1.5, 1.6]), "albedo": np.array([0.7, 0.4, 0.1])},
+    "ggx+epd": {
+        "beta": 0.4, "p": 0.7, "share_2": 0.4, "alpha_2": 0.08, "F0": np.array([0.05, 0.2, 0.6]), "albedo": ALBEDO,
+        "F0_2": np.array([0.5, 0.3, 0.1]),
+    },
+    "coat(ggx)+epd": {"beta": 0.4, "p": 0.7, "alpha_coat": 0.05, "eta_coat": 1.5, "F0": F0, "albedo": ALBEDO},
     "oren-nayar": {"roughness": 0.4, "k_s": np.array([0.1, 0.05, 0.02]), "albedo": np.array([0.7, 0.4, 0.1])},
     "oren-nayar-qualitative": {"roughness": 0.5, "albedo": np.array([0.7, 0.4, 0.1])},
 }  # fmt: skip
@@ -79,7 +85,7 @@ def of_model(model, samples, values):
     return dataclasses.replace(samples, value=predict(model, values, where))
 
 
-@pytest.mark.parametrize("model", [*MODELS, *MEASURED], ids=lambda m: f"{m.name} {m}")
+@pytest.mark.parametrize("model", [*MODELS, *MEASURED, *map(Measured, SUMS)], ids=lambda m: f"{m.name} {m}")
 def test_normal_equations_are_those_of_the_plain_jacobian(model, few):
     layout, rng = layout_of(model), np.random.default_rng(5)
     samples = dataclasses.replace(few, value=rng.uniform(0.1, 1.0, few.value.shape))
@@ -99,7 +105,7 @@ def dense():
     return thin(fold(grid, np.ones_like(weight), weight), (3, 5, 30))
 
 
-@pytest.mark.parametrize("model", RIVALS, ids=lambda m: m.name)
+@pytest.mark.parametrize("model", [*RIVALS, *SUMS], ids=lambda m: m.name)
 def test_truth_is_recovered(model, dense):
     """To a thousandth, by the pipeline's own starting points; of SGD, many of whose values do the same, the BRDF."""
     layout, truth = layout_of(model), TRUTH[model.name]
@@ -137,7 +143,7 @@ def at_edges(model):
     return found
 
 
-@pytest.mark.parametrize("model", [*RIVALS, *UNUSUAL], ids=lambda m: m.variant)
+@pytest.mark.parametrize("model", [*RIVALS, *SUMS, *UNUSUAL], ids=lambda m: m.variant)
 @pytest.mark.parametrize("end", [0.0, 0.5, 1.0])
 def test_values_and_slopes_are_finite_at_every_edge(model, end):
     positions = {q.name: np.full(3 if q.per_channel else (), end) for q in model.parameters}
@@ -160,7 +166,7 @@ def test_what_a_model_may_not_declare_is_told():
 
 def test_models_are_registered_by_name():
     assert next(iter(models())) == "two-scale"
-    assert set(TRUTH) == {*models()} - {"two-scale"}
+    assert set(TRUTH) == {*models(), *(m.name for m in SUMS)} - {"two-scale"}
     for name, model in zip(models(), MODELS, strict=True):
         assert model.name == name
         assert "doi:" in model.citation or "https://" in model.citation
