@@ -45,13 +45,18 @@ def compared(lighting: Lighting, dims: Dims = DIMS) -> csr_array:
     return sphere(lighting, disc(PIXELS[lighting]), dims)
 
 
+def normals(positions: np.ndarray) -> np.ndarray:
+    """Of a sphere that is seen from far along z, (N, 3), at positions in radii of it, (N, 2)."""
+    return np.concatenate([positions, np.sqrt(np.maximum(1 - np.sum(positions**2, -1, keepdims=True), 0.0))], -1)
+
+
 def sphere(lighting: Lighting, positions: np.ndarray, dims: Dims = DIMS) -> csr_array:
     """Pixels of a sphere that is seen from far along z, as sums over folded bins: radiance over BRDF, (N, H D P/2).
 
     Args:
         positions: of the pixels, (N, 2), in radii of the sphere and inside it. dims: of the bins.
     """
-    normal = np.concatenate([positions, np.sqrt(np.maximum(1 - np.sum(positions**2, -1, keepdims=True), 0.0))], -1)
+    normal = normals(positions)
     lit, found = (_by_lamp if lighting == "lamp" else _by_environment), []
     for k in range(0, len(normal), AT_ONCE):
         bins, weights = lit(normal[k : k + AT_ONCE], dims)
@@ -67,13 +72,18 @@ def render(pixels: csr_array, brdf: np.ndarray) -> np.ndarray:
     return np.stack([pixels @ plane.ravel() for plane in brdf], -1)
 
 
-def _by_lamp(normal: np.ndarray, dims: Dims) -> tuple[np.ndarray, np.ndarray]:
-    """Bins and weights of pixels, (pixels, samples)."""
+def lamp_nodes() -> np.ndarray:
+    """Unit vectors to points of the lamp's disc, of equal weight, (points, 3)."""
     radius, turn = np.sqrt((np.arange(NODES) + 0.5) / NODES), np.arange(6) * np.pi / 3
     across, up = frame(LAMP)
     radius, turn = (x.reshape(-1, 1) for x in np.meshgrid(np.tan(LAMP_RADIUS_RAD) * radius, turn, indexing="ij"))
     light = LAMP + radius * (np.cos(turn) * across + np.sin(turn) * up)
-    light = light / np.linalg.norm(light, axis=-1, keepdims=True)
+    return light / np.linalg.norm(light, axis=-1, keepdims=True)
+
+
+def _by_lamp(normal: np.ndarray, dims: Dims) -> tuple[np.ndarray, np.ndarray]:
+    """Bins and weights of pixels, (pixels, samples)."""
+    light = lamp_nodes()
     i = np.broadcast_to(light, (len(normal), *light.shape))
     cos_i = np.maximum(np.einsum("pk,lk->pl", normal, light), 0.0)
     return _bins(i, np.broadcast_to([0.0, 0.0, 1.0], i.shape), normal[:, None], dims), np.pi * cos_i / len(light)

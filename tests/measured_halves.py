@@ -39,7 +39,7 @@ def parity(measurement, split):
 def half_of(measurement, kept):
     """Some of the samples."""
     chosen = {name: getattr(measurement, name)[..., kept] for name in ("theta_i", "theta_o", "phi", "values", "share")}
-    return replace(measurement, **chosen)
+    return replace(measurement, **chosen, solid_angle=None, between=None)
 
 
 def halves(path, split, kind):
