@@ -95,10 +95,12 @@ faults: install
 spectral: install
 	$(BIN)/python -m tests.spectral
 
-# A quarter of an hour: genuine measurements fitted; goes on where it was stopped. What Mitsuba makes of the files is
-# committed: three minutes, `python -m tests.measured_albedo`. results/measured/.
+# A quarter of an hour: genuine measurements fitted, and their spheres beside Mitsuba's; goes on where it was stopped.
+# Albedos by Mitsuba are committed: three minutes, `python -m tests.measured_albedo`. Posteriors of halves of the files:
+# hours, `python -m tests.measured_halves`. results/measured/.
 measured: install
 	$(BIN)/python -m tests.measured
+	$(BIN)/python -m tests.measured_spheres
 
 # A quarter of an hour of both cores: 500 fits in one process; results/endurance.md.
 endurance: install

@@ -35,6 +35,7 @@ from .warp import Densities, warped
 GRAZING = np.radians(
     89.99
 )  # light from beyond is none: 90 degrees may be stored a little less, and no file measures it
+LEAST_SEEN = 1e-3  # of what a value is drawn from, the part that samples have to be
 GAUSS = 6  # points along either side of a cell: albedos of RGL's files are within 0.5 % of those by 16
 
 
@@ -82,7 +83,9 @@ class Nodes:
     def between(
         self, values: np.ndarray, theta_i: np.ndarray, cos_o: np.ndarray, theta_m: np.ndarray, phi_m: np.ndarray
     ) -> np.ndarray:
-        """BRDF (1/sr), (C, M), as Mitsuba's `measured` has it; NaN where it is drawn from nodes that are no samples.
+        """BRDF (1/sr), (C, M), as Mitsuba's `measured` has it; NaN where no node around is a sample.
+
+        Where some are none, being below the horizon, the others stand for all; the file has made-up values there.
 
         Args:
             values: of the samples, (C, N), 1/sr. theta_i, cos_o: of light and viewer, and theta_m, phi_m: of the normal
@@ -98,7 +101,9 @@ class Nodes:
         for azimuth, phi_i in enumerate(self.parts["phi_i"].astype(float)):
             s, t = Densities(self.parts["vndf"][azimuth, : len(theta)]).back(beside, u, v)
             stored = self._stored(values, azimuth)
-            drawn = sum(weight * _bilinear_of(stored, k, s, t, weight > 0) for k, weight in beside)
+            stored, known = np.nan_to_num(stored), np.isfinite(stored).astype(float)
+            drawn, seen = (sum(w * _bilinear_of(x, k, s, t) for k, w in beside) for x in (stored, known))
+            drawn = np.where(seen > LEAST_SEEN, drawn / np.maximum(seen, LEAST_SEEN), np.nan)
             scale = np.ones_like(u)
             if self.parts["jacobian"][0]:
                 sigma = _bilinear(self.parts["sigma"], np.sqrt(2 * theta_i / np.pi), (phi_i + np.pi) / (2 * np.pi))
@@ -218,14 +223,13 @@ def _bilinear(table: np.ndarray, x: np.ndarray | float, y: np.ndarray | float) -
     return np.asarray(upper * (1 - down) + lower * down)
 
 
-def _bilinear_of(tables: np.ndarray, which: np.ndarray, x: np.ndarray, y: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """`_bilinear` of the tables (C, T, n, n) that ``which`` names, (C, M); 0 where it does not count."""
+def _bilinear_of(tables: np.ndarray, which: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`_bilinear` of the tables (C, T, n, n) that ``which`` names, (C, M)."""
     size = tables.shape[-1]
     column, row = (np.minimum((np.clip(z, 0.0, 1.0) * (size - 1)).astype(int), size - 2) for z in (x, y))
     right, down = np.clip(x, 0.0, 1.0) * (size - 1) - column, np.clip(y, 0.0, 1.0) * (size - 1) - row
     found = np.zeros((len(tables), len(x)))
     for a, part in ((0, 1 - down), (1, down)):
         for b, other in ((0, 1 - right), (1, right)):
-            share = np.where(counts, part * other, 0.0)
-            found += np.where(share > 0, share * tables[:, which, row + a, column + b], 0.0)
+            found += part * other * tables[:, which, row + a, column + b]
     return found
