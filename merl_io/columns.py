@@ -73,7 +73,13 @@ def columns_of(path: Path, cells: list[str]) -> Columns:
     wrong = []
     if missing := [name for name in ANGLES if name not in {angle for angle, _ in meant.values()}]:
         commas = "" if len(names) > 1 else " with commas between"
-        wrong.append(f"its first line names no column {', '.join(missing)}; it needs {', '.join(ANGLES)}{commas}")
+        scan = (
+            "; a scan in the plane of incidence has phi_deg 180, or the ending .astm"
+            if missing[-1] == ANGLES[2]
+            else ""
+        )
+        scan = scan if len(missing) < len(ANGLES) else ""
+        wrong.append(f"its first line names no column {', '.join(missing)}; it needs {', '.join(ANGLES)}{commas}{scan}")
     if "" in names:
         wrong.append(f"column {names.index('') + 1} has no name; is there a comma too many?")
     repeated = Counter(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import alta, binary, fred, mbsdf, rgl, table, zemax
+from . import alta, astm, binary, fred, mbsdf, rgl, table, zemax
 from .binary import Dims, Measurement
 from .hints import hints
 from .scattered import Quantity, ScatteredMeasurement
@@ -36,6 +36,7 @@ SCATTERED = {
     ".dat": alta.read,
     ".alta": alta.read,
     ".mbsdf": mbsdf.read,
+    ".astm": astm.read,
 }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from .bands import MERL, Bands, ColourSpace
 
-Format = Literal["table", "RGL", "Zemax", "FRED", "ALTA", "MBSDF"]
+Format = Literal["table", "RGL", "Zemax", "FRED", "ALTA", "MBSDF", "ASTM"]
 """Of files of scattered directions (docs/formats.md)."""
 Quantity = Literal["brdf", "brdf_cos", "reflectance_factor"]
 """What a file's numbers are: BRDF (1/sr), BRDF times cos theta_o (1/sr), or pi times the BRDF."""

@@ -440,3 +440,48 @@ def test_a_genuine_mbsdf_file_has_its_highlight_on_the_mirrors_side(genuine):
     assert (found.values < 0).any()
     k = int(np.argmax(found.values[0]))
     assert np.degrees([found.theta_i[k], found.theta_o[k], found.phi[k]]) == pytest.approx([61, 59, 179])
+
+
+ASTM = (
+    "SAMPLE_NAME plate\nWAVELENGTH 650nm\nTHETA_I 30\nNUM_POINTS 3\nVARS theta_s,CCBRDF\n-20,0.0121\n0\t0.05\n30 1.52\n"
+)
+
+
+def test_a_scan_after_astm_has_its_mirror_direction_at_a_positive_angle(tmp_path):
+    path = tmp_path / "plate.astm"
+    path.write_text(ASTM)
+    found = inputs.read(path)
+    assert found.format == "ASTM"
+    assert found.bands.names == ("650nm",)
+    theta_h, _, _ = half_difference(found.theta_i, found.theta_o, found.phi)
+    np.testing.assert_allclose(np.degrees(theta_h), [25, 15, 0], atol=1e-9)
+    np.testing.assert_allclose(found.values[0], [0.0121, 0.05, 1.52] / np.cos(np.radians([20, 0, 30])))
+    path.write_text(ASTM.replace("CCBRDF", "BRDF"))
+    np.testing.assert_allclose(inputs.read(path).values[0], [0.0121, 0.05, 1.52])
+    path.write_text("VARS theta_i,phi_i,theta_s,phi_s,450nm,0.55um\n30,90,30,270,1,2\n30,90,30,90,3,4\n")
+    found = inputs.read(path)
+    assert found.bands.wavelengths_um == (0.45, 0.55)
+    np.testing.assert_allclose(
+        np.degrees(half_difference(found.theta_i, found.theta_o, found.phi)[0]), [0, 30], atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("VARS", "COLUMNS", "no line begins with VARS"),
+        ("THETA_I 30\n", "", "VARS names no theta_i: add the column, or a line such as THETA_I 30 before VARS"),
+        ("THETA_I 30", "THETA_I thirty", "THETA_I is 'thirty', not an angle"),
+        ("CCBRDF", "reflectance", "column 'reflectance' of VARS is none of theta_i"),
+        ("30 1.52", "30", "line 8 has 1 cells, and VARS names 2 columns"),
+        ("30 1.52", "95 1.52", "line 8: theta_o_deg 95 is not in (-90, 90)"),
+        ("30 1.52", "30 x", "line 8: '30 x' is not a row of numbers"),
+    ],
+)
+def test_an_astm_file_that_cannot_be_read_says_why(tmp_path, old, new, said):
+    assert said in refusal(tmp_path / "plate.astm", ASTM.replace(old, new))
+
+
+def test_a_table_of_a_scan_is_told_how_to_be_read(tmp_path):
+    said = refusal(tmp_path / "scan.csv", "theta_i,theta_s,650nm\n30,30,1.5\n")
+    assert "a scan in the plane of incidence has phi_deg 180, or the ending .astm" in said
