@@ -73,12 +73,8 @@ def columns_of(path: Path, cells: list[str]) -> Columns:
     wrong = []
     if missing := [name for name in ANGLES if name not in {angle for angle, _ in meant.values()}]:
         commas = "" if len(names) > 1 else " with commas between"
-        scan = (
-            "; a scan in the plane of incidence has phi_deg 180, or the ending .astm"
-            if missing[-1] == ANGLES[2]
-            else ""
-        )
-        scan = scan if len(missing) < len(ANGLES) else ""
+        in_plane = missing[-1] == ANGLES[2] and len(missing) < len(ANGLES)
+        scan = "; a scan in the plane of incidence has phi_deg 180, or the ending .astm" if in_plane else ""
         wrong.append(f"its first line names no column {', '.join(missing)}; it needs {', '.join(ANGLES)}{commas}{scan}")
     if "" in names:
         wrong.append(f"column {names.index('') + 1} has no name; is there a comma too many?")
