@@ -5,16 +5,18 @@ total integrated scatter (``TIS``) and a row of values for each azimuth. Azimuth
 over the normal to the light. Files of symmetric scatter end at azimuth 180.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from .atomic import write_text
 from .bands import MERL, XYZ
 from .binary import BRIGHTEST
 from .foreign import lines_of, numbers_of, stated_band, usable
 from .scattered import ScatteredMeasurement, cosine_shares
-from .source import MerlError, contents
+from .source import PLAIN, MerlError, contents
 
 WORDS = {
     "Source": None, "Symmetry": ("PlaneSymmetrical", "Asymmetrical"), "SpectralContent": ("Monochrome", "XYZ"),
@@ -86,12 +88,42 @@ def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasureme
     return usable(measured)
 
 
-def _directions(theta_i: np.ndarray, azimuth: np.ndarray, radial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angle to the normal and azimuth relative to the light of all scattered directions (T, A, R)."""
+def write(
+    path: Path, axes: tuple[np.ndarray, np.ndarray, np.ndarray], values: np.ndarray, tis: np.ndarray,
+    remarks: Sequence[str],
+) -> None:  # fmt: skip
+    """Write a file of one wavelength that is symmetric to the plane of incidence.
+
+    Args:
+        axes: incidences (T,), azimuths from 0 to 180 (A,), radial angles (R,), in degrees. values: BRDF (1/sr), 0 below
+            the horizon, (T, A, R). tis: total integrated scatter, (T,). remarks: lines for people.
+
+    Raises:
+        merlfit.merl_io.atomic.WriteError: it cannot be written.
+    """
+    lines = [f"# {line.translate(PLAIN)}" for line in remarks]
+    lines += ["Source\tMeasured", "Symmetry\tPlaneSymmetrical", "SpectralContent\tMonochrome", "ScatterType\tBRDF"]
+    lines += ["SampleRotation\t1", "0"]
+    for name, x in zip(COUNTED[1:], axes, strict=True):
+        lines += [f"{name}\t{len(x)}", "\t".join(f"{angle:.8g}" for angle in x)]
+    lines += ["", "Monochrome", "DataBegin"]
+    for share, block in zip(tis, values, strict=True):
+        lines += [f"TIS\t{share:.6g}", *("\t".join(f"{x:.5e}" for x in row) for row in block)]
+    write_text(path, "\n".join([*lines, "DataEnd"]) + "\n")
+
+
+def vectors(theta_i: np.ndarray, azimuth: np.ndarray, radial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors of light, (T, 1, 1, 3), and of all scattered directions, (T, A, R, 3); the light's azimuth is 0."""
     t, a, r = theta_i[:, None, None], azimuth[:, None], radial
     across = np.cos(r) * -np.sin(t) + np.sin(r) * np.cos(a) * np.cos(t)
     beside = np.sin(r) * np.sin(a) + 0 * t
     up = np.cos(r) * np.cos(t) + np.sin(r) * np.cos(a) * np.sin(t)
+    return np.stack([np.sin(t), 0 * t, np.cos(t)], -1), np.stack([across, beside, up], -1)
+
+
+def _directions(theta_i: np.ndarray, azimuth: np.ndarray, radial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle to the normal and azimuth relative to the light of all scattered directions (T, A, R)."""
+    across, beside, up = np.moveaxis(vectors(theta_i, azimuth, radial)[1], -1, 0)
     return np.arctan2(np.hypot(across, beside), up), np.arctan2(beside, across)
 
 

@@ -437,7 +437,8 @@ def export(
     to: Annotated[
         str,
         typer.Option(
-            help="mitsuba (scene and tables), merl (.binary), json (parameters alone), gltf or openpbr (nearest GGX)."
+            help="mitsuba (scene and tables), merl (.binary), json (parameters alone), gltf or openpbr (nearest GGX), "
+            "zemax (table of scatter), abg or k-correlation (parameters by incidence)."
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),

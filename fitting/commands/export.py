@@ -1,14 +1,16 @@
-"""Materials for other programs: Mitsuba, MERL files, plain parameters, and the nearest GGX of glTF and OpenPBR."""
+"""Materials for other programs: renderers, MERL files, plain parameters, the nearest GGX, optical design programs."""
 
 import hashlib
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, get_args
 from xml.sax.saxutils import quoteattr
+
+from rich.table import Table
 
 from ...merl_io.atomic import write_text
 from ...merl_io.bands import MERL
@@ -26,9 +28,11 @@ from ..support.numbers import number
 from ..support.outputs import refuse_others
 from ..support.terminal import console, fail, reporting, writable_folder
 from .nearest_ggx import nearest
+from .scatter_files import targets_of, to_formulas, to_zemax
+from .scatter_formulas import FORMULAS
 from .scenes import of_result
 
-To = Literal["mitsuba", "merl", "json", "gltf", "openpbr"]
+To = Literal["mitsuba", "merl", "json", "gltf", "openpbr", "zemax", "abg", "k-correlation"]
 ENDINGS = {"mitsuba": ("mitsuba.npz", "xml"), "json": ("material.json",), "gltf": ("gltf",), "openpbr": ("mtlx",)}
 """Endings of files that are written but for MERL files, which may always be measurements."""
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
@@ -74,45 +78,59 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
         raise fail(f"{target}: is there already, and may be a measurement; --force overwrites it")
     writable_folder(out)
     stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
-    if to != "merl":
+    if to in ENDINGS:
         names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
         refuse_others([out / f"{name}.{ending}" for ending, name in names.items()], force)
+    if to in ("zemax", *FORMULAS) and path.suffix != ".binary":
+        refuse_others(targets_of(path, read_result(path), to, out), force)
     with reporting(path.name, path.stem) as say:
-        written = _exported(path, to, out, say)
+        written, lines = _exported(path, to, out, say)
+    for line in lines:
+        console.print(line)
     console.print("wrote " + ", ".join(map(str, written)))
 
 
-def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> list[Path]:
+def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> tuple[list[Path], Sequence[str | Table]]:
+    """Files that were written, and what else to print: how near they are to the fit."""
     if path.suffix == ".binary":
         if to != "mitsuba":
             raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
         file = read(path)
         said = f"{path.name}, {genuine_words(file.genuine) if file.genuine else UNSAID}"
-        return to_mitsuba(f"{path.stem}.measured", measurement(*folded(file)), said, out)
+        return to_mitsuba(f"{path.stem}.measured", measurement(*folded(file)), said, out), []
     result = read_result(path)
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
     error = EDITED if result.edited else f"RMSE {number(result.metrics.rmse, 3)}/sr"
-    said = (
+    fit = (
         f"{result.model.name} fit of {result.source.material} ({result.data_words}) by merlfit "
-        f"{result.versions.get('merlfit', '')}, {error}, {_colours(result.model)}"
+        f"{result.versions.get('merlfit', '')}, {error}"
     )
+    said = f"{fit}, {_colours(result.model)}"
     match to:
         case "mitsuba":
             say("tables")
             given = of_result(path.stem, result, path)
             assert given.model is not None
-            return to_mitsuba(path.stem, given.of(given.model), said, out)
+            return to_mitsuba(path.stem, given.of(given.model), said, out), []
         case "merl":
             say("bins")
             write(out / f"{path.stem}.binary", from_result(path)[0])
-            return [out / f"{path.stem}.binary"]
+            return [out / f"{path.stem}.binary"], []
         case "json":
-            return [_write_json(out / f"{path.stem}.material.json", parameters_of(result))]
+            return [_write_json(out / f"{path.stem}.material.json", parameters_of(result))], []
+        case "zemax":
+            say("table")
+            targets = targets_of(path, result, to, out)
+            return targets, to_zemax(targets, result, fit)
+        case "abg" | "k-correlation":
+            say("formulas")
+            targets = targets_of(path, result, to, out)
+            return targets, [to_formulas(path, targets[0], result, to, fit)]
         case _:
             say("nearest GGX")
             write_ = to_gltf if to == "gltf" else to_openpbr
-            return [write_(path.stem, nearest_of(path, result, to), said, out)]
+            return [write_(path.stem, nearest_of(path, result, to), said, out)], []
 
 
 def _colours(model: Model) -> str:

@@ -41,6 +41,8 @@ WRITERS = {  # commands with a folder D of results and measurements, and what of
     ("export", "D/nickel.json", "--to", "mitsuba", "-o", "D"): ["nickel.mitsuba.npz", "nickel.xml"],
     ("export", "D/nickel.json", "--to", "gltf", "-o", "D"): ["nickel.gltf"],
     ("export", "D/nickel.json", "--to", "openpbr", "-o", "D"): ["nickel.mtlx"],
+    ("export", "D/nickel.json", "--to", "zemax", "-o", "D"): [f"nickel.{c}.zemax.bsdf" for c in "RGB"],
+    ("export", "D/nickel.json", "--to", "abg", "-o", "D"): ["nickel.abg.json"],
     ("cost", "-o", "D"): ["frontier.json", "cost.md", "cost.png", "rows.json"],
 }  # fmt: skip
 
