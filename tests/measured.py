@@ -187,6 +187,8 @@ relative to the weighted energy of the measurement. Lamp and room: CIELAB distan
 file as interpolated between its samples and of the fit, where the samples cover what a sphere shows. Largest albedo is
 that of the fitted material at 10, 28, 45, 60 and 75 degrees.
 
+[Spheres](spheres.md) of files and fits, beside Mitsuba's; posteriors of [halves of the directions](halves.md).
+
 {fits}
 
 {notes}
