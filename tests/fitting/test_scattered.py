@@ -143,7 +143,7 @@ def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
     assert result.source.format == "RGL"
     assert result.model.bands == FOUR
     assert result.model.acquisition.grazing_loss == "off"
-    assert "of the values of an RGL file valid" in " ".join(call("inspect", path).stdout.split())
+    assert "of the values of the RGL file valid" in " ".join(call("inspect", path).stdout.split())
     assert (tmp_path / "glossy_spec.ggx.samples.png").stat().st_size > 10_000
     reported = call("report", tmp_path)
     assert reported.exit_code == 0
