@@ -142,8 +142,9 @@ def fit(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Model to fit, one of `merlfit models`, or a sum such as ggx+epd or coat(ggx)+epd; given several "
-            "times, they are compared \\[default: two-scale]."
+            help="Model to fit, one of `merlfit models`, a sum such as ggx+epd or coat(ggx)+epd, or auto: the "
+            "two-scale model, and sums over it where these describe a file much better; given several times, they are "
+            "compared \\[default: two-scale]."
         ),
     ] = None,
     preset: Annotated[

@@ -198,10 +198,10 @@ def aim(request: Request, config: Config) -> Aim:
     if chosen := [key for key in (*sorted(FITTED), *orders) if getattr(mine, key) != getattr(usual, key)]:
         section = "fit" if chosen[0] in FITTED else "effects"
         raise ConfigError(f"{section}.{chosen[0]} is chosen by --accuracy and --time: leave it out")
-    if config.model.names != [TwoScale.name]:
+    if config.model.name != TwoScale.name:
         raise ConfigError(
             "--accuracy and --time choose among settings of the two-scale model alone, and what is to be fitted is "
-            f"{', '.join(config.model.names)}"
+            f"{config.model.name if isinstance(config.model.name, str) else ', '.join(config.model.name)}"
         )
     frontier, calibration = load()
     return Aim(request, request.choose(usable(frontier.points, config)), config, calibration)

@@ -19,6 +19,11 @@ paper a little better. Where they have the lowest score, a dielectric is taken, 
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).
 
+**Sums.** A sum of lobes (``--model auto``) takes the place of a single model only where J E^2 is at most `WORTH` times
+that one's, and neither J nor E is more than `MARGIN` times its own: that is seen. Neither the score nor a criterion
+that counts numbers would do: N is small where a model errs, so that nothing would be preferred just where another lobe
+is missing.
+
 **Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
 do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.
 
@@ -33,6 +38,7 @@ ALIKE = 6.0
 MARGIN = 1.05
 BEYOND = 2.5  # times the J or E of what no matter has: so much worse may a dielectric be
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
+WORTH = 0.5  # times the J E^2 of a single model, or less: a sum that takes its place
 FACTOR = 2.0  # a highlight that is off by more is lost
 VISIBLE = 2.0  # CIELAB distance of lit pixels above which a fit does not look like its file
 SEEN = 1.0  # CIELAB distance of spheres, just noticeable: by less a picture is as good
@@ -116,6 +122,23 @@ def choose(
             every, best = own, min(own, key=lambda k: scored[k])
     near = [k for k in every if k == best or alike(k, best, objectives, cube_roots, scores)]
     return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
+
+
+def choose_sum(
+    single: int, sums: Sequence[int], objectives: Sequence[float], cube_roots: Sequence[float], scores: Sequence[float]
+) -> int:
+    """Which of some sums to take in place of a single model, the simplest of those that are alike; or that one.
+
+    Args:
+        single: its number. sums: theirs, the simplest first.
+    """
+    J, E = objectives, cube_roots
+    seen = [k for k in sums if J[k] * E[k] ** 2 <= WORTH * J[single] * E[single] ** 2]
+    worth = [k for k in seen if J[k] <= MARGIN * J[single] and E[k] <= MARGIN * E[single]]
+    if not worth:
+        return single
+    best = min(worth, key=lambda k: scores[k])
+    return next(k for k in worth if k == best or alike(k, best, objectives, cube_roots, scores))
 
 
 def beyond(one: int, other: int, objectives: Sequence[float], cube_roots: Sequence[float]) -> bool:

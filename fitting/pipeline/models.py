@@ -7,6 +7,8 @@ from ...merl_io.bands import MERL, Bands
 from ...model.effects import KINDS, TWO_SCALE, Kind
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance
+from ...model.rivals.epd import EPD
+from ...model.rivals.ggx import GGX
 from ...model.sum import Sum, lowest, over
 from ...model.two_scale import TwoScale
 from ..fit.transforms import Layout, layout_of, refuse_contradictions
@@ -15,11 +17,18 @@ from ..settings.config import Config, ConfigError
 
 def candidates(config: Config) -> list[Measured]:
     """Models to compare, those with the fewest parameters first; of the two-scale model every kind asked for."""
-    kinds = _kinds(config) if TWO_SCALE in config.model.names else []
+    kinds = _kinds(config) if config.model.with_two_scale else []
     found = {TWO_SCALE: [two_scale(config, kind) for kind in kinds]}
     found |= {material.name: _variants(config, material) for material in config.model.rivals}
     named = [model for name in config.model.names for model in _constrained(config, name, found[name])]
     return sorted(named, key=lambda model: _numbers(model.material))
+
+
+def with_sums(config: Config) -> list[Measured]:
+    """What ``auto`` tries beside the two-scale model's kinds: a clear coat over each, and another surface beside it."""
+    bases = [two_scale(config, kind).material for kind in _kinds(config)]
+    sums = [each for base in bases for each in (Sum(GGX(), base, coated=True), Sum(EPD(), base))]
+    return sorted((measured(config, each) for each in sums), key=lambda model: _numbers(model.material))
 
 
 def _variants(config: Config, material: Reflectance) -> list[Measured]:

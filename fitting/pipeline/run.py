@@ -16,7 +16,9 @@ from ...merl_io.binary import Measurement, MerlError
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
+from ...model.measured import Measured
 from ...model.reflectance import of_order
+from ...model.sum import Sum
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
@@ -26,17 +28,18 @@ from ..fit.problem import Problem, make_problem
 from ..fit.published_errors import assess_prediction
 from ..fit.residuals import Objective
 from ..fit.residuals import predict_samples as predicted_by
-from ..fit.selection import choose, nearest, score
+from ..fit.selection import choose, choose_sum, nearest, score
 from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..fit.weights import weighted_samples
 from ..results import schema, storage
 from ..settings.config import Config
+from ..settings.sections import AUTO
 from ..support.choices import THETA_MAX
 from ..support.clock import Clock, Report, silent
 from ..support.threads import CORES, one_core_a_call
 from .draws import chain_of
-from .models import candidates, layout_for
+from .models import candidates, layout_for, with_sums
 from .result import make_result
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
@@ -133,23 +136,30 @@ def fit(
     if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
         return None
     with clock.stage("coarse"):
-        models = candidates(config)
-        report(f"coarse grid: {', '.join(model.variant for model in models)}")
-        layouts = [layout_for(config, model, samples.bands) for model in models]
-        search_variants = [
-            cheaper(replace(layout, model=hints_of(layout.model).search or layout.model), COARSE_ORDER)
-            for layout in layouts
-        ]
-        problem, roughly = make_coarse(samples)
-        found = fit_coarse(search_variants, start_hints(samples), problem, roughly, config, first)
-        compared, chosen = compare(search_variants, found, thinned(samples, COARSE))
-        z, last = found[chosen].z, cheaper(layouts[chosen], COARSE_ORDER)
-        # the conserving split costs a hundred times as much, and moves a fit a little
-        if last != search_variants[chosen]:
+        data, few, (problem, roughly) = start_hints(samples), thinned(samples, COARSE), make_coarse(samples)
+
+        def searched(models: list[Measured]) -> list[Searched]:
+            report(f"coarse grid: {', '.join(model.variant for model in models)}")
+            layouts = [layout_for(config, model, samples.bands) for model in models]
+            rough = [
+                cheaper(replace(each, model=hints_of(each.model).search or each.model), COARSE_ORDER)
+                for each in layouts
+            ]
+            found = fit_coarse(rough, data, problem, roughly, config, first)
+            return [*map(Searched, layouts, rough, found)]
+
+        tried = searched(candidates(config))
+        compared, chosen = compare(tried, few)
+        if config.model.name == AUTO:
+            tried += searched(with_sums(config))
+            compared, chosen = compare(tried, few, chosen)
+        layout, rough, solution = tried[chosen]
+        z, last = solution.z, cheaper(layout, COARSE_ORDER)
+        if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
             z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
-    report(f"{config.fit.grid} grid: {models[chosen].variant}")
-    tried = descend(layouts[chosen], z, measurement, samples, config, clock)
-    return replace(tried[nearest([(f.errors.picture, f.errors.highlight) for f in tried])], candidates=compared)
+    report(f"{config.fit.grid} grid: {layout.model.variant}")
+    ends = descend(layout, z, measurement, samples, config, clock)
+    return replace(ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])], candidates=compared)
 
 
 @one_core_a_call
@@ -212,8 +222,28 @@ def make_coarse(samples: AnySamples) -> tuple[Problem, Problem]:
     return make_problem(coarse, COARSE_AZIMUTHS), make_problem(few, CANDIDATE_AZIMUTHS, columns=COLUMNS)
 
 
-def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -> tuple[list[schema.Candidate], int]:
-    """Fits of the same samples, the simplest model first, and which of them to take (`selection`)."""
+class Searched(NamedTuple):
+    """A model on the coarse grid.
+
+    Attributes:
+        layout: of the model that is asked for. rough: that which was searched in its place.
+        solution: the lowest minimum.
+    """
+
+    layout: Layout
+    rough: Layout
+    solution: Solution
+
+
+def compare(
+    tried: Sequence[Searched], samples: AnySamples, single: int | None = None
+) -> tuple[list[schema.Candidate], int]:
+    """Fits of the same samples, the simplest model first, and which of them to take (`selection`).
+
+    Args:
+        single: which of them was taken before the sums that are listed after it.
+    """
+    layouts, found = [each.rough for each in tried], [each.solution for each in tried]
     materials = [layout.material for layout in layouts]
     if len(found) == 1:
         only = materials[0]
@@ -235,6 +265,10 @@ def compare(layouts: list[Layout], found: list[Solution], samples: AnySamples) -
         )
         for material, s, j, e, each, own in zip(materials, found, objectives, roots, scores, matter, strict=True)
     ]  # fmt: skip
+
+    if single is not None:
+        sums = [k for k, material in enumerate(materials) if isinstance(material, Sum)]
+        return candidates, choose_sum(single, sums, objectives, roots, scores)
 
     def excessive(k: int) -> bool:
         brightest = largest_albedo(materials[k], values[k], layouts[k].bands)

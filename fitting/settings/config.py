@@ -19,7 +19,6 @@ from pydantic_core import ErrorDetails
 
 from ...merl_io.source import MerlError, toml
 from ...model.apparatus import APPARATUS, Apparatus
-from ...model.effects import TWO_SCALE
 from ...model.priors import PRIORS, Constraint, Priors
 from ..support.choices import WEIGHT_SCHEDULES, Exponent
 from .sections import (
@@ -69,7 +68,7 @@ class Config:
             raise ValueError("[apparatus] has an effect only where acquisition.grazing_loss is derived: leave it out")
         usual = EffectsSection()
         changed = [key.name for key in fields(usual) if getattr(self.effects, key.name) != getattr(usual, key.name)]
-        if TWO_SCALE not in self.model.names and changed:
+        if not self.model.with_two_scale and changed:
             raise ValueError(
                 f"effects.{changed[-1]} is a setting of the two-scale model, which is not among the models to fit "
                 f"({', '.join(self.model.names)}): leave it out, or add the two-scale model to them"
@@ -85,7 +84,7 @@ class Config:
     @property
     def has_lobes(self) -> bool:
         """Whether a model to fit has sharp lobes, as the two-scale one always does."""
-        return TWO_SCALE in self.model.names or any(model.lobes for model in self.model.rivals)
+        return self.model.with_two_scale or any(model.lobes for model in self.model.rivals)
 
     @property
     def exponents(self) -> tuple[Exponent, ...]:

@@ -20,6 +20,8 @@ from ..support.choices import THETA_MAX, Backend, Precision, Weights
 if TYPE_CHECKING:
     from ...model.reflectance import Reflectance
 
+AUTO = "auto"  # in place of a model's name: the two-scale model, and sums over it
+
 
 def _installed(backend: Backend) -> Backend:
     if importlib.util.find_spec(backend) is None:
@@ -59,7 +61,8 @@ class ModelSection:
     """[model]: which reflectance models are fitted.
 
     Attributes:
-        name: of one of ``merlfit models``, or a list of several, which are compared.
+        name: of one of ``merlfit models`` or a sum of them, or a list of several, which are compared; ``auto``: the
+            two-scale model, and sums over it where these describe a file much better.
         settings: of the model, the other keys of the section; those of the two-scale model are in [effects].
     """
 
@@ -82,8 +85,15 @@ class ModelSection:
 
     @property
     def names(self) -> list[str]:
-        """As a list."""
+        """As a list, of those that are compared from the beginning."""
+        if self.name == AUTO:
+            return [TWO_SCALE]
         return [self.name] if isinstance(self.name, str) else self.name
+
+    @property
+    def with_two_scale(self) -> bool:
+        """Whether the two-scale model is among them, or part of a sum."""
+        return any(TWO_SCALE in name.split("+") for name in self.names)
 
     @property
     def rivals(self) -> "list[Reflectance]":

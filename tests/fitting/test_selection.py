@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from merlfit.fitting.fit import plausible
 from merlfit.fitting.fit.levenberg_marquardt import UNEXPLAINED_COST
-from merlfit.fitting.fit.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, lost, nearest, score
+from merlfit.fitting.fit.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, choose_sum, lost, nearest, score
 from merlfit.fitting.fit_object import Fit
 from merlfit.fitting.results.schema_fit import Candidate
 from merlfit.model.effects import KINDS
@@ -172,3 +172,19 @@ def test_why_another_kind_than_the_lowest_was_taken_is_said(lowest, said):
     ]
     result = result.model_copy(update={"fit": result.fit.model_copy(update={"candidates": candidates})})
     assert said in " ".join(str(Fit(result, Path("nickel.json"))).split())
+
+
+@pytest.mark.parametrize(
+    ("J", "E", "chosen"),
+    [
+        ((1.0, 0.9, 0.8), (1.0, 0.9, 0.9), 0),  # not worth another lobe
+        ((1.0, 0.9, 0.4), (1.0, 0.9, 0.9), 2),
+        ((1.0, 0.4, 0.39), (1.0, 0.9, 0.9), 1),  # alike: the simpler one
+        ((1.0, 0.2, 0.4), (1.0, 1.2, 0.9), 2),  # a lower J by a worse E is refused
+        ((1.0, 1.2, 1.2), (1.0, 0.3, 0.3), 0),
+        ((1.0, float("nan"), 0.4), (1.0, 0.1, 0.9), 2),
+    ],
+)
+def test_a_sum_is_taken_where_it_is_seen(J, E, chosen):
+    scores = [score(j, e, 50.0) for j, e in zip(J, E, strict=True)]
+    assert choose_sum(0, [1, 2], J, E, scores) == chosen
