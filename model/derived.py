@@ -42,7 +42,8 @@ def derived(
     """Derived quantities by name, scalars and (C,) for those per channel; of the material, without the apparatus.
 
     - lobe_half_width (degrees): arctan(beta (ln 2)^(1 / 2p)), where exp(-(tan/beta)^(2p)) of HP17 Eq. 35 is a half.
-    - diffracted_fraction: 1 - A_spec of HP17 Eq. 25 on a facet that the light meets along its normal.
+    - diffracted_fraction: 1 - A_spec of HP17 Eq. 25 on a facet that the light meets along its normal, times the weight
+      of the free split.
     - f0: HP17 Eq. 3 at theta_d = 0.
 
     Args:
@@ -62,5 +63,6 @@ def derived(
         if material.renormalised:
             share = diffraction.renormalisation(jnp.zeros(()), v["b"] / wavelength, v["c"])
         phase = diffraction.phase_variance(share * v["sigma_s"] ** 2, jnp.ones(()), wavelength)
-        quantities_by_name[DIFFRACTED.name] = -jnp.expm1(-phase)
+        weight = v["weight"] if material.split == "free" else 1.0
+        quantities_by_name[DIFFRACTED.name] = -weight * jnp.expm1(-phase)
     return quantities_by_name

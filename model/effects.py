@@ -13,7 +13,7 @@ ANY = "any"  # of `TwoScale.general` alone, of no material
 Fresnel = Literal["exact", "schlick"]
 Masking = Literal["smith", "height_correlated", "none"]
 Diffraction = Literal["off", "lobe", "quadrature", "exact"]
-Split = Literal["printed", "conserving"]
+Split = Literal["printed", "conserving", "free"]
 Colour = Literal["rayleigh_rice", "fresnel"]
 Index = Literal["usual", "complex", "real"]
 Body = Literal["none", "lambert", "plastic", "subsurface", "any"]
@@ -42,8 +42,9 @@ class Effects:
         masking: ``smith`` (masking and shadowing independent, HP15 Eq. 6), ``height_correlated`` (Smith's joint form,
             Heitz 2014), ``none`` (1).
         renormalised: sigma_rel for sigma_s and the lobe's amplitude over the directions that exist (HP17 Eq. 17-19).
-        split: of the energy, between specular term, diffraction lobe and what lies below: ``printed`` (HP17 Eq. 25), or
-            ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives.
+        split: of the energy, between specular term, diffraction lobe and what lies below: ``printed`` (HP17 Eq. 25);
+            ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives; or ``free``: that
+            of HP17 with a weight in [0, 1] per channel on the diffraction lobe, so that A_spec is no longer its share.
         colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
             formula chosen for the specular term).
         index: of refraction of the interface, per channel: ``complex`` (n + i k, a conductor), ``real`` (a
@@ -72,7 +73,7 @@ class Effects:
                 raise ValueError(f"{field.name} {value!r} is no {field.type.__name__}")
         if not LEAST_ORDER <= self.order <= 256:
             raise ValueError(f"order {self.order} of the convolution is outside 6..256")
-        for name, where in idle(self.diffraction).items():
+        for name, where in idle(self.diffraction, self.split).items():
             if getattr(self, name) != getattr(type(self), name):
                 raise ValueError(f"{name} has an effect only where {where}: leave it out")
         if self.index == "usual":
@@ -86,16 +87,17 @@ class Effects:
         ``index`` stays what it is: with another body, ``index="usual"`` gives that body's own.
         """
         wanted = {field.name: getattr(self, field.name) for field in fields(self)} | settings
-        unused = idle(wanted["diffraction"])
+        unused = idle(wanted["diffraction"], wanted["split"])
         return type(self)(**{name: value for name, value in wanted.items() if name not in unused})
 
 
-def idle(diffraction: Diffraction) -> dict[str, str]:
+def idle(diffraction: Diffraction, split: Split) -> dict[str, str]:
     """Options that a tier of diffraction does not use, and where they have an effect, in words."""
     used = {
         "order": (diffraction == "quadrature", "diffraction is quadrature"),
         "renormalised": (diffraction != "off", "diffraction is not off"),
         "colour": (diffraction != "off", "diffraction is not off"),
+        "split": (diffraction != "off" or split != "free", "diffraction is not off"),
     }
     return {name: where for name, (heeded, where) in used.items() if not heeded}
 
@@ -103,10 +105,11 @@ def idle(diffraction: Diffraction) -> dict[str, str]:
 PRESETS: dict[str, Effects] = {
     "hp17": Effects(),
     "conserving": Effects(split="conserving"),
+    "free": Effects(split="free"),
     "microfacet": Effects(diffraction="off"),
     "preview": Effects(diffraction="lobe", fresnel="schlick", colour="fresnel", renormalised=False),
     "fast": Effects(diffraction="lobe"),
     "reference": Effects(diffraction="exact"),
 }
-"""Effects by name: HP17's model; the same conserving energy; Cook-Torrance alone; the cheapest with diffraction, for
-looks; the lobe without blur, and all else as in HP17; Eq. 27 itself."""
+"""Effects by name: HP17's model; the same conserving energy, or with weights of the diffracted light; Cook-Torrance
+alone; the cheapest with diffraction, for looks; the lobe without blur, and all else as in HP17; Eq. 27 itself."""

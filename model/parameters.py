@@ -101,6 +101,8 @@ DIFFRACTION = (
     Parameter("sigma_s", r"\sigma_s", "standard deviation of the nano-geometry's height", "um", 0.03, 1e-4, 0.5,
               source="HP17 Eq. 18", quantity="sigma_rel", shift=sigma_rel_shift),
 )  # fmt: skip
+WEIGHT = Parameter("weight", "w", "weight of the diffracted light", "1", 0.8, 0.0, 1.0, "linear", per_channel=True,
+                   source="of the free split; 1 in HP17 Eq. 24")  # fmt: skip
 CONDUCTOR = (
     Parameter("n", "n", "real part of the index of refraction", "1", 1.0, 0.02, 10.0, per_channel=True,
               source="HP17 Eq. 3"),
@@ -113,7 +115,7 @@ INTERFACE = (
 )  # fmt: skip
 ALBEDO = Parameter("albedo", r"\rho_d", "albedo of the body", "1", 0.3, 0.0, 1.0, "linear", per_channel=True,
                    source="HP17 Eq. 43, 44", quantity="odds")  # fmt: skip
-TWO_SCALE = (*SURFACE, *DIFFRACTION, *CONDUCTOR, *INTERFACE, ALBEDO)
+TWO_SCALE = (*SURFACE, *DIFFRACTION, WEIGHT, *CONDUCTOR, *INTERFACE, ALBEDO)
 WHICH_BODY = "which_body"  # beside parameters, where a model leaves it open: the body's number in `effects.BODIES`
 GRAZING = Parameter("grazing_exponent", "g", "exponent of the acquisition's loss of specular light at grazing angles",
                     "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip

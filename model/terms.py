@@ -97,22 +97,26 @@ def undiffracted(e: Effects, v: Values, s: Setting) -> Array:
     return A * specular(e, v, s)
 
 
-def diffracted(e: Effects, v: Values, s: Setting) -> Array:
-    """(1 - A_spec) (S * D)(theta_h) with its renormalised amplitude (1/sr)."""
-    share, phase = _variance_and_phase(e, v, s)
+def _amplitude(e: Effects, v: Values, s: Setting, share: Array) -> Array:
+    """Of the diffraction lobe, renormalised (1/sr), with the weight of the free split."""
     amplitude = diffraction.lobe_amplitude(v["b"] / s.wavelength_um, v["c"]) / share
-    return -jnp.expm1(-phase) * amplitude * blurred_lobe(e, v, s)
+    return v["weight"] * amplitude if e.split == "free" else amplitude
+
+
+def diffracted(e: Effects, v: Values, s: Setting) -> Array:
+    """(1 - A_spec) (S * D)(theta_h) with its amplitude (1/sr)."""
+    share, phase = _variance_and_phase(e, v, s)
+    return -jnp.expm1(-phase) * _amplitude(e, v, s, share) * blurred_lobe(e, v, s)
 
 
 def exact_diffracted(e: Effects, v: Values, s: Setting) -> Array:
     """The integral of Eq. 27 without G (1/sr)."""
     share, phase = _variance_and_phase(e, v, s)
-    amplitude = diffraction.lobe_amplitude(v["b"] / s.wavelength_um, v["c"]) / share
     B = 2 * v["b"] / s.wavelength_um * s.geometry.cos_d
     coloured = e.colour == "rayleigh_rice"
     index = _index(v) if coloured else (jnp.ones(()), jnp.zeros(()))
     g, surface = s.geometry, (v["c"], v["beta"], v["p"])
-    return amplitude * exact.lobe(
+    return _amplitude(e, v, s, share) * exact.lobe(
         g.theta_h, g.theta_d, g.cos_i, g.cos_o, B, phase, *index, *surface, coloured=coloured
     )  # fmt: skip
 

@@ -5,6 +5,8 @@
     rho_CTD = (Q/2) G (1 - A_spec) (S * D)(theta_h)                                         (Eq. 33, Q/2 for Q)
     A_spec = exp(-(4 pi sigma_rel cos_d / lambda)^2)                                        (Eq. 25)
 
+The free split has w (1 - A_spec) for 1 - A_spec, with a weight w per channel.
+
 It is evaluated as factors, each a function of a part of the directions and of a part of the parameters (`terms`):
 
     rho = masking (specular / (cos_i cos_o) + colour diffracted) + body,
@@ -178,7 +180,8 @@ def _parameters(model: TwoScale) -> tuple[Parameter, ...]:
     if not model.renormalised:  # all height diffracts into directions that exist
         shared = tuple(replace(q, shift=None) if q.name == "sigma_s" else q for q in shared)
     interface = declared.CONDUCTOR if model.index == "complex" else declared.INTERFACE
-    return shared + interface + (() if model.body == "none" else (declared.ALBEDO,))
+    weight = (declared.WEIGHT,) if model.split == "free" else ()
+    return shared + weight + interface + (() if model.body == "none" else (declared.ALBEDO,))
 
 
 def two_scale(

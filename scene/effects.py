@@ -55,7 +55,7 @@ class Effect:
 
 TWO_SCALE = (
     Effect(FINEST, f"{COARSE} nodes", (("order", COARSE),)),
-    Effect("conserving split", "printed split", (("split", "printed"),)),
+    Effect("energy split", "that of the paper", (("split", "printed"),)),
     Effect("diffraction", "none", (("diffraction", "off"),)),
     Effect("masking", "none", (("masking", "none"),)),
     Effect("renormalisation", "none", (("renormalised", False),)),

@@ -164,6 +164,7 @@ WRONG = {
     "two_scale": lambda **at: precise.two_scale(**{**at, "masking": "smith", "acquisition": "off"}),
     "two_scale_quadrature": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
     "two_scale_exact": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
+    "two_scale_free": lambda weight, **at: precise.two_scale(**{**at, "split": "printed"}),
     "two_scale_conserving": lambda **at: precise.two_scale(**{**at, "split": "printed"}),
 }
 

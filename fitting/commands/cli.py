@@ -149,7 +149,7 @@ def fit(
     ] = None,
     preset: Annotated[
         str | None,
-        typer.Option(help="Two-scale model: what is simulated, hp17, conserving, microfacet, preview or fast."),
+        typer.Option(help="Two-scale model: what is simulated, hp17, conserving, free, microfacet, preview or fast."),
     ] = None,
     index: Annotated[
         str | None,

@@ -103,7 +103,8 @@ class Hints:
             what others have differently is another reading of the same data.
         strata: parameters by which minima differ, and into how many classes, equally likely, each is divided; None for
             all shared ones with a logarithmic scale.
-        linear: how constants and albedos of the channels are found without a search; None if they cannot.
+        linear: how constants and albedos of the channels are found without a search; None if they cannot. What is per
+            channel beside them starts at its default.
         search: a variant with the same parameters, in which the lowest minimum is looked for; None for the model.
     """
 
@@ -164,7 +165,8 @@ def _two_scale(model: Any) -> Hints:  # noqa: ANN401 - of the class that its nam
     """The measured highlight may be the facets' lobe, or diffracted light; the search is with the printed split.
 
     A diffraction lobe's half width is where 2 tan(theta_h) / lambda = 1 / b. Channels are separated nearly: with F
-    instead of Q for the colour of diffracted light. The conserving split costs a hundred times as much.
+    instead of Q for the colour of diffracted light, and with all of that. The conserving split costs a hundred times as
+    much.
     """
     diffracts = model.diffraction != "off"
 
@@ -182,7 +184,7 @@ def _two_scale(model: Any) -> Hints:  # noqa: ANN401 - of the class that its nam
         real, BODY_BRDF[model.body], "eta" if model.body in ("plastic", "subsurface") else None,
     )  # fmt: skip
     strata = {"beta": 3, "p": 2, **({"sigma_s": 2} if diffracts else {})}
-    return Hints(starts, strata, linear, replace(model, split="printed"))
+    return Hints(starts, strata, linear, replace(model, split="printed") if model.split == "conserving" else None)
 
 
 def _microfacets(reading: Callable[[float], Start]) -> Callable[[Any], Hints]:

@@ -148,7 +148,9 @@ def _of_alike(
     else:
         named = layouts[0].held(lead.values_of_many(points))
         found = project(layouts, {name: named[name] for name in shared}, problem, over)
-        for layout, (_, values) in zip(layouts, found, strict=True):
+        for layout, (costs, values) in zip(layouts, found, strict=True):
+            for q in (q for q in layout.parameters if q.name not in values):
+                values[q.name] = np.full((len(costs), len(layout.bands)), q.default)
             for name, each in layout.constraints:
                 if each.start is not None and name not in shared:
                     values[name][0] = each.start

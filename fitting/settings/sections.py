@@ -128,7 +128,7 @@ class EffectsSection(Effects):
         index, body: ``auto`` compares those of ``model.effects.KINDS`` that agree with what is given here.
     """
 
-    preset: Literal["hp17", "conserving", "microfacet", "preview", "fast"] = "hp17"
+    preset: Literal["hp17", "conserving", "free", "microfacet", "preview", "fast"] = "hp17"
     index: Literal["auto", "complex", "real"] = "auto"  # pyright: ignore[reportIncompatibleVariableOverride]
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -142,7 +142,8 @@ def effects_section(data: Any) -> Any:  # noqa: ANN401 - whatever stands there
     tier = data.get("diffraction", preset["diffraction"])
     if tier == "exact":
         raise ValueError("exact is a reference that takes hours on MERL's grid: fit with quadrature")
-    return {**{key: x for key, x in preset.items() if key not in ("index", "body", *idle(tier))}, **data}
+    dropped = ("index", "body", *idle(tier, preset["split"]))
+    return {**{key: x for key, x in preset.items() if key not in dropped}, **data}
 
 
 @dataclass(frozen=True)

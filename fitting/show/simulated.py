@@ -12,6 +12,11 @@ DIFFRACTION = {
     "quadrature": "blurred by the distribution of normals, by quadrature",
     "exact": "blurred by the distribution of normals, exactly",
 }
+SPLITS = {
+    "printed": "as printed",
+    "conserving": "such that no energy is made",
+    "free": "as printed, but for a weight of the diffracted light in every channel",
+}
 BODIES = {
     "lambert": "a Lambert body under the interface",
     "plastic": "a diffuse body whose light crosses the interface twice",
@@ -45,9 +50,9 @@ def _two_scale(m: TwoScale) -> list[str]:
     said = [f"reflection by microfacets of {interface}: {fresnel}, {masked}"]
     if m.diffraction != "off":
         colour = "Rayleigh-Rice" if m.colour == "rayleigh_rice" else "Fresnel"
-        split = "as printed" if m.split == "printed" else "such that no energy is made"
         said.append(
-            f"diffraction by nano-geometry: {DIFFRACTION[m.diffraction]}; colour by {colour}, energy split {split}"
+            f"diffraction by nano-geometry: {DIFFRACTION[m.diffraction]}; colour by {colour}, "
+            f"energy split {SPLITS[m.split]}"
         )
     if m.body in BODIES:
         said.append(BODIES[m.body])

@@ -62,6 +62,7 @@ def small(coarse):
 
 OTHERS = {
     "conserving": layout_of(TwoScale("plastic", "lobe", split="conserving")),
+    "free": layout_of(TwoScale("none", "lobe", split="free")),
     "subsurface, derived": layout_of(Measured(TwoScale("subsurface", "lobe"), "derived")),
 }
 MARKS = {**dict.fromkeys(OTHERS, ()), "conserving": pytest.mark.slow}  # seconds a step

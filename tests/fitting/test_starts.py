@@ -28,7 +28,8 @@ from merlfit.fitting.pipeline.run import predict_samples
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold, thin
 from merlfit.model.measured import Measured
-from merlfit.model.priors import PRIORS, LogNormal
+from merlfit.model.parameters import WEIGHT
+from merlfit.model.priors import PRIORS, Constraint, LogNormal
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
 from merlfit.model.two_scale import TwoScale
@@ -127,6 +128,16 @@ def test_those_of_one_kind_are_the_same_beside_others(points, problem):
     together = starting_points([others[0], LAYOUT, others[1]], SEEN, problem, 36, first=FIRST)
     np.testing.assert_allclose(together[1], points, rtol=1e-12)
     assert [each.shape[1] for each in together] == [others[0].size, LAYOUT.size, others[1].size]
+
+
+def test_those_of_the_free_split_are_those_of_the_printed_one_with_a_typical_weight(points, problem):
+    material, half = LAYOUT.material.changed(split="free"), Constraint(start=0.5)
+    free = layout_of(replace(LAYOUT.model, material=material), constraints=(("weight", half),))
+    found = points_of(free, problem, 36)
+    values = free.values_of_many(found)
+    np.testing.assert_allclose(values["weight"][0], 0.5)
+    np.testing.assert_allclose(values["weight"][1:], WEIGHT.default)
+    np.testing.assert_allclose(values["b"], LAYOUT.values_of_many(points)["b"], rtol=1e-9)
 
 
 def test_few_are_of_as_many_kinds(problem):

@@ -3,6 +3,7 @@
 from dataclasses import fields
 
 import jax.numpy as jnp
+import mpmath as mp
 from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking import smith
@@ -14,8 +15,10 @@ from ..oracles import precise
 
 FIELDS = tuple(x.name for x in fields(TwoScale))
 CHOICES = (*FIELDS[: FIELDS.index("index")], "acquisition", *FIELDS[FIELDS.index("index") :])  # marks of cases go by it
-TIERS = ("quadrature", "exact", "conserving")  # with accuracies of their own
-DEAR = ("convolve", "convolve_256", "lobe_albedo", "two_scale", *(f"two_scale_{tier}" for tier in TIERS))
+TIERS = ("quadrature", "exact", "conserving")  # with accuracies of their own; and the free split, with its own oracle
+DEAR = (
+    "convolve", "convolve_256", "lobe_albedo", "two_scale", "two_scale_free", *(f"two_scale_{tier}" for tier in TIERS),
+)  # fmt: skip
 
 
 def specular_share(theta_d, wavelength_um, b, c, sigma_s):
@@ -54,6 +57,17 @@ def convolved(order, **at):
     return precise.convolve(**at)
 
 
+def free_split(weight, **at):
+    """The printed split's BRDF, and its terms without the diffracted light, A_spec of the mirror term and the body."""
+    printed = {**at, "split": "printed"}
+    undiffracted = {**printed, "diffraction": "off"}
+    mirror = {**undiffracted, "body": "none", "index": "complex" if "n" in at else "real"}
+    with mp.workdps(30):
+        kept = precise.specular_share(*(mp.mpf(at[q]) for q in ("theta_d", "wavelength_um", "b", "c", "sigma_s")))
+        without = precise.two_scale(**undiffracted) - (1 - kept) * precise.two_scale(**mirror)
+        return weight * precise.two_scale(**printed) + (1 - weight) * without
+
+
 # Stored references are marked by the oracle's name: renaming one makes them out of date.
 PAIRS = {
     "fresnel": (fresnel.fresnel, precise.fresnel),
@@ -73,6 +87,7 @@ PAIRS = {
     "plastic": (body.plastic, precise.plastic),
     "subsurface": (body.subsurface, precise.subsurface),
     "grazing": (grazing, precise.grazing),
+    "two_scale_free": (assembled, free_split),
     **dict.fromkeys(("two_scale", *(f"two_scale_{tier}" for tier in TIERS)), (assembled, precise.two_scale)),
 }
 MODEL = {effect: pair[0] for effect, pair in PAIRS.items()}

@@ -23,8 +23,8 @@ TABLE, REFERENCES = HERE / "cases.toml", HERE / "references.json"
 ORACLES = Path(precise.__file__).parent
 PRECISIONS = {"": np.float64, "32": np.float32}
 LOGARITHMIC = {"beta": 0.0, "p": 0.0, "b": 0.0, "b_over_lambda": 0.0, "B": 0.0, "tau": 0.0, "c": 1.0}  # log(x - offset)
-EDGES = {"k": (0, None), "sigma_s": (0, None), "eta": (1, None), "albedo": (0, 1), "exponent": (0, 1), "tau": (0, None),
-         "theta_h": (0, float(np.pi / 2))}  # fmt: skip
+EDGES = {"k": (0, None), "sigma_s": (0, None), "eta": (1, None), "albedo": (0, 1), "weight": (0, 1), "exponent": (0, 1),
+         "tau": (0, None), "theta_h": (0, float(np.pi / 2))}  # fmt: skip
 EDGES_OF_BODIES = {**EDGES, "n": (1, None)}  # the real index of an interface
 STATIC = (*CHOICES, "exact")
 ALWAYS = (

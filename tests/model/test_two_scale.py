@@ -17,7 +17,7 @@ from merlfit.model.measured import Measured, material_of
 from merlfit.model.numerics import sin_quarter, softplus
 from merlfit.model.parameters import WAVELENGTHS_UM
 from merlfit.model.reads import reads
-from merlfit.model.reflectance import factor_values, setting, shaped
+from merlfit.model.reflectance import contributions, factor_values, setting, shaped
 from merlfit.model.two_scale import TwoScale
 
 from tests.oracles import bodies as o_bodies
@@ -25,11 +25,12 @@ from tests.oracles import two_scale as o_two_scale
 from tests.support.compiled import from_half_difference, from_vectors, two_scale
 
 SEED = 20261121
+compiled_contributions = jax.jit(contributions, static_argnums=0)
 SHARED = {"beta": 0.15, "p": 0.7, "b": 3.0, "c": 1.8, "sigma_s": 0.04}
 GRAZING = {"grazing_exponent": 0.4, "grazing_exponent_diffracted": 0.15}
 OPTICS = {
     "n": np.array([0.2, 0.9, 1.4]), "k": np.array([3.4, 2.3, 1.6]), "eta": np.array([1.4, 1.5, 1.6]),
-    "albedo": np.array([0.6, 0.3, 0.05]),
+    "albedo": np.array([0.6, 0.3, 0.05]), "weight": np.array([0.9, 0.5, 0.2]),
 }  # fmt: skip
 SWITCHED = [
     {"fresnel": "schlick"}, {"masking": "height_correlated"}, {"masking": "none"}, {"renormalised": False},
@@ -43,9 +44,10 @@ ASSEMBLED = [  # every body, tier, switch and loss, mixed; each alone is compare
     TwoScale("subsurface", "lobe", split="conserving"),
     TwoScale("subsurface", "quadrature", masking="height_correlated", renormalised=False),
     TwoScale("lambert", "lobe", renormalised=False),
+    TwoScale("plastic", "lobe", split="free"),
     TwoScale("none", "exact"),
     TwoScale("none", "lobe", **SWITCHED[-1]),
-    Measured(TwoScale("plastic", "lobe"), "free"),
+    Measured(TwoScale("lambert", "lobe", index="complex", split="free"), "free"),
     Measured(TwoScale("lambert", "lobe", masking="height_correlated"), "derived"),
     Measured(TwoScale("plastic", "off", fresnel="schlick"), 0.3),
 ]
@@ -178,6 +180,31 @@ def test_against_the_oracle(index, body):
             assert value == pytest.approx(o_two_scale.brdf(a, b, wavelength, m, float(below)), rel=3e-4)
             printed_q = o_two_scale.brdf(a, b, wavelength, m, float(below), q_factor=1.0)
             assert value != pytest.approx(printed_q, rel=1e-3)
+
+
+@pytest.mark.parametrize("diffraction", ["lobe", "quadrature", "exact"])
+def test_the_free_split_weighs_the_diffracted_light_and_nothing_else(diffraction):
+    """With a weight of 1 it is the printed split, with 0 what that is beside the lobe, and linear between."""
+    i, o = random_directions(12)
+    printed, directions = TwoScale("plastic", diffraction), from_vectors(i, o)
+    free = replace(printed, split="free")
+
+    def brdf(effects, **changes):
+        return np.asarray(two_scale(material(effects, **changes), directions, effects))
+
+    parts = compiled_contributions(printed, material(printed), directions)
+    expected = parts["specular"] + OPTICS["weight"][:, None] * parts["diffracted"] + parts["body"]
+    np.testing.assert_allclose(brdf(free), expected, rtol=1e-12)
+    assert np.max(parts["diffracted"] / brdf(printed)) > 0.3
+    np.testing.assert_array_equal(brdf(free, weight=np.ones(3)), brdf(printed))
+    np.testing.assert_allclose(brdf(free, weight=np.zeros(3)), parts["specular"] + parts["body"], rtol=1e-12)
+
+
+def test_the_free_split_needs_a_diffraction_lobe():
+    with pytest.raises(ValueError, match="split has an effect only where diffraction is not off"):
+        TwoScale(diffraction="off", split="free")
+    assert TwoScale(split="free").changed(diffraction="off") == TwoScale(diffraction="off")
+    assert TwoScale(split="conserving").changed(diffraction="off").split == "conserving"
 
 
 @pytest.mark.parametrize(("index", "body", "acquisition"), [*((*kind, "free") for kind in KINDS), (*KINDS[0], 0.3)])
