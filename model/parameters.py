@@ -126,6 +126,10 @@ LOSSES = {"specular": GRAZING, "diffracted": GRAZING_DIFFRACTED}
 """The apparatus's exponent of each sharp lobe that a model may have."""
 
 
+SURFACES = {"coat": "coat", "2": "second surface", "3": "third surface"}
+"""What lies above or beside the base of a sum (`sum`), by what names of its parameters end in."""
+
+
 def exponent_of(lobe: str) -> Parameter:
     """The apparatus's exponent of a sharp lobe; ``specular_2`` is the specular lobe of a second model (`sum`).
 
@@ -135,4 +139,10 @@ def exponent_of(lobe: str) -> Parameter:
     kind, _, which = lobe.partition("_")
     if kind not in LOSSES:
         raise ValueError(f"no loss is known of a lobe {lobe!r}: lobes are named {', '.join(LOSSES)}")
-    return replace(LOSSES[kind], name=f"{LOSSES[kind].name}_{which}") if which else LOSSES[kind]
+    return beside(LOSSES[kind], which) if which else LOSSES[kind]
+
+
+def beside(parameter: Parameter, which: str) -> Parameter:
+    """The same of another surface than a sum's base, a key of `SURFACES`."""
+    name, meaning = f"{parameter.name}_{which}", f"{parameter.meaning} ({SURFACES[which]})"
+    return replace(parameter, name=name, symbol=f"{parameter.symbol}^{{{which}}}", meaning=meaning)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from .fresnel import fresnel_of_dielectric
-from .parameters import Parameter, Shift, exponent_of
+from .parameters import Parameter, Shift, beside, exponent_of
 from .priors import LogNormal
 from .reads import reads
 from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
@@ -25,7 +25,7 @@ COAT = "_coat"
 MOST = 3  # parts of a sum
 SHARE = Parameter("share", "w", "share of the surface", "1", 0.5, 0.0, 1.0, "linear", source="mixture of surfaces",
                   quantity="odds")  # fmt: skip
-COAT_INDEX = Parameter("eta", r"\eta", "index of refraction of the coat", "1", 1.5, 1.001, 2.6, offset=1.0,
+COAT_INDEX = Parameter("eta", r"\eta", "index of refraction", "1", 1.5, 1.001, 2.6, offset=1.0,
                        source="Walter et al. 2007, Eq. 22", prior=LogNormal(0.5, 1.5))  # fmt: skip
 
 
@@ -100,8 +100,9 @@ class Sum(Reflectance):
 
     @property
     def variant(self) -> str:  # noqa: D102 - as declared in `Reflectance`, like what follows
-        base = lowest(self)
-        return self.name if base.variant == base.name else base.variant
+        if lowest(self).variant == lowest(self).name:
+            return self.name
+        return f"{self.base.variant} + {f'coat({self.top.name})' if self.coated else self.top.name}"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102
@@ -170,16 +171,14 @@ def _parameters(model: Sum) -> tuple[Parameter, ...]:
     by_body = {q for q, factors in _factors_of(model.top).items() if factors <= {"body"}}
     own = [q for q in model.top.parameters if q.name not in by_body]
     own = [COAT_INDEX if q.name == COAT_INDEX.name else q for q in own] if model.coated else [SHARE, *own]
-    where = "coat" if model.coated else "second surface" if model.suffix == "_2" else "third surface"
     named = [
         replace(
-            q, name=q.name + model.suffix, symbol=f"{q.symbol}^{{{model.suffix[1:]}}}",
-            meaning=f"{q.meaning} ({where})",
+            beside(q, model.suffix.removeprefix("_")),
             quantity=q.quantity or (q.name if q.scale == "log" and q.prior is None else None),
             shift=q.shift and partial(_shifted, model.suffix, q.shift),
         )
         for q in own
-    ]  # fmt: skip
+    ]
     every = [*model.base.parameters, *named]
     return tuple(sorted(every, key=lambda q: q.per_channel))
 

@@ -1,10 +1,11 @@
-"""Whether fitted values of the two-scale model may be those of matter, in sentences for whoever uses them."""
+"""Whether values of the two-scale model, or of a sum over it, may be those of matter, in sentences for users."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ...model.reflectance import Reflectance
+from ...model.sum import lowest
 from ...model.two_scale import TwoScale
 
 METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
@@ -23,7 +24,7 @@ def cautions(
         v: by parameter, (1,), or (C,) for those per channel. channels: their names. wavelengths_um: theirs.
     """
     found = []
-    if not isinstance(material, TwoScale):
+    if not isinstance(lowest(material), TwoScale):
         return found
     if float(np.max(v.get("sigma_s", np.zeros(1)))) > min(wavelengths_um) / 2:
         found.append(
@@ -38,7 +39,7 @@ def of_matter(material: Reflectance, v: Mapping[str, np.ndarray]) -> bool:
     Metals of photographs are up to ten times too dark, so that their n and k lie far from the tables' (`cautions` says
     so), but they are no bright bodies, they absorb, and only the best mirrors have an n near 0.
     """
-    if "k" not in v or not isinstance(material, TwoScale):
+    if "k" not in v or not isinstance(lowest(material), TwoScale):
         return True
     n, k = np.atleast_1d(v["n"]), np.atleast_1d(v["k"])
     floor = float(np.max(v.get("albedo", np.zeros(1))))

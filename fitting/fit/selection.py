@@ -20,9 +20,9 @@ more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a gr
 files that it was chosen on (docs/fitting.md).
 
 **Sums.** A sum of lobes (``--model auto``) takes the place of a single model only where J E^2 is at most `WORTH` times
-that one's, and neither J nor E is more than `MARGIN` times its own: that is seen. Neither the score nor a criterion
-that counts numbers would do: N is small where a model errs, so that nothing would be preferred just where another lobe
-is missing.
+that one's, and neither J nor E is more than `MARGIN` times its own: that is seen. Constants of no matter are never
+taken. Neither the score nor a criterion that counts numbers would do: N is small where a model errs, so that nothing
+would be preferred just where another lobe is missing.
 
 **Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
 do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.
@@ -127,10 +127,10 @@ def choose(
 def choose_sum(
     single: int, sums: Sequence[int], objectives: Sequence[float], cube_roots: Sequence[float], scores: Sequence[float]
 ) -> int:
-    """Which of some sums to take in place of a single model, the simplest of those that are alike; or that one.
+    """Which of some sums to take in place of a single model, the first of those that are alike; or that one.
 
     Args:
-        single: its number. sums: theirs, the simplest first.
+        single: its number. sums: theirs, in order of preference: those over its own kind first, the simplest first.
     """
     J, E = objectives, cube_roots
     seen = [k for k in sums if J[k] * E[k] ** 2 <= WORTH * J[single] * E[single] ** 2]

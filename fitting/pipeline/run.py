@@ -18,7 +18,7 @@ from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.measured import Measured
 from ...model.reflectance import of_order
-from ...model.sum import Sum
+from ...model.sum import Sum, lowest
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
@@ -267,7 +267,9 @@ def compare(
     ]  # fmt: skip
 
     if single is not None:
-        sums = [k for k, material in enumerate(materials) if isinstance(material, Sum)]
+        kind = lowest(materials[single])
+        sums = [k for k, material in enumerate(materials) if isinstance(material, Sum) and matter[k]]
+        sums.sort(key=lambda k: lowest(materials[k]) != kind)
         return candidates, choose_sum(single, sums, objectives, roots, scores)
 
     def excessive(k: int) -> bool:

@@ -51,7 +51,9 @@ def _summary_row(o: Outcome) -> Sequence[str]:
 
 def _not_the_lowest(result: Result) -> str:
     """Why a kind was taken whose score is not the lowest, if that is so."""
-    taken = None if result.model is None else result.model.material.variant
+    if result.model is None:
+        return ""
+    taken = result.model.material.variant
     compared = {c.variant: c for c in result.fit.candidates if c.score is not None}
     scores = {variant: c.score or 0.0 for variant, c in compared.items()}
     if taken not in scores or scores[taken] == min(scores.values()):
@@ -61,6 +63,8 @@ def _not_the_lowest(result: Result) -> str:
         return f"; taken: {taken}, as {lowest.variant} leaves too much of the file unexplained"
     if not lowest.of_matter:
         return f"; taken: {taken}, as no matter has the constants of {lowest.variant}"
+    if lowest.model != result.model.name:
+        return f"; taken: {taken}, as {lowest.variant} does not leave half as much"
     return f"; taken: {taken}, the simplest of those that describe the file about as well as the lowest"
 
 
