@@ -19,8 +19,8 @@ paper a little better. Where they have the lowest score, a dielectric is taken, 
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).
 
-**Sums.** A sum of lobes (``--model auto``) takes the place of a single model only where J E^2 is at most `WORTH` times
-that one's, and neither J nor E is more than `MARGIN` times its own: that is seen. Constants of no matter are never
+**Sums.** A sum of lobes (``--model auto``) is tried where a single model leaves more than `ENOUGH` of the energy, and
+takes its place only where J E^2 is at most `WORTH` times that one's, and neither J nor E is more than `MARGIN` times its own: that is seen. Constants of no matter are never
 taken. Neither the score nor a criterion that counts numbers would do: N is small where a model errs, so that nothing
 would be preferred just where another lobe is missing.
 
@@ -38,6 +38,7 @@ ALIKE = 6.0
 MARGIN = 1.05
 BEYOND = 2.5  # times the J or E of what no matter has: so much worse may a dielectric be
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
+ENOUGH = 0.005  # of the weighted energy: a single model that leaves no more needs no other lobe
 WORTH = 0.5  # times the J E^2 of a single model, or less: a sum that takes its place
 FACTOR = 2.0  # a highlight that is off by more is lost
 VISIBLE = 2.0  # CIELAB distance of lit pixels above which a fit does not look like its file

@@ -28,7 +28,7 @@ from ..fit.problem import Problem, make_problem
 from ..fit.published_errors import assess_prediction
 from ..fit.residuals import Objective
 from ..fit.residuals import predict_samples as predicted_by
-from ..fit.selection import choose, choose_sum, nearest, score
+from ..fit.selection import ENOUGH, choose, choose_sum, nearest, score
 from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..fit.weights import weighted_samples
@@ -150,7 +150,7 @@ def fit(
 
         tried = searched(candidates(config))
         compared, chosen = compare(tried, few)
-        if config.model.name == AUTO:
+        if config.model.name == AUTO and tried[chosen].solution.cost > ENOUGH:
             tried += searched(with_sums(config))
             compared, chosen = compare(tried, few, chosen)
         layout, rough, solution = tried[chosen]
