@@ -19,10 +19,10 @@ paper a little better. Where they have the lowest score, a dielectric is taken, 
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).
 
-**Sums.** A sum of lobes (``--model auto``) is tried where a single model leaves more than `ENOUGH` of the energy, and
-takes its place only where J E^2 is at most `WORTH` times that one's, and neither J nor E is more than `MARGIN` times its own: that is seen. Constants of no matter are never
-taken. Neither the score nor a criterion that counts numbers would do: N is small where a model errs, so that nothing
-would be preferred just where another lobe is missing.
+**Sums.** A sum of lobes (``--model auto``) is tried where a single model leaves more than `ENOUGH` of the energy. It
+takes that one's place only where J E^2 is at most `WORTH` times its own, and neither J nor E is more than `MARGIN`
+times its own: that is seen. Constants of no matter are never taken. Neither the score nor a criterion that counts
+numbers would do: N is small where a model errs, so that nothing would be preferred just where another lobe is missing.
 
 **Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
 do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.
