@@ -137,7 +137,7 @@ def exponent_of(lobe: str) -> Parameter:
         ValueError: no loss is known of a lobe of that name.
     """
     kind, _, which = lobe.partition("_")
-    if kind not in LOSSES:
+    if kind not in LOSSES or (which and which not in SURFACES):
         raise ValueError(f"no loss is known of a lobe {lobe!r}: lobes are named {', '.join(LOSSES)}")
     return beside(LOSSES[kind], which) if which else LOSSES[kind]
 
@@ -145,4 +145,5 @@ def exponent_of(lobe: str) -> Parameter:
 def beside(parameter: Parameter, which: str) -> Parameter:
     """The same of another surface than a sum's base, a key of `SURFACES`."""
     name, meaning = f"{parameter.name}_{which}", f"{parameter.meaning} ({SURFACES[which]})"
-    return replace(parameter, name=name, symbol=f"{parameter.symbol}^{{{which}}}", meaning=meaning)
+    symbol = f"{parameter.symbol}^{{({which})}}" if which.isdigit() else f"{parameter.symbol}^{{\\mathrm{{{which}}}}}"
+    return replace(parameter, name=name, symbol=symbol, meaning=meaning)

@@ -2,6 +2,7 @@
 
 import difflib
 import inspect
+import re
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
@@ -65,8 +66,8 @@ def made(name: str, settings: Mapping[str, Any]) -> Reflectance:
 def _sum(name: str, settings: Mapping[str, Any]) -> Sum:
     """Of ``ggx+epd`` or ``coat(ggx)+epd``; settings of the first part are in ``top``, those of the rest in ``base``."""
     first, _, rest = name.partition("+")
-    top = first.removeprefix("coat(").removesuffix(")")
-    coated = first == f"coat({top})"
+    coat = re.fullmatch(r"coat\(([^()]*)\)", first)
+    top, coated = coat[1] if coat else first, coat is not None
     if unknown := settings.keys() - {"top", "base", "coated"}:
         raise ValueError(f"{name} has no setting {min(unknown)!r}: its settings are top and base, those of its parts")
     if settings.get("coated", coated) != coated:

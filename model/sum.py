@@ -21,8 +21,9 @@ from .priors import LogNormal
 from .reads import reads
 from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
 
-COAT = "_coat"
+COAT, THROUGH = "_coat", "through_coat"
 MOST = 3  # parts of a sum
+ROUGHEST, WIDTHS = 0.3, ("alpha", "beta", "roughness")  # width of a coat, and what it is called
 SHARE = Parameter("share", "w", "share of the surface", "1", 0.5, 0.0, 1.0, "linear", source="mixture of surfaces",
                   quantity="odds")  # fmt: skip
 COAT_INDEX = Parameter("eta", r"\eta", "index of refraction", "1", 1.5, 1.001, 2.6, offset=1.0,
@@ -73,6 +74,8 @@ class Sum(Reflectance):
         if self.coated:
             if not hasattr(self.top, "fresnel") or "diffraction" in vars(self.top):
                 raise ValueError(f"{self.top.name} is no coat: one is facets alone, such as ggx, beckmann or epd")
+            if getattr(self.top, "fresnel") == "conductor":  # noqa: B009 - of microfacets
+                raise ValueError(f"{self.name}: fresnel 'conductor' is no coat's: light goes through a dielectric")
             object.__setattr__(self, "top", replace(self.top, fresnel="dielectric"))  # pyright: ignore[reportArgumentType]
 
     @property
@@ -119,7 +122,7 @@ class Sum(Reflectance):
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
         own = {name: factor for name, factor in self.top.factors().items() if name != "body"}
-        through = {f"through{COAT}": _through} if self.coated else {"share" + self.suffix: self._share}
+        through = {THROUGH: _through} if self.coated else {"share" + self.suffix: self._share}
         return {**self.base.factors(), **self._renamed(own), **through}
 
     def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
@@ -136,13 +139,7 @@ class Sum(Reflectance):
         top = self.top.assemble({**{name: at[name + self.suffix] for name in names}, "body": jnp.zeros(())}, s)
         base = self.base.assemble(at, s)
         weight = jnp.ones(()) if self.coated else at["share" + self.suffix]
-        kept = at[f"through{COAT}"] if self.coated else 1 - weight
-
-        def times(
-            weight: Array, common: Array | None, sharp: Mapping[str, Array], suffix: str = ""
-        ) -> dict[str, Array]:
-            factor = weight if common is None else weight * common
-            return {lobe + suffix: factor * x for lobe, x in sharp.items()}
+        kept = at[THROUGH] if self.coated else 1 - weight
 
         above, below = (w if x.common is None else w * x.common for w, x in ((weight, top), (kept, base)))
         sharp = {lobe: below * x for lobe, x in base.sharp.items()}
@@ -170,7 +167,7 @@ def _sums(model: Reflectance) -> Iterator[Sum]:
 def _parameters(model: Sum) -> tuple[Parameter, ...]:
     by_body = {q for q, factors in _factors_of(model.top).items() if factors <= {"body"}}
     own = [q for q in model.top.parameters if q.name not in by_body]
-    own = [COAT_INDEX if q.name == COAT_INDEX.name else q for q in own] if model.coated else [SHARE, *own]
+    own = [_of_coat(q) for q in own] if model.coated else [SHARE, *own]
     named = [
         replace(
             beside(q, model.suffix.removeprefix("_")),
@@ -181,6 +178,13 @@ def _parameters(model: Sum) -> tuple[Parameter, ...]:
     ]
     every = [*model.base.parameters, *named]
     return tuple(sorted(every, key=lambda q: q.per_channel))
+
+
+def _of_coat(q: Parameter) -> Parameter:
+    """A coat has one index, and is smooth enough to see through it as its transmittance is computed."""
+    if q.name == COAT_INDEX.name:
+        return COAT_INDEX
+    return replace(q, default=min(q.default, ROUGHEST / 3), upper=ROUGHEST) if q.name in WIDTHS else q
 
 
 def _shifted(suffix: str, shift: Shift, v: Values, middle_um: float) -> Array:

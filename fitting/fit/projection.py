@@ -23,11 +23,11 @@ import numpy as np
 from jax import Array
 
 from ...model.measured import material_of, with_material
-from ...model.reflectance import Reflectance, lobes_of
-from ...model.sum import Sum
+from ...model.reflectance import Reflectance, factor_values, shaped
+from ...model.sum import THROUGH, Sum
 from .hints import LinearParameters, hints_of
 from .problem import Part, Problem
-from .residuals import evaluate_block, setting_of, weigh_rows, with_tables
+from .residuals import evaluate_block, setting_of, weigh, with_tables
 from .transforms import Layout
 
 ALBEDOS = np.array([0.002, 0.01, 0.03, 0.08, 0.18, 0.35, 0.55, 0.75, 0.92])
@@ -96,21 +96,25 @@ def project(
     return [(costs, {**shared, **found}) for costs, found in joined]
 
 
-def weigh(
-    layout: Layout, shared: Mapping[str, np.ndarray], problem: Problem, over: Callable[..., Iterable] = map
+def project_sums(
+    layouts: Sequence[Layout], shared: Mapping[str, np.ndarray], problem: Problem, over: Callable[..., Iterable] = map
+) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """The same of sums of lobes (:class:`merlfit.model.sum.Sum`), whose weights are found by least squares."""
+    return [_project_sum(layout, shared, problem, over) for layout in layouts]
+
+
+def _project_sum(
+    layout: Layout, shared: Mapping[str, np.ndarray], problem: Problem, over: Callable[..., Iterable]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The same of a sum of lobes (:class:`merlfit.model.sum.Sum`), whose weights are found by least squares.
+    """Of one sum.
 
     Lobes of facets that reflect everything, and the body, are columns; no weight is negative (Lawson & Hanson 1974,
     here by trying all sets of columns). A surface's share is that of its weight, and its constants are those whose
     reflectance at normal incidence is nearest to what is left; a body is as bright as one of albedo 1/2, twice.
-
-    Returns:
-        costs (N,), and values by name, (N,) and (N, C).
     """
     material = material_of(layout.model)
     assert isinstance(material, Sum)
-    surfaces = _surfaces(material)
+    surfaces = _parts(material)
     model = with_material(layout.model, _perfect(material))
     fixed = {f"{name}{each.suffix}": x for each in surfaces for name, x in each.linear.fixed}
     fixed |= {q.name: 0.5 for q in model.parameters if q.name.startswith("share_")}
@@ -132,12 +136,12 @@ def weigh(
     found = {**shared, **_constants(surfaces, weights)}
     if body is not None:
         found[surfaces[0].linear.albedo] = np.clip(weights[..., -1], ALBEDOS[0], ALBEDOS[-1])
-    for q in (q for q in layout.parameters if q.per_channel):
+    for q in (q for q in layout.parameters if q.name in found):
         found[q.name] = np.clip(found[q.name], q.lower, q.upper)
     return costs + float(np.sum(np.asarray(problem.rest))), found
 
 
-def _constants(surfaces: Sequence["Surface"], weights: np.ndarray) -> dict[str, np.ndarray]:
+def _constants(surfaces: Sequence["SumPart"], weights: np.ndarray) -> dict[str, np.ndarray]:
     """Shares (N,) and constants (N, C) by name, from the weights (N, C, K) of surfaces of which the base is first."""
     found, left = {}, np.ones(len(weights))
     for k in range(len(surfaces) - 1, -1, -1):
@@ -156,22 +160,22 @@ def _constants(surfaces: Sequence["Surface"], weights: np.ndarray) -> dict[str, 
     return found
 
 
-class Surface(NamedTuple):
+class SumPart(NamedTuple):
     """A part of a sum: how its channels are separated, and what its names end in."""
 
     linear: LinearParameters
     suffix: str
 
 
-def _surfaces(model: Reflectance) -> list[Surface]:
+def _parts(model: Reflectance) -> list[SumPart]:
     """Parts of a sum, the base first; a coat has no constant of its own in a channel."""
     if not isinstance(model, Sum):
         linear = hints_of(model).linear
         assert linear is not None
-        return [Surface(linear, "")]
+        return [SumPart(linear, "")]
     linear = hints_of(model.top).linear
     assert linear is not None
-    return _surfaces(model.base) + ([] if model.coated else [Surface(linear, model.suffix)])
+    return _parts(model.base) + ([] if model.coated else [SumPart(linear, model.suffix)])
 
 
 def _perfect(model: Reflectance) -> Reflectance:
@@ -200,11 +204,11 @@ def _grams(
 
         def block(b: Part) -> Array:
             s = setting_of(b.directions)
-            lobes = lobes_of(model, values, s)
-            shape = b.target.shape
+            at = factor_values(model, shaped(model, values, s), s)
+            lobes, shape = model.assemble(at, s), b.target.shape
 
             def column(brdf: Array) -> Array:
-                return weigh_rows(b.root, jnp.broadcast_to(jnp.where(s.above, brdf, 0.0), shape))
+                return weigh(b.root, jnp.broadcast_to(jnp.where(s.above, brdf, 0.0), shape))
 
             named = dict.fromkeys(suffixes, jnp.zeros(()))
             coat = jnp.zeros(())
@@ -218,7 +222,8 @@ def _grams(
             columns = [column(x) for x in named.values()]
             if body is not None:
                 half = jnp.full((shape[0], 1, 1, 1), 0.5)
-                columns.append(column(body(s.geometry.cos_i, s.geometry.cos_o, jnp.asarray(1.5), half)))
+                below = body(s.geometry.cos_i, s.geometry.cos_o, jnp.asarray(1.5), half)
+                columns.append(column(below * at.get(THROUGH, 1.0)))
             rows = jnp.stack([*columns, b.target - column(coat)])
             return jnp.einsum("ichdk,jchdk->cij", rows, rows)
 
@@ -327,7 +332,7 @@ def _bodies(tried: tuple[BodyTried, ...], part: Part) -> tuple[list[Array], list
 
             def of(constant: Array, albedo: Array, formula: Callable[..., Array] = formula) -> Array:
                 brdf = jnp.where(above, formula(cos_i, cos_o, constant, albedo), 0.0)
-                return weigh_rows(b.root, jnp.broadcast_to(brdf, b.target.shape))
+                return weigh(b.root, jnp.broadcast_to(brdf, b.target.shape))
 
             over_albedos = jax.vmap(of, (None, 0), -1)
             weighed.append(jax.vmap(over_albedos, (0, None), -2)(jnp.asarray(constants), jnp.asarray(ALBEDOS)))
@@ -354,7 +359,7 @@ def _sums(
 
         def block(given: tuple[Part, list[Array]]) -> tuple[Array, Array, list[Array]]:
             b, below = given
-            lobes = weigh_rows(b.root, evaluate_block(model, values, b.directions))  # (C, h, D, K)
+            lobes = weigh(b.root, evaluate_block(model, values, b.directions))  # (C, h, D, K)
             crossed = [jnp.einsum("chdk,chdkea->cead", lobes, x) for x in below]
             return jnp.sum(lobes**2, (1, 3)), jnp.sum(lobes * b.target, (1, 3)), crossed
 

@@ -112,7 +112,7 @@ def _cost(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     values = with_tables(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
-        residual = b.target - weigh_rows(b.root, evaluate_block(model, values, b.directions))
+        residual = b.target - weigh(b.root, evaluate_block(model, values, b.directions))
         return total + jnp.sum(residual**2, (1, 2, 3), dtype=jnp.float64), None
 
     return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
@@ -123,12 +123,12 @@ def weighted_prediction(model: Reflectance, values: Mapping[str, Array], part: P
     values = with_tables(model, values, part.directions)
 
     def block(b: Part) -> Array:
-        return weigh_rows(b.root, evaluate_block(model, values, b.directions))
+        return weigh(b.root, evaluate_block(model, values, b.directions))
 
     return jax.vmap(block)(part)
 
 
-def weigh_rows(root: Array, nodes: Array) -> Array:
+def weigh(root: Array, nodes: Array) -> Array:
     """Root times the values at the nodes of every row."""
     return jnp.sum(root * nodes[..., None, :], -1)
 
@@ -251,8 +251,8 @@ def _block_gram(
         for q in model.parameters:
             moving = {name: slopes[f"{name}/{q.name}"] for name in at if f"{name}/{q.name}" in slopes}
             change = lambda part: model.assemble({**at, **part}, s).brdf(s)  # noqa: E731
-            result.append(weigh_rows(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
-        return [*result, b.target - weigh_rows(b.root, model.assemble(at, s).brdf(s))]
+            result.append(weigh(b.root, jax.jvp(change, ({name: at[name] for name in moving},), (moving,))[1]))
+        return [*result, b.target - weigh(b.root, model.assemble(at, s).brdf(s))]
 
     always = true_of(b.target[0, 0, 0, 0])
     at, slopes = materialised(factor_derivatives, always, values, b.directions)

@@ -19,10 +19,11 @@ paper a little better. Where they have the lowest score, a dielectric is taken, 
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).
 
-**Sums.** A sum of lobes (``--model auto``) is tried where a single model leaves more than `ENOUGH` of the energy. It
-takes that one's place only where J E^2 is at most `WORTH` times its own, and neither J nor E is more than `MARGIN`
-times its own: that is seen. Constants of no matter are never taken. Neither the score nor a criterion that counts
-numbers would do: N is small where a model errs, so that nothing would be preferred just where another lobe is missing.
+**Sums.** A sum of lobes (``--model auto``) is tried where a single model leaves more than `ENOUGH` of the energy on the
+coarse grid. It takes that one's place only where J E^2 is at most `WORTH` times its own, and neither J nor E is more
+than `MARGIN` times its own: that is seen. Constants of no matter are never taken. Neither the score nor a criterion
+that counts numbers would do: N is small where a model errs, so that nothing would be preferred just where another lobe
+is missing.
 
 **Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
 do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.
@@ -126,12 +127,18 @@ def choose(
 
 
 def choose_sum(
-    single: int, sums: Sequence[int], objectives: Sequence[float], cube_roots: Sequence[float], scores: Sequence[float]
+    single: int,
+    sums: Sequence[int],
+    objectives: Sequence[float],
+    cube_roots: Sequence[float],
+    scores: Sequence[float],
+    excessive: Callable[[int], bool] = lambda _: False,
 ) -> int:
     """Which of some sums to take in place of a single model, the first of those that are alike; or that one.
 
     Args:
         single: its number. sums: theirs, in order of preference: those over its own kind first, the simplest first.
+        excessive: as for `choose`.
     """
     J, E = objectives, cube_roots
     seen = [k for k in sums if J[k] * E[k] ** 2 <= WORTH * J[single] * E[single] ** 2]
@@ -139,7 +146,8 @@ def choose_sum(
     if not worth:
         return single
     best = min(worth, key=lambda k: scores[k])
-    return next(k for k in worth if k == best or alike(k, best, objectives, cube_roots, scores))
+    near = [k for k in worth if k == best or alike(k, best, objectives, cube_roots, scores)]
+    return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
 
 
 def beyond(one: int, other: int, objectives: Sequence[float], cube_roots: Sequence[float]) -> bool:

@@ -20,7 +20,7 @@ from ...merl_io.scattered import ScatteredSamples
 from ...model.sum import Sum
 from .hints import StartHints, hints_of
 from .problem import Problem
-from .projection import project, weigh
+from .projection import project, project_sums
 from .residuals import Objective
 from .transforms import Layout
 
@@ -138,22 +138,22 @@ def _of_alike(
         rows, columns = np.flatnonzero(turn == k)[:, None], [shared.index(name) for name in moved[k] if name in shared]
         points[rows, columns] = begun[k][columns] + NEAR / SCATTER * points[rows, columns]
     kinds = np.column_stack([(places * [strata.get(name, 1) for name in shared]).astype(int), turn])
-    if isinstance(lead.material, Sum):
-        named = layouts[0].held(lead.values_of_many(points))
-        found = [weigh(layout, {name: named[name] for name in shared}, problem, over) for layout in layouts]
-    elif hints.linear is None:
+    if hints.linear is None and not isinstance(lead.material, Sum):
         own = _classes(lead, size, most)
         kinds = np.column_stack([kinds, own])
         found = [_by_channel(layouts[0], points, size, readings[0], own, problem)]
     else:
         named = layouts[0].held(lead.values_of_many(points))
-        found = project(layouts, {name: named[name] for name in shared}, problem, over)
+        projected = project if hints.linear is not None else project_sums
+        found = projected(layouts, {name: named[name] for name in shared}, problem, over)
         for layout, (costs, values) in zip(layouts, found, strict=True):
             for q in (q for q in layout.parameters if q.name not in values):
                 values[q.name] = np.full((len(costs), len(layout.bands)), q.default)
             for name, each in layout.constraints:
                 if each.start is not None and name not in shared:
                     values[name][0] = each.start
+    if isinstance(lead.material, Sum):  # whose weights leave out what constants may be
+        found = [(_costs(layout, values, problem), values) for layout, (_, values) in zip(layouts, found, strict=True)]
     rows_of_kinds = [tuple(each) for each in kinds.tolist()]
     return [
         np.array(
@@ -164,6 +164,11 @@ def _of_alike(
         )
         for layout, (costs, values) in zip(layouts, found, strict=True)
     ]
+
+
+def _costs(layout: Layout, values: Mapping[str, np.ndarray], problem: Problem) -> np.ndarray:
+    """Costs (N,) of points by their values, as the layout holds them."""
+    return np.asarray(Objective(layout, problem).costs_of_many(layout.held(values))).sum(-1)
 
 
 def _classes(layout: Layout, size: int, count: int) -> np.ndarray:

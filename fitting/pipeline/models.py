@@ -1,6 +1,7 @@
 """The models to fit, made of the settings."""
 
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from ...merl_io.bands import MERL, Bands
@@ -11,8 +12,10 @@ from ...model.rivals.epd import EPD
 from ...model.rivals.ggx import GGX
 from ...model.sum import Sum, lowest, over
 from ...model.two_scale import TwoScale
+from ..fit.hints import hints_of
 from ..fit.transforms import Layout, layout_of, refuse_contradictions
 from ..settings.config import Config, ConfigError
+from ..settings.sections import AUTO
 
 
 def candidates(config: Config) -> list[Measured]:
@@ -21,18 +24,22 @@ def candidates(config: Config) -> list[Measured]:
     found = {TWO_SCALE: [two_scale(config, kind) for kind in kinds]}
     found |= {material.name: _variants(config, material) for material in config.model.rivals}
     named = [model for name in config.model.names for model in _constrained(config, name, found[name])]
-    return sorted(named, key=lambda model: _numbers(model.material))
+    return sorted(named, key=_numbers)
 
 
 def with_sums(config: Config) -> list[Measured]:
     """What ``auto`` tries beside the two-scale model's kinds: a clear coat over each, and another surface beside it."""
     bases = [two_scale(config, kind).material for kind in _kinds(config)]
     sums = [each for base in bases for each in (Sum(GGX(), base, coated=True), Sum(EPD(), base))]
-    return sorted((measured(config, each) for each in sums), key=lambda model: _numbers(model.material))
+    return sorted(_constrained(config, AUTO, [*map(partial(measured, config), sums)]), key=_numbers)
 
 
 def _variants(config: Config, material: Reflectance) -> list[Measured]:
     """A rival; of a sum over the two-scale model one for each kind asked for."""
+    try:
+        hints_of(material)
+    except ValueError as error:
+        raise ConfigError(f"model.name: {error}") from None
     if not (isinstance(material, Sum) and isinstance(lowest(material), TwoScale)):
         return [measured(config, material)]
     bases = [two_scale(config, kind).material for kind in _kinds(config)]
@@ -67,9 +74,9 @@ def _kinds(config: Config) -> list[Kind]:
     return found or [("real", "none")]  # the only other one that `TwoScale` allows
 
 
-def _numbers(material: Reflectance) -> int:
-    """How many numbers its parameters are, of three channels."""
-    return sum(3 if q.per_channel else 1 for q in material.parameters)
+def _numbers(model: Measured) -> int:
+    """How many numbers its material's parameters are, of three channels."""
+    return sum(3 if q.per_channel else 1 for q in model.material.parameters)
 
 
 def two_scale(config: Config, kind: Kind) -> Measured:

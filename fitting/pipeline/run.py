@@ -266,16 +266,15 @@ def compare(
         for material, s, j, e, each, own in zip(materials, found, objectives, roots, scores, matter, strict=True)
     ]  # fmt: skip
 
-    if single is not None:
-        kind = lowest(materials[single])
-        sums = [k for k, material in enumerate(materials) if isinstance(material, Sum) and matter[k]]
-        sums.sort(key=lambda k: lowest(materials[k]) != kind)
-        return candidates, choose_sum(single, sums, objectives, roots, scores)
-
     def excessive(k: int) -> bool:
         brightest = largest_albedo(materials[k], values[k], layouts[k].bands)
         return brightest is not None and brightest.excessive
 
+    if single is not None:
+        kind = lowest(materials[single])
+        sums = [k for k, material in enumerate(materials) if isinstance(material, Sum) and matter[k]]
+        sums.sort(key=lambda k: lowest(materials[k]) != kind)
+        return candidates, choose_sum(single, sums, objectives, roots, scores, excessive)
     dielectric, explains = ["k" not in v for v in values], [s.cost <= UNEXPLAINED_COST for s in found]
     return candidates, choose(objectives, roots, scores, matter, dielectric, explains, excessive)
 

@@ -81,6 +81,10 @@ class ModelSection:
                     f"{key!r} is none of its keys: it has 'name', and settings of the two-scale model belong in "
                     "[effects]"
                 )
+        if AUTO in self.names:
+            raise ValueError(f"{AUTO!r} compares models by itself: it is named alone")
+        if "base" in self.settings and self.names[0].count("+") == 1 and self.with_two_scale:
+            raise ValueError(f"base: settings of the two-scale model below {self.names[0]} belong in [effects]")
         _ = self.rivals
 
     @property
@@ -92,8 +96,8 @@ class ModelSection:
 
     @property
     def with_two_scale(self) -> bool:
-        """Whether the two-scale model is among them, or part of a sum."""
-        return any(TWO_SCALE in name.split("+") for name in self.names)
+        """Whether the two-scale model is among them, or a sum over it."""
+        return any(name.split("+")[-1] == TWO_SCALE for name in self.names)
 
     @property
     def rivals(self) -> "list[Reflectance]":

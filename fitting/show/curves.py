@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ...model.parameters import SURFACES
 from . import prediction
 from .prediction import PEAK_DIFFERENCE_DEG, WIDEST_DEG, plane_of_incidence, viewers
 from .subject import Subject
@@ -17,6 +18,12 @@ Rows = list[dict[str, Any]]
 """Rows of a chart: a row a direction and channel; what there is not is None."""
 PARTS = {"specular": "reflection", "diffracted": "diffraction", "body": "body"}
 """What the sharp lobes and the body are called, by their names in the models."""
+
+
+def part_name(lobe: str) -> str:
+    """What a lobe or the body is called; of a sum with the surface that it is of."""
+    kind, _, which = lobe.partition("_")
+    return f"{PARTS.get(kind, kind)} ({SURFACES[which]})" if which in SURFACES else PARTS.get(lobe, lobe)
 
 
 def lobe(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
@@ -47,7 +54,7 @@ def added(subject: Subject, degrees: float, **named: int) -> tuple[np.ndarray, d
     angles, _ = viewers(degrees, np.degrees(subject.grid.theta_h), **named)
     where = prediction.from_vectors(*plane_of_incidence(np.radians(degrees), np.radians(angles)))
     found = prediction.parts_of(subject.fitted, where).items()
-    return angles, {PARTS.get(name, name): brdf[len(subject.model.channels) // 2] for name, brdf in found}
+    return angles, {part_name(name): brdf[len(subject.model.channels) // 2] for name, brdf in found}
 
 
 def lobe_rows(subject: Subject) -> tuple[Rows, Rows]:

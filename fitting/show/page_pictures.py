@@ -10,7 +10,7 @@ from PIL import Image
 
 from ...merl_io.atomic import write_atomically
 from ..pipeline.draws import NoPicture
-from .curves import PARTS
+from .curves import part_name
 from .pictures import PICTURES
 from .spheres import of_file_and_fit, of_parts
 from .style import own_style
@@ -45,7 +45,7 @@ def write(subject: Subject, out: Path, name: str) -> dict[str, Any]:
                 keep(f"small-{kind}", small)
     shown, shares = of_parts(subject)
     parts = [
-        {"words": PARTS.get(part, part), "picture": keep(f"part-{part}", _image(shown[part])), "shares": shares[part]}
+        {"words": part_name(part), "picture": keep(f"part-{part}", _image(shown[part])), "shares": shares[part]}
         for part in shown
     ]
     for what in FIGURES:

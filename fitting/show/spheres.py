@@ -16,7 +16,7 @@ from ...merl_io.samples import folded
 from ...scene.colour import coloured, difference, displayed
 from ...scene.spheres import Lighting, render, sphere
 from ..fit.weights import within
-from .curves import PARTS, added
+from .curves import added, part_name
 from .style import DECADES, OKABE_ITO, at_mirror, new, printable
 from .subject import Subject
 
@@ -119,7 +119,7 @@ def effects(subject: Subject) -> Figure:
     for panel, (name, picture) in zip(
         above.subplots(1, len(pictures), squeeze=False)[0], pictures.items(), strict=True
     ):
-        show(panel, picture, PARTS.get(name, name))
+        show(panel, picture, part_name(name))
     lobes, bars = below.subplots(1, 2, width_ratios=(1.6, 1))
     _lobes(lobes, subject)
     _shares(bars, subject, shares)

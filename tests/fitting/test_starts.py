@@ -2,7 +2,7 @@
 
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ from merlfit.merl_io.samples import fold, thin
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import WEIGHT
 from merlfit.model.priors import PRIORS, Constraint, LogNormal
+from merlfit.model.registry import made
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.oren_nayar_qualitative import OrenNayarQualitative
 from merlfit.model.two_scale import TwoScale
@@ -280,3 +281,29 @@ def test_models_of_several_kinds_keep_their_order(problem):
     found = starting_points(layouts, SEEN, problem, 5)
     assert [each.shape for each in found] == [(6, layout.size) for layout in layouts]
     np.testing.assert_array_equal(found[1], points_of(LAYOUT, problem, 5, first=None))
+
+
+SUMS = {
+    "ggx+epd": {"F0": Constraint(start=0.33), "alpha_2": Constraint(fixed=(0.1,))},
+    "coat(ggx)+two-scale": {"eta_coat": Constraint(fixed=(1.5,)), "albedo": Constraint(upper=0.2)},
+    "ggx+two-scale": {"weight": Constraint(fixed=(0.7,)), "share_2": Constraint(lower=0.2, upper=0.4)},
+}
+
+
+@pytest.mark.parametrize("name", SUMS)
+def test_those_of_sums_heed_what_is_said_of_parameters(problem, name):
+    """Of a real interface with the free split, which has parameters that no weight stands for."""
+    base = {"base": asdict(TwoScale("lambert", split="free"))} if "two-scale" in name else {}
+    layout = layout_of(Measured(made(name, base), "off"), constraints=tuple(SUMS[name].items()))
+    found = starting_points([layout], SEEN, problem, 5)[0]
+    values = {name: np.asarray(x) for name, x in jax.vmap(layout.values)(jnp.asarray(found)).items()}
+    for parameter, said in SUMS[name].items():
+        own = values[parameter]
+        if said.fixed is not None:
+            np.testing.assert_allclose(own, said.fixed[0])
+        if said.start is not None:
+            np.testing.assert_allclose(own[0], said.start)
+        assert said.lower is None or own.min() >= said.lower
+        assert said.upper is None or own.max() <= said.upper
+    costs = [Objective(layout, problem).normal_equations(z)[:, -1, -1].sum() for z in found]
+    assert min(costs) < 0.6  # of the energy, of which no light at all leaves 1
