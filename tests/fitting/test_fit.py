@@ -1,5 +1,6 @@
 """From a file on disk to parameters: known materials are recovered, statuses tell the truth."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import jax
@@ -10,9 +11,12 @@ from merlfit.fitting.fit import levenberg_marquardt
 from merlfit.fitting.fit.levenberg_marquardt import Status
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
+from merlfit.fitting.pipeline.models import with_sums
+from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.settings.config import Config, load
 from merlfit.merl_io.binary import read, write
 from merlfit.model.effects import KINDS
+from merlfit.model.registry import made
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.known_materials import CONDUCTOR, EXPONENTS, PLASTIC, tabulate
@@ -22,11 +26,11 @@ from tests.support.lobes import derived_exponent
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("synthetic")
-    made = {}
+    there = {}
     for name, values, body in (("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "plastic")):
-        made[name] = folder / f"{name}.binary"
-        write(made[name], tabulate(values, TwoScale(body)))
-    return made
+        there[name] = folder / f"{name}.binary"
+        write(there[name], tabulate(values, TwoScale(body)))
+    return there
 
 
 @pytest.mark.parametrize(("name", "values", "body"), [("conductor", CONDUCTOR, "none"), ("plastic", PLASTIC, "auto")])
@@ -46,6 +50,29 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
         best = min(result.fit.candidates, key=lambda c: c.score)
         assert (best.model, best.variant) == ("two-scale", "real plastic")
     assert (tmp_path / f"{name}.json").is_file()
+
+
+def test_auto_finds_the_coat_that_a_file_has_and_no_other(files, tmp_path):
+    """Of one kind: a coat of the file's own values, which is read back; a file without one keeps the single model."""
+    coated, coat = (
+        made("coat(ggx)+two-scale", {"base": asdict(TwoScale("lambert"))}),
+        {"alpha_coat": 0.03, "eta_coat": 1.5},
+    )
+    rough = {**PLASTIC, **coat, "beta": 0.35}
+    exponents = {**EXPONENTS, "grazing_exponent_coat": 0.3}
+    write(tmp_path / "coated.binary", tabulate(rough, coated, exponents))
+    one = load(model="auto", index="real", body="lambert", posterior=False)
+    result = run.fit_file(tmp_path / "coated.binary", tmp_path / "out", one)
+    assert result.model.name == "coat(ggx)+two-scale"
+    assert [c.model for c in result.fit.candidates] == ["two-scale", "coat(ggx)+two-scale", "epd+two-scale"]
+    assert result.fit.cost < 1e-4
+    for name, value in coat.items():
+        np.testing.assert_allclose(result.values()[name], value, rtol=0.02)
+    assert read_result(tmp_path / "out" / "coated.json").model.material == coated
+    single = run.fit_file(files["plastic"], tmp_path / "out", load(model="auto", body="plastic", posterior=False))
+    assert [c.model for c in single.fit.candidates] == ["two-scale"]
+    fixed = load({"parameters": {"eta": {"fixed": 1.5}}}, model="auto", posterior=False)
+    assert all("eta" in {q.name for q in model.parameters} for model in with_sums(fixed))
 
 
 def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):
