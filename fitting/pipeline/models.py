@@ -27,9 +27,12 @@ def candidates(config: Config) -> list[Measured]:
     return sorted(named, key=_numbers)
 
 
-def with_sums(config: Config) -> list[Measured]:
-    """What ``auto`` tries beside the two-scale model's kinds: a clear coat over each, and another surface beside it."""
-    bases = [two_scale(config, kind).material for kind in _kinds(config)]
+def with_sums(config: Config, single: TwoScale) -> list[Measured]:
+    """What ``auto`` tries beside a single model: a clear coat over each kind, and another surface beside it.
+
+    Only kinds of its interface: with lobes enough a felt would pass for a metal.
+    """
+    bases = [two_scale(config, kind).material for kind in _kinds(config) if kind[0] == single.index]
     sums = [each for base in bases for each in (Sum(GGX(), base, coated=True), Sum(EPD(), base))]
     return sorted(_constrained(config, AUTO, [*map(partial(measured, config), sums)]), key=_numbers)
 

@@ -19,6 +19,7 @@ from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.measured import Measured
 from ...model.reflectance import of_order
 from ...model.sum import Sum, lowest
+from ...model.two_scale import TwoScale
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
@@ -151,7 +152,9 @@ def fit(
         tried = searched(candidates(config))
         compared, chosen = compare(tried, few)
         if config.model.name == AUTO and tried[chosen].solution.cost > ENOUGH:
-            tried += searched(with_sums(config))
+            single = tried[chosen].layout.material
+            assert isinstance(single, TwoScale)
+            tried += searched(with_sums(config, single))
             compared, chosen = compare(tried, few, chosen)
         layout, rough, solution = tried[chosen]
         z, last = solution.z, cheaper(layout, COARSE_ORDER)

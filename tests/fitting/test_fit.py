@@ -72,7 +72,8 @@ def test_auto_finds_the_coat_that_a_file_has_and_no_other(files, tmp_path):
     single = run.fit_file(files["plastic"], tmp_path / "out", load(model="auto", body="plastic", posterior=False))
     assert [c.model for c in single.fit.candidates] == ["two-scale"]
     fixed = load({"parameters": {"eta": {"fixed": 1.5}}}, model="auto", posterior=False)
-    assert all("eta" in {q.name for q in model.parameters} for model in with_sums(fixed))
+    assert all("eta" in {q.name for q in model.parameters} for model in with_sums(fixed, TwoScale("lambert")))
+    assert all(model.material.base.index == "complex" for model in with_sums(load(model="auto"), TwoScale()))
 
 
 def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):
