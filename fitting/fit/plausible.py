@@ -10,7 +10,7 @@ from ...model.two_scale import TwoScale
 
 METALS_N, METALS_K = (0.02, 4.5), (1.3, 8.5)  # of metals in visible light, from silver and gold to tungsten, rhodium
 METAL_FLOOR = 0.05  # albedo under a complex index: stray light and dust on a metal are less
-BRIGHT = 0.07  # albedo under a complex index that dust explains no more: a choice goes by it, cautions by the floor
+BRIGHT = 0.08  # albedo under a complex index that dust explains no more: a choice goes by it, cautions by the floor
 LEAST_K = 0.2  # in some channel: what absorbs less is a dielectric (the darkest metal of a photograph has 0.4)
 SILVERY = 0.1, 2.0  # an n below the first is silver's, whose k is above the second (Johnson & Christy 1972)
 
