@@ -39,8 +39,7 @@ HEAD = """# Richer models beside the default
 two-scale model, where these leave half as much), `--preset free` (a weight of the diffracted light per channel) and
 `--model hp15`. Cost is relative to the weighted energy of the file; picture: mean CIELAB distance over all pixels of
 spheres under a lamp and in a room, lamp and room: of lit pixels alone; highlight: fitted over measured peak; numbers:
-what was free.
-Seconds are of fits side by side on two cores; some compile. [All rows](richer_models.csv).
+what was free. Seconds are of fits side by side on two cores; some compile. [All rows](richer_models.csv).
 """
 
 
@@ -129,7 +128,7 @@ def write(out, at):
         worst = sorted((r for r in rows if r["way"] == "auto"), key=lambda r: -(r["picture"] or 0))[:WORST]
         lines += [f"## {origin[0].upper()}{origin[1:]}", "", *summary(rows), ""]
         lines += [f"The {WORST} whose pictures are worst by `auto`:", "", *listed(worst), ""]
-        lines += ["Some files by all four:", "", *listed([r for r in rows if r["file"] in LISTED]), ""]
+        lines += ["Some files by all that was fitted:", "", *listed([r for r in rows if r["file"] in LISTED]), ""]
         every_row += rows
     PAGE.write_text("\n".join(lines).rstrip() + "\n")
     table = io.StringIO()
