@@ -51,7 +51,8 @@ ELSEWHERE = {  # commands that are not run here, and where they are
     r"(pip|uv tool) install ": "--install",
     r"merlfit demo": "make demo",
     r"merlfit cost": "half an hour: make cost",
-    r"merlfit fit .*--preset conserving": "minutes: tests/test_cli.py and make bench",
+    r"merlfit fit .*--preset (conserving|free)": "minutes: tests/test_cli.py and make bench",
+    r"merlfit fit .*--model auto": "minutes of compiling: tests/fitting/test_fit.py",
     r"dask |merlfit fit .*--executor": "tests/fitting/test_cluster.py",
     r"python -m merlfit.scene.mitsuba": "tests/scene/test_mitsuba.py",
 }
