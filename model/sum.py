@@ -3,9 +3,12 @@
     rho = w rho_2 + (1 - w) rho_1 + body                          ``ggx+two-scale``: a share w of the surface is another
     rho = rho_coat + (1 - F(i)) (1 - F(o)) (rho_1 + body)         ``coat(ggx)+two-scale``: F of a smooth interface
 
-rho_1 and rho_2 are sharp lobes alone. Light that the coat's interface turns back from below is left out, so that a
-coat over a bright body is a little dark. The base keeps the names of its parameters; those of what lies beside it end
-in ``_2`` (``_3``), of a coat in ``_coat``.
+rho_1 and rho_2 are sharp lobes alone. The first is an area in which two surfaces lie side by side: together their lobes
+reflect no more than the brighter one's. The second is the first order of a layered surface (Weidlich & Wilkie 2007,
+"Arbitrarily layered micro-facet surfaces", doi:10.1145/1321261.1321292) that absorbs nothing, in which light keeps its
+direction: refraction below the coat, and what its interface turns back from below, are left out, so that a coat over a
+bright body is a little dark. Both are reciprocal. The base keeps the names of its parameters; those of what lies beside
+it end in ``_2`` (``_3``), of a coat in ``_coat``.
 """
 
 from collections.abc import Iterator, Mapping
@@ -52,6 +55,8 @@ class _Named(Mapping[str, Array]):
 @dataclass(frozen=True)
 class Sum(Reflectance):
     """The sharp lobes of ``top`` and those of ``base``, over the body of ``base``.
+
+    Accuracy: 1e-10 against its parts and the oracle of Fresnel's formula (``tests/rivals/test_sum.py``).
 
     Attributes:
         top: a model of which the sharp lobes count; a microfacet model where it is a coat. base: the rest, which may be

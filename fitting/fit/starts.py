@@ -20,8 +20,9 @@ from ...merl_io.scattered import ScatteredSamples
 from ...model.sum import Sum
 from .hints import StartHints, hints_of
 from .problem import Problem
-from .projection import project, project_sums
+from .projection import project
 from .residuals import Objective
+from .sum_projection import project_sum
 from .transforms import Layout
 
 CANDIDATES_EACH = 7  # candidates for every starting point that is asked for; a power of 2 in all
@@ -144,16 +145,21 @@ def _of_alike(
         found = [_by_channel(layouts[0], points, size, readings[0], own, problem)]
     else:
         named = layouts[0].held(lead.values_of_many(points))
-        projected = project if hints.linear is not None else project_sums
-        found = projected(layouts, {name: named[name] for name in shared}, problem, over)
-        for layout, (costs, values) in zip(layouts, found, strict=True):
+        given, summed = {name: named[name] for name in shared}, isinstance(lead.material, Sum)
+        nothing = np.zeros(len(points))
+        found = (
+            [(nothing, project_sum(layout, given, problem, over)) for layout in layouts]
+            if summed
+            else project(layouts, given, problem, over)
+        )
+        for layout, (_, values) in zip(layouts, found, strict=True):
             for q in (q for q in layout.parameters if q.name not in values):
-                values[q.name] = np.full((len(costs), len(layout.bands)), q.default)
+                values[q.name] = np.full((len(points), len(layout.bands)), q.default)
             for name, each in layout.constraints:
                 if each.start is not None and name not in shared:
                     values[name][0] = each.start
-    if isinstance(lead.material, Sum):  # whose weights leave out what constants may be
-        found = [(_costs(layout, values, problem), values) for layout, (_, values) in zip(layouts, found, strict=True)]
+        if summed:  # weights by least squares are no constants yet
+            found = [(_costs(layout, v, problem), v) for layout, (_, v) in zip(layouts, found, strict=True)]
     rows_of_kinds = [tuple(each) for each in kinds.tolist()]
     return [
         np.array(
