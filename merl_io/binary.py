@@ -89,7 +89,7 @@ class Measurement:
         sha1: of the whole file.
         blob_sha1: the same as git names its blob, by which genuine files are known.
         bands: of the planes of ``values``: fewer than three where others are zero everywhere. notes: on those.
-        format, colour_space, left_out, quantity: as of `scattered.ScatteredMeasurement`.
+        format, colour_space, left_out, quantity, fraction_uncertain: as of `scattered.ScatteredMeasurement`.
     """
 
     path: Path
@@ -106,6 +106,7 @@ class Measurement:
     colour_space: ColourSpace = "linear RGB of MERL, as stored"
     left_out: int = 0
     quantity: Literal["brdf"] = "brdf"
+    fraction_uncertain: None = None
 
     @property
     def name(self) -> str:

@@ -11,6 +11,7 @@ from .source import MerlError
 
 ANGLES = ("theta_i_deg", "theta_o_deg", "phi_deg")
 WEIGHT = "weight"
+SIGMA = "(?:uncertainty|unc|sigma|stdev|std|sd|u)"  # beside the name of a value: its standard uncertainty
 ALIASES = {
     "theta_i_deg": ("theta_i", "theta_in", "theta_inc", "theta_incident", "thetai", "aoi", "angle_of_incidence",
                     "incidence", "incidence_angle", "incident_angle", "theta_l"),
@@ -41,12 +42,13 @@ class Columns:
 
     Attributes:
         degrees: where an angle or the weight stands, and what it is times to be in degrees, by our name. bands: of the
-            values. values: where these stand, in the order of the bands.
+            values. values, uncertainties: where these stand, in the order of the bands; None for what has none.
     """
 
     degrees: dict[str, tuple[int, float]]
     bands: Bands
     values: list[int]
+    uncertainties: list[int | None]
 
 
 def known(cell: str) -> tuple[str, float] | None:
@@ -83,24 +85,57 @@ def columns_of(path: Path, cells: list[str]) -> Columns:
     )
     wrong += [f"column {name!r} is there twice" for name, count in repeated.items() if count > 1]
     others = {k: name for k, name in enumerate(names) if name and k not in meant}
+    uncertain = {k: of for k, name in others.items() if (of := uncertain_of(name)) is not None}
+    others = {k: name for k, name in others.items() if k not in uncertain}
     colours = {name for name in others.values() if name in MERL.names}
     bare = [name for name in others.values() if name not in MERL.names and wavelength(name) is None]
     if bare:
         wrong.append(
             f"column {', '.join(map(repr, bare[:SHOWN]))} is none of {', '.join(ANGLES)}, {WEIGHT}, a wavelength such "
-            "as 550nm or 0.55um, or R, G and B"
+            "as 550nm or 0.55um, R, G and B, or an uncertainty such as sigma_550nm"
         )
     elif colours and colours != {*MERL.names}:
         lacking = next(name for name in MERL.names if name not in colours)
         wrong.append(f"has no column {lacking}: R, G and B stand together")
     elif colours and len(colours) < len(others):
         wrong.append("has columns R, G and B beside wavelengths: leave one or the other out")
+    wrong += _misplaced({names[k]: of for k, of in uncertain.items()}, [*others.values()])
     if wrong:
         raise MerlError(f"{path}: {listed(wrong)} (found: {listed(names, ', ')})")
     degrees = {name: (k, unit) for k, (name, unit) in meant.items()}
-    if colours:
-        return Columns(degrees, MERL, [names.index(name) for name in MERL.names])
-    return Columns(degrees, spectral(path, [wavelength(name) or 0.0 for name in others.values()]), list(others))
+    bands = MERL if colours else spectral(path, [wavelength(name) or 0.0 for name in others.values()])
+    values = [names.index(name) for name in MERL.names] if colours else [*others]
+    by_value = {_value(of or names[values[0]]): k for k, of in uncertain.items()}
+    return Columns(degrees, bands, values, [by_value.get(_value(names[k])) for k in values])
+
+
+def uncertain_of(name: str) -> str | None:
+    """Of which value a column is the uncertainty; empty where it does not say, None where it is none."""
+    if re.fullmatch(SIGMA, name, re.IGNORECASE):
+        return ""
+    before = re.fullmatch(rf"{SIGMA}(?:[\s_]+|(?=[\[(]))[\[(]?(.+?)[\])]?", name, re.IGNORECASE)
+    match = before or re.fullmatch(rf"(.+?)[\s_]+{SIGMA}", name, re.IGNORECASE)
+    return match[1] if match and _value(match[1]) is not None else None
+
+
+def _value(name: str) -> str | float | None:
+    """What tells a column of values from others, however it is written; None of what is none."""
+    return name if name in MERL.names else wavelength(name)
+
+
+def _misplaced(uncertain: dict[str, str], values: list[str]) -> list[str]:
+    """Uncertainties, by the name of their column, of what the file has no values of, or of one value twice."""
+    known, wrong = [_value(name) for name in values], []
+    for name, of in uncertain.items():
+        if not of and len(values) != 1:
+            wrong.append(
+                f"column {name!r} does not say of which value: name it such as sigma_{values[0] if values else '550nm'}"
+            )
+        elif of and _value(of) not in known:
+            wrong.append(f"column {name!r} is an uncertainty of {of}, and there are no values of that")
+    of_each = [_value(of or values[0]) for of in uncertain.values() if of or len(values) == 1]
+    twice = [of for of, count in Counter(of_each).items() if count > 1]
+    return wrong + ["one value has two columns of uncertainties"] * bool(twice)
 
 
 def wavelength(name: str) -> float | None:

@@ -51,7 +51,7 @@ class Lines:
         self.delimiter = delimiter_of(line)
         self.names = cells_of(line, self.delimiter)
         self.columns = columns_of(self.path, self.names)
-        self.optional = {*self.columns.values}
+        self.optional = {*self.columns.values, *self.columns.uncertainties} - {None}
 
     def _sample(self, number: int, line: str) -> None:
         cells = cells_of(line, self.delimiter)

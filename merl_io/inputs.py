@@ -57,7 +57,7 @@ def read(
     Args:
         path: of a file, or a table of scattered directions as arrays: ``theta_i_deg``, ``theta_o_deg``, ``phi_deg``
             (N,), ``wavelengths_um`` (C,), ``values`` (N, C), 1/sr, NaN where there is no datum, and perhaps ``weight``
-            (N,), with the meanings and units of docs/tables.md.
+            (N,) and ``uncertainty`` (N, C), with the meanings and units of docs/tables.md.
         fitted_sha1: of the file that was fitted, if it must be that one. dims: as of `binary.read`.
         name: of the material, of arrays; a file's is that of the file. quantity: what the values of a table are.
 
@@ -89,7 +89,8 @@ def _as_brdf(measured: Input, quantity: Quantity) -> Input:
             f"--quantity {quantity}, which is for tables"
         )
     factor = np.cos(measured.theta_o) if quantity == "brdf_cos" else np.pi
-    return replace(measured, values=measured.values / factor, quantity=quantity)
+    uncertainty = None if measured.uncertainty is None else measured.uncertainty / factor
+    return replace(measured, values=measured.values / factor, uncertainty=uncertainty, quantity=quantity)
 
 
 def remarks(measured: Input) -> list[str]:

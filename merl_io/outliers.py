@@ -28,9 +28,10 @@ def examined(measured: ScatteredMeasurement, place: Callable[[int], str]) -> Sca
         values = np.where(outlying, np.nan, values)
         notes.append(_remark(measured, outlying, place))
     kept, bands, emptied = filled(values, measured.bands)
+    uncertainty = measured.uncertainty
     if emptied:
-        values = values[kept]
-    return replace(measured, values=values, bands=bands, notes=(*notes, *emptied))
+        values, uncertainty = values[kept], None if uncertainty is None else uncertainty[kept]
+    return replace(measured, values=values, uncertainty=uncertainty, bands=bands, notes=(*notes, *emptied))
 
 
 def hot(measured: ScatteredMeasurement) -> np.ndarray:

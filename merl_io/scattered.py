@@ -39,6 +39,8 @@ class ScatteredMeasurement:
         stated_tis: what a file says of the total integrated scatter: incidence (rad) and share of the light, in pairs.
         quantity: that the file holds, as the user declared it; values are BRDFs whatever it is.
         between: how a file of RGL's is drawn between its samples, in pictures alone.
+        uncertainty: standard uncertainties of the values that the file states (1/sr), (C, N), NaN where it states none;
+            None of a file without any.
         sha1, blob_sha1: as of `binary.Measurement`.
     """
 
@@ -58,6 +60,7 @@ class ScatteredMeasurement:
     stated_tis: tuple[tuple[float, float], ...] = ()
     quantity: Quantity = "brdf"
     between: Between | None = None
+    uncertainty: np.ndarray | None = None
     dims: None = None
     genuine: None = None
     outliers: None = None
@@ -71,6 +74,12 @@ class ScatteredMeasurement:
     def valid(self) -> np.ndarray:
         """Which values are data, (C, N)."""
         return np.isfinite(self.values)
+
+    @property
+    def fraction_uncertain(self) -> float | None:
+        """The share of the data whose uncertainty the file states; None of a file that states none."""
+        stated = self.uncertainty
+        return None if stated is None else float(np.isfinite(stated[self.valid]).mean())
 
     @property
     def colour_space(self) -> ColourSpace:
@@ -103,6 +112,10 @@ class ScatteredSamples:
         value: BRDF (1/sr), (C, S), 0 where no datum is valid. weight: (C, S), 0 there. share: see above, (S,).
         bands: of the channels. scatter: of what was taken together (`together`). between: how the file draws what
             lies between the samples.
+        uncertainty: standard uncertainties of the values (1/sr), (C, S); None where the file states none.
+        model_error: standard deviation (1/sr) that the weights assume the model to err by where a weight is 1, beside
+            these uncertainties; None without them.
+        repeatability: of a value of weight 1 the variance (1/sr^2) as repeated directions show it; 0 without any.
     """
 
     theta_h: np.ndarray
@@ -115,13 +128,16 @@ class ScatteredSamples:
     bands: Bands
     scatter: float = 0.0
     between: Between | None = None
+    uncertainty: np.ndarray | None = None
+    model_error: float | None = None
+    repeatability: float = 0.0
 
     def taken(self, rows: np.ndarray) -> "ScatteredSamples":
         """Some of them, in another order."""
         return replace(
             self, theta_h=self.theta_h[rows], theta_d=self.theta_d[rows], cos_i=self.cos_i[rows],
             cos_o=self.cos_o[rows], value=self.value[:, rows], weight=self.weight[:, rows], share=self.share[rows],
-            between=None,
+            uncertainty=None if self.uncertainty is None else self.uncertainty[:, rows], between=None,
         )  # fmt: skip
 
 
@@ -140,12 +156,18 @@ def half_difference(
 
 
 def scattered(
-    measured: ScatteredMeasurement, values: np.ndarray, weight: np.ndarray, used: np.ndarray
+    measured: ScatteredMeasurement,
+    values: np.ndarray,
+    weight: np.ndarray,
+    used: np.ndarray,
+    uncertainty: np.ndarray | None = None,
+    model_error: float | None = None,
 ) -> ScatteredSamples:
     """Samples in order, without those that have no weight in any channel.
 
     Args:
         values, weight: (C, N), anything where not used. used: which of them count, (C, N).
+        uncertainty: of the values, (C, N). model_error: that the weights assume.
     """
     some = used.any(0)
     angles = [x[some] for x in (measured.theta_i, measured.theta_o, measured.phi)]
@@ -153,6 +175,7 @@ def scattered(
     found = ScatteredSamples(
         theta_h, theta_d, np.cos(angles[0]), np.cos(angles[1]), np.where(used, values, 0.0)[:, some],
         np.where(used, weight, 0.0)[:, some], measured.share[some], measured.bands,
+        uncertainty=None if uncertainty is None else np.where(used, uncertainty, 0.0)[:, some], model_error=model_error,
     )  # fmt: skip
     pair = alike(*angles)
     found, (theta_h, theta_d, phi_d) = together(found, pair, np.stack([theta_h, theta_d, phi_d]))
@@ -183,8 +206,8 @@ def alike(theta_i: np.ndarray, theta_o: np.ndarray, phi: np.ndarray) -> np.ndarr
 def together(samples: ScatteredSamples, pair: np.ndarray, angles: np.ndarray) -> tuple[ScatteredSamples, np.ndarray]:
     """Samples of one pair of directions as one, their weighted mean.
 
-    The sum of squares splits exactly, as in `samples.fold`. RGL's isotropic files hold every value twice, on either
-    side of the plane of incidence.
+    The sum of squares splits exactly, as in `samples.fold`; what is inside the pairs is what repeated measurements
+    differ by. RGL's isotropic files hold every value twice, on either side of the plane of incidence.
 
     Args:
         pair: of each sample (`alike`). angles: (A, S), given back of those kept.
@@ -198,7 +221,14 @@ def together(samples: ScatteredSamples, pair: np.ndarray, angles: np.ndarray) ->
     light = np.stack([summed(w * v) for w, v in zip(samples.weight, samples.value, strict=True)])
     value = light / np.where(weight > 0, weight, 1.0)
     scatter = float(np.sum(samples.weight * (samples.value - value[:, pair]) ** 2))
-    kept = replace(samples.taken(first), value=value, weight=weight, share=summed(samples.share), scatter=scatter)
+    repeats = np.count_nonzero(samples.weight) - np.count_nonzero(weight)
+    kept = replace(
+        samples.taken(first), value=value, weight=weight, share=summed(samples.share), scatter=scatter,
+        repeatability=scatter / repeats if repeats else 0.0,
+    )  # fmt: skip
+    if samples.uncertainty is not None:  # of weighted means
+        squares = np.stack([summed(x) for x in (samples.weight * samples.uncertainty) ** 2])
+        kept = replace(kept, uncertainty=np.sqrt(squares) / np.where(weight > 0, weight, 1.0))
     return kept, angles[:, first]
 
 
@@ -235,4 +265,4 @@ def keep_middles(samples: ScatteredSamples, edges: np.ndarray) -> ScatteredSampl
     whole = np.add.reduceat(samples.share, edges[:-1])
     kept = samples.taken(middle)
     factor = np.where(kept.share > 0, whole / np.where(kept.share > 0, kept.share, 1.0), 0.0)
-    return replace(kept, weight=kept.weight * factor, share=whole)
+    return replace(kept, weight=kept.weight * factor, share=whole, uncertainty=None, repeatability=0.0)

@@ -3,6 +3,7 @@
 import hashlib
 import io
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from .outliers import examined
 from .scattered import ScatteredMeasurement
 from .source import MerlError, contents
 
-NAMES = (*ANGLES, "wavelengths_um", "values", WEIGHT)  # of an NPZ file's arrays
+UNCERTAINTY = "uncertainty"
+NAMES = (*ANGLES, "wavelengths_um", "values", WEIGHT, UNCERTAINTY)  # of an NPZ file's arrays; the last two may lack
 
 
 def read(path: str | Path, fitted_sha1: str | None = None) -> ScatteredMeasurement:
@@ -54,7 +56,7 @@ def read_arrays(arrays: Mapping[str, ArrayLike], name: str) -> ScatteredMeasurem
 
 
 def _measured(path: Path, read: "Read", sha1: str, blob: str) -> ScatteredMeasurement:
-    columns, values, bands, places = read
+    columns, values, uncertainty, bands, places = read
     values[~(np.abs(values) < BRIGHTEST)] = np.nan
     share = columns.get(WEIGHT, np.ones(values.shape[1]))
     if not np.any(np.isfinite(values) & (share > 0)):
@@ -62,11 +64,17 @@ def _measured(path: Path, read: "Read", sha1: str, blob: str) -> ScatteredMeasur
             f"{path}: holds no datum: every value is blank, NaN or above {BRIGHTEST:g}/sr, or has no weight"
         )
     measured = ScatteredMeasurement(path, "table", *upright(columns), values, share, bands, sha1, blob)
+    if uncertainty is not None:
+        uncertainty = np.where((uncertainty > 0) & np.isfinite(values), uncertainty, np.nan)
+        some = bool(np.isfinite(uncertainty).any())
+        notes = () if some else ("its uncertainties are all blank or 0, as if there were none",)
+        measured = replace(measured, uncertainty=uncertainty if some else None, notes=notes)
     return examined(measured, places)
 
 
-# Angles and weights by name (N,), values (C, N), bands, and where each sample stands in the file, in words.
-Read = tuple[dict[str, np.ndarray], np.ndarray, Bands, Callable[[int], str]]
+# Angles and weights by name (N,), values and their uncertainties (C, N), bands, and where each sample stands in the
+# file, in words.
+Read = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray | None, Bands, Callable[[int], str]]
 
 
 def _csv(path: Path, data: bytes) -> Read:
@@ -74,9 +82,13 @@ def _csv(path: Path, data: bytes) -> Read:
     assert lines.columns is not None
     table = np.frombuffer(lines.numbers).reshape(-1, len(lines.names)).T
     columns = {name: table[k] * unit for name, (k, unit) in lines.columns.degrees.items()}
-    wrong = lines.wrong + impossible(columns, place := lambda k: f"line {lines.lines[k]}")
+    stated, place = lines.columns.uncertainties, lambda k: f"line {lines.lines[k]}"
+    uncertainty = None
+    if stated.count(None) < len(stated):
+        uncertainty = np.stack([np.full(table.shape[1], np.nan) if k is None else table[k] for k in stated])
+    wrong = lines.wrong + impossible(columns, place) + negative(uncertainty, lines.columns.bands, place)
     refuse(path, wrong, lines.names)
-    return columns, table[lines.columns.values], lines.columns.bands, place
+    return columns, table[lines.columns.values], uncertainty, lines.columns.bands, place
 
 
 def _npz(path: Path, data: bytes) -> Read:
@@ -88,21 +100,24 @@ def _npz(path: Path, data: bytes) -> Read:
 
 
 def _of_arrays(path: Path, columns: dict[str, np.ndarray]) -> Read:
-    if missing := [name for name in NAMES if name not in columns and name != WEIGHT]:
-        raise MerlError(f"{path}: has no array {missing[0]}; it needs {', '.join(NAMES[:-1])}")
+    if missing := [name for name in NAMES[:-2] if name not in columns]:
+        raise MerlError(f"{path}: has no array {missing[0]}; it needs {', '.join(NAMES[:-2])}")
     count, channels = len(np.atleast_1d(columns[ANGLES[0]])), columns["wavelengths_um"].size
-    shapes = {**dict.fromkeys((*ANGLES, WEIGHT), (count,)), "wavelengths_um": (channels,), "values": (count, channels)}
+    shapes = {**dict.fromkeys((*ANGLES, WEIGHT), (count,)), "wavelengths_um": (channels,)}
+    shapes |= dict.fromkeys(blank := ("values", UNCERTAINTY), (count, channels))
     for name, x in columns.items():
         if x.shape != shapes[name]:
             raise MerlError(f"{path}: array {name} has shape {x.shape}, not {shapes[name]}")
-        if (bad := np.argwhere(~np.isfinite(x) & ~(np.isnan(x) & (name == "values")))).size:
+        if (bad := np.argwhere(~np.isfinite(x) & ~(np.isnan(x) & (name in blank)))).size:
             raise MerlError(f"{path}: array {name} is not a finite number at {tuple(bad[0].tolist())}")
     if not count:
         raise MerlError(f"{path}: holds no samples")
     bands = spectral(path, columns.pop("wavelengths_um").tolist())
-    values = columns.pop("values").T
-    refuse(path, impossible(columns, place := lambda k: f"sample {k + 1}"), list(columns))
-    return columns, values, bands, place
+    values, uncertainty = columns.pop("values").T, columns.pop(UNCERTAINTY, None)
+    uncertainty = None if uncertainty is None else uncertainty.T
+    wrong = impossible(columns, place := lambda k: f"sample {k + 1}") + negative(uncertainty, bands, place)
+    refuse(path, wrong, list(columns))
+    return columns, values, uncertainty, bands, place
 
 
 def impossible(columns: dict[str, np.ndarray], place: Callable[[int], str]) -> list[str]:
@@ -112,6 +127,17 @@ def impossible(columns: dict[str, np.ndarray], place: Callable[[int], str]) -> l
     if WEIGHT in columns:
         wrong += [(k, f"weight {columns[WEIGHT][k]:g} is negative") for k in np.flatnonzero(columns[WEIGHT] < 0)]
     return [f"{place(int(k))}: {why}" for k, why in sorted(wrong)]
+
+
+def negative(uncertainty: np.ndarray | None, bands: Bands, place: Callable[[int], str]) -> list[str]:
+    """Uncertainties (C, N) that are none."""
+    if uncertainty is None:
+        return []
+    return [
+        f"{place(k)}: the uncertainty of {bands.names[c]}, {uncertainty[c, k]:g}, is negative; leave it blank where "
+        "none is known"
+        for k, c in np.argwhere(uncertainty.T < 0).tolist()
+    ]
 
 
 def upright(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -77,6 +77,7 @@ def row_of_directions(m: ScatteredMeasurement) -> Row:
     names, count = m.bands.names, len(m.bands)
     many = f"{count} of {count + m.left_out}" if m.left_out else str(count)
     channels = f"{many}: {names[0]} to {names[-1]}" if count > 1 else names[0]
+    channels += " with uncertainties" if m.uncertainty is not None else ""
     theta_h = half_difference(m.theta_i, m.theta_o, m.phi)[0]
     angles = (f"{np.degrees(x.min()):.1f} {np.degrees(x.max()):.1f}" for x in (m.theta_i, m.theta_o, theta_h))
     k = int(np.argmax(np.max(np.nan_to_num(m.values, nan=-np.inf), axis=0)))

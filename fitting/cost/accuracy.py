@@ -23,13 +23,13 @@ import numpy as np
 from ...merl_io.binary import Measurement
 from ...merl_io.samples import Samples
 from ...model.two_scale import TwoScale
-from ..fit.levenberg_marquardt import Solution, compress, solve
+from ..fit.levenberg_marquardt import Solution, compress
 from ..fit.outcome import Fitted
 from ..fit.problem import Problem, make_problem
 from ..fit.residuals import Objective, predict
 from ..fit.transforms import Layout
 from ..pipeline.models import layout_for, variant
-from ..pipeline.run import GRIDS, assess, thinned
+from ..pipeline.run import assess, last_steps
 from ..results import schema, storage
 from ..settings.choice import FITTED, REFERENCE, Choice, choice_of, default_choice
 from ..settings.config import Config, ConfigError
@@ -89,9 +89,8 @@ def reference_problem(samples: Samples) -> Problem:
 
 def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
-    layout, fit = same_variant(settings, model[0]), settings.fit
-    problem = make_problem(thinned(samples, GRIDS[fit.grid]), fit.azimuths, fit.precision)
-    return layout, solve(Objective(layout, problem), model[1], fit.max_steps, backend=fit.backend)
+    layout = same_variant(settings, model[0])
+    return layout, last_steps(layout, model[1], samples, settings.fit)
 
 
 class _Try(NamedTuple):

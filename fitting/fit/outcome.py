@@ -43,7 +43,8 @@ class Fitted:
         solution: where it ended, with the cost of all bins and the normal equations of the last grid.
         costs: of all bins, by channel (C,). count: effective sample count of the residuals. errors: metrics.
         candidates: models and their variants that were compared on the coarse grid.
-        exponent: of the weights that it was made with.
+        exponent: of the weights that it was made with. model_error: that these assume beside the file's uncertainties
+            (1/sr); None where it states none.
     """
 
     layout: Layout
@@ -53,6 +54,7 @@ class Fitted:
     errors: error_metrics.Errors
     candidates: list[schema.Candidate]
     exponent: Exponent = EXPONENT
+    model_error: float | None = None
 
     @property
     def material(self) -> Reflectance:

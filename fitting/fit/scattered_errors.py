@@ -93,17 +93,22 @@ def effective_count(samples: ScatteredSamples, predicted: np.ndarray) -> float:
 
     Along no grid, that of neighbours is found by blocking (Flyvbjerg & Petersen 1989): the mean over a box of n samples
     scatters as that of n / length independent ones; of boxes of all sizes (`merl_io.scattered.order`) the largest.
+
+    With N of them a residual of weight 1 has the variance S/N. No N leaves it less than what the file states, or what
+    repeated directions show: a fit of few samples may lie nearer to them than they are to the truth.
     """
     used = samples.weight > 0
     field = np.where(used, np.sqrt(samples.weight) * (samples.value - predicted), 0.0)
     largest = np.max(np.abs(field), initial=0.0)
     if largest == 0:
         return float(used.sum())
+    noise, cost = max(samples.model_error or 0.0, np.sqrt(samples.repeatability)), float(np.sum(field**2))
     field = field / largest
     e2 = field[used] ** 2
     participation = min(3 * e2.sum() ** 2 / np.sum(e2**2), e2.size)
     lengths = blocking_length(field) * correlation_length(field, used, 0)
-    return float(max(participation / lengths, 1.0))
+    known = cost / noise**2 if noise > 0 else np.inf
+    return float(max(min(participation / lengths, known), 1.0))
 
 
 def blocking_length(field: np.ndarray) -> float:

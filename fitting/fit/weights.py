@@ -7,6 +7,15 @@ of the error of log(1 + m cos_i), (cos_i / (1 + m cos_i))^2, to first order in t
 
 Directions beyond ``theta_max`` have no weight: past 80 degrees the apparatus fails, every published metric leaves those
 bins out, and they would carry most of the cost.
+
+Least squares with weights w is the likelihood of residuals of variance tau^2 / w: so HP17's weight states how a model's
+error grows with the value. Where a file states standard uncertainties s, noise of variance s^2 is added to that, and
+the weight that belongs to the sum is
+
+    1 / (1/w + s^2 / tau^2),
+
+w where the model errs by much more than the noise, and the inverse variance of the noise where it errs by much less.
+tau is found with the fit (`model_error`), as two laboratories' hidden difference is (Paule & Mandel 1982).
 """
 
 from collections.abc import Callable
@@ -14,6 +23,7 @@ from dataclasses import replace
 from typing import overload
 
 import numpy as np
+from scipy.optimize import root_scalar
 
 from ...merl_io.binary import Measurement
 from ...merl_io.grid import MerlGrid, merl_grid
@@ -23,6 +33,8 @@ from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples, scatter
 from ..support.choices import EXPONENT, THETA_MAX, Exponent
 from ..support.threads import side_by_side
 
+FIRST_SHARE = 0.01  # of the weighted energy: what a model is taken to leave before any fit has shown it
+LEAST_ERROR = 0.1  # of a model, in typical uncertainties: less than that changes no weight by more than a hundredth
 TOLD, HALF_NORMAL = 5.0, 0.6745  # standard deviations of noise; the median of what is below zero, in one of them
 
 
@@ -66,18 +78,21 @@ def within(grid: MerlGrid, theta_max: float) -> np.ndarray:
 
 @overload
 def weighted_samples(
-    measurement: Measurement, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX
+    measurement: Measurement,
+    exponent: Exponent = EXPONENT,
+    theta_max: float = THETA_MAX,
+    model_error: float | None = None,
 ) -> Samples: ...
 
 
 @overload
 def weighted_samples(
-    measurement: Input, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX
+    measurement: Input, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX, model_error: float | None = None
 ) -> Samples | ScatteredSamples: ...
 
 
 def weighted_samples(
-    measurement: Input, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX
+    measurement: Input, exponent: Exponent = EXPONENT, theta_max: float = THETA_MAX, model_error: float | None = None
 ) -> Samples | ScatteredSamples:
     """Folded samples of a file, or those of scattered directions, with their weights.
 
@@ -85,9 +100,10 @@ def weighted_samples(
 
     Args:
         exponent: exponent of the compressive weight, or ``log``. theta_max: of light and viewer (rad).
+        model_error: tau (1/sr), where the file states uncertainties; None before any fit.
     """
     if isinstance(measurement, ScatteredMeasurement):
-        return _scattered_samples(measurement, exponent, theta_max)
+        return _scattered_samples(measurement, exponent, theta_max, model_error)
     grid = merl_grid(measurement.dims)
     used = measurement.valid & within(grid, theta_max) & (grid.weight > 0)
     bin_weight, cos_i = grid.weight[used], np.maximum(grid.cos_i[used], 0.0)
@@ -105,8 +121,10 @@ def weighted_samples(
     return replace(planes[0], value=value, weight=weight, scatter=scatter, bands=measurement.bands)
 
 
-def _scattered_samples(measurement: ScatteredMeasurement, exponent: Exponent, theta_max: float) -> ScatteredSamples:
-    """A sample weighs its share times the weight of its value."""
+def _scattered_samples(
+    measurement: ScatteredMeasurement, exponent: Exponent, theta_max: float, model_error: float | None
+) -> ScatteredSamples:
+    """A sample weighs its share times the weight of its value, less what its uncertainty takes from that."""
     low = np.maximum(measurement.theta_i, measurement.theta_o) > theta_max
     used = measurement.valid & ~low & (measurement.share > 0)
     weigh = _logarithmic if exponent == "log" else _compressive(float(exponent))
@@ -114,7 +132,54 @@ def _scattered_samples(measurement: ScatteredMeasurement, exponent: Exponent, th
     for plane, counted, found in zip(measurement.values, used, weight, strict=True):
         if counted.any():
             found[counted] = measurement.share[counted] * weigh(plane[counted], np.cos(measurement.theta_i[counted]))
-    return scattered(measurement, measurement.values, weight, used)
+    if measurement.uncertainty is None or not np.any(used & np.isfinite(measurement.uncertainty)):
+        return scattered(measurement, measurement.values, weight, used)
+    weight /= np.mean(measurement.share[used.any(0)])
+    if model_error is None:
+        model_error = float(np.sqrt(FIRST_SHARE * np.mean(weight[used] * measurement.values[used] ** 2)))
+    uncertainty = completed(measurement.uncertainty, measurement.values, used)
+    weight[used] /= 1 + weight[used] * (uncertainty[used] / model_error) ** 2
+    return scattered(measurement, measurement.values, weight, used, uncertainty, model_error)
+
+
+def completed(uncertainty: np.ndarray, values: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """Uncertainties (C, N) of all values that are used, also where the file states none (NaN).
+
+    There stands the larger one of the channel's median and of its median share of the value: of all channels, where one
+    has none.
+    """
+    found = uncertainty.copy()
+    stated = used & np.isfinite(uncertainty)
+    for channel, own in enumerate(stated):
+        those = stated if not own.any() else stated & (np.arange(len(stated)) == channel)[:, None]
+        share = np.median(uncertainty[those] / np.maximum(np.abs(values[those]), 1e-300))
+        usual = np.maximum(np.median(uncertainty[those]), share * np.abs(values[channel]))
+        found[channel] = np.where(own, uncertainty[channel], usual)
+    return found
+
+
+def found_error(samples: ScatteredSamples, predicted: np.ndarray, free: int) -> float:
+    """What a model errs by (1/sr) at the weight 1, after a fit: with it and the noise chi^2 is its expectation.
+
+    Args:
+        samples: with uncertainties. predicted: of them, (C, S). free: numbers that were fitted.
+    """
+    assert samples.uncertainty is not None
+    assert samples.model_error is not None
+    used = samples.weight > 0
+    noise, squares = samples.uncertainty[used] ** 2, (samples.value - predicted)[used] ** 2
+    of_both = 1 / samples.weight[used]
+    of_model = np.maximum(of_both - noise / samples.model_error**2, 1e-12 * of_both)  # the first w's inverse, rounded
+    expected = max(len(squares) - free, 1)
+    least = LEAST_ERROR * float(np.sqrt(np.median(noise / of_model)))
+    most = float(np.sqrt(np.sum(squares / of_model) / expected))
+
+    def excess(log: float) -> float:
+        return float(np.sum(squares / (np.exp(2 * log) * of_model + noise))) / expected - 1
+
+    if most <= least or excess(np.log(least)) <= 0:
+        return least
+    return float(np.exp(root_scalar(excess, bracket=(np.log(least), np.log(most)), xtol=1e-4).root))
 
 
 Weigh = Callable[[np.ndarray, np.ndarray], np.ndarray]

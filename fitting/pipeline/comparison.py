@@ -141,7 +141,13 @@ def published_row(material: str, source: str, genuine: bool, errors: error_metri
 
 
 def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:
-    """With the effective count of the fit of the lowest cost, which the others are compared by, too."""
+    """With the effective count of the fit of the lowest cost, which the others are compared by, too.
+
+    Where a file states uncertainties, every model has weights of its own (`weights.found_error`), and no cost that
+    could be compared: there is no BIC.
+    """
+    if any(r.fit.model_error is not None for r in results.values()):
+        return rows
     known = [(r.fit.cost, r.fit.effective_bins) for r in results.values() if r.fit.cost and r.fit.effective_bins]
     count = min(known)[1] if known else 1.0
     return [row if row.origin != FIT else replace(row, bic=bic(row.cost, row.numbers, count)) for row in rows]

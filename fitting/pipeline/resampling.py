@@ -40,7 +40,7 @@ def resample(
     clock, config = Clock(), parse(result.config, str(path))
     report("reading")
     measurement = result.source.read(file)
-    samples = weighted_samples(measurement, result.fit.weights, config.fit.theta_max)
+    samples = weighted_samples(measurement, result.fit.weights, config.fit.theta_max, result.fit.model_error)
     # the result's model, and not the settings': it may have been carried on with other ones
     layout = layout_for(config, result.model.measured, result.model.bands)
     chain = chain_of(path)

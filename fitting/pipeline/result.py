@@ -25,6 +25,8 @@ from ..support.weighted import quantiles
 if TYPE_CHECKING:  # the sampler's libraries take a second to load
     from ..posterior.sampling import Sampled
 
+OVERSTATED, LEAST_EXPECTED = 0.7, 30  # times stated uncertainties: smaller residuals are told; of so many at least
+
 
 def make_result(
     measurement: Input,
@@ -40,7 +42,7 @@ def make_result(
         path=str(measurement.path), material=measurement.name, sha1=measurement.sha1,
         format=measurement.format, git_blob_sha1=measurement.blob_sha1, genuine_merl=measurement.genuine,
         dims=measurement.dims, fraction_valid=float(measurement.valid.mean()), outliers=measurement.outliers,
-        quantity=measurement.quantity,
+        quantity=measurement.quantity, fraction_uncertain=measurement.fraction_uncertain,
     )  # fmt: skip
     bins = int(np.any(samples.weight > 0, axis=0).sum())
     common = {
@@ -62,8 +64,11 @@ def make_result(
         status=fitted.status.name, message=said(fitted.status, measurement), succeeded=fitted.status.succeeded,
         cost=s.cost, cost_per_channel=fitted.costs.tolist(), folding_scatter=samples.scatter / unit,
         steps=s.steps, relative_offset=storage.finite(s.offset), bins=bins, candidates=fitted.candidates,
-        weights=fitted.exponent, effective_bins=round(fitted.count, 2),
-        cautions=cautions(fitted, config.fit.weights) + unread(measurement) + remarks(measurement),
+        weights=fitted.exponent, effective_bins=round(fitted.count, 2), model_error=fitted.model_error,
+        cautions=[
+            *cautions(fitted, config.fit.weights), *overstated(fitted, samples), *unread(measurement),
+            *remarks(measurement),
+        ],
     )  # fmt: skip
     errors = schema.Metrics(**{name: storage.finite(x) for name, x in asdict(fitted.errors).items()})
     found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)
@@ -74,6 +79,20 @@ def make_result(
     )  # fmt: skip
     more = {} if sampled is None else posterior_parts(result.parameters, fitted, sampled, measurement.name)
     return result.model_copy(update={"numbers_sha1": result.digest, **more})
+
+
+def overstated(fitted: Fitted, samples: Samples | ScatteredSamples) -> list[str]:
+    """A line where residuals are far smaller than the uncertainties that the file states."""
+    if fitted.model_error is None:
+        return []
+    expected = np.count_nonzero(samples.weight) - fitted.layout.size
+    squares = fitted.solution.cost * energy(samples) / fitted.model_error**2  # in units of what is expected of each
+    if expected < LEAST_EXPECTED or squares > OVERSTATED**2 * expected:
+        return []
+    return [
+        f"the file's uncertainties are {(expected / squares) ** 0.5:.2g} times as large as the residuals: are they "
+        "expanded ones (k = 2), or errors that all values share? Standard uncertainties (k = 1) of the noise are wanted"
+    ]
 
 
 def unread(measurement: Input) -> list[str]:

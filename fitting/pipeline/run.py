@@ -32,10 +32,10 @@ from ..fit.residuals import predict_samples as predicted_by
 from ..fit.selection import ENOUGH, choose, choose_sum, nearest, score
 from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
-from ..fit.weights import weighted_samples
+from ..fit.weights import found_error, weighted_samples
 from ..results import schema, storage
 from ..settings.config import Config
-from ..settings.sections import AUTO
+from ..settings.sections import AUTO, FitSection
 from ..support.choices import THETA_MAX
 from ..support.clock import Clock, Report, silent
 from ..support.threads import CORES, one_core_a_call
@@ -59,6 +59,7 @@ FIRST_ROUND_EACH, FIRST_ROUND, SECOND_ROUND = 3, 6, 14  # the first: for each of
 # Relative offset at which a round's points go no further: by another step they would lower the cost by 0.25 or 0.01 %.
 OFFSET_EARLY, OFFSET_LATE = 0.05, 0.01
 MARGINS = 1.6, 1.3  # times the lowest after the first and after the second round: who is so much behind gives up
+MOST_ROUNDS, SAME_ERROR = 4, 0.05  # of weights with what the model errs by, and a change of it that ends them
 APART = 0.3  # in standard deviations of the prior: points nearer to each other are on the way to the same minimum
 Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, schema.Accuracy | None]]
 
@@ -93,8 +94,8 @@ def fit_file(
             config = settings_for_scattered(measurement.path, config, *(["--accuracy"] if finish else []))
         samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
-    if fitted is not None and fitted.exponent != config.exponents[0]:
-        samples = weighted_samples(measurement, fitted.exponent, config.fit.theta_max)
+    if fitted is not None and (fitted.exponent, fitted.model_error) != (config.exponents[0], None):
+        samples = weighted_samples(measurement, fitted.exponent, config.fit.theta_max, fitted.model_error)
     if fitted is not None and finish is not None and isinstance(measurement, Measurement):
         assert isinstance(samples, Samples)
         with clock.stage("accuracy"):
@@ -181,13 +182,26 @@ def descend(
     for k, exponent in enumerate(config.exponents):
         with clock.stage("full"):
             own = samples if k == 0 else weighted_samples(measurement, exponent, settings.theta_max)
-            problem = make_problem(thinned(own, GRIDS[settings.grid]), settings.azimuths, settings.precision)
-            solution = solve(Objective(layout, problem), z, settings.max_steps, backend=settings.backend)
+            solution = last_steps(layout, z, own, settings)
+            for _ in range(MOST_ROUNDS):
+                if not isinstance(own, ScatteredSamples) or own.model_error is None:
+                    break
+                error = found_error(own, predict_samples(layout, solution.z, own), layout.size)
+                if abs(np.log(error / own.model_error)) < SAME_ERROR:
+                    break
+                own = weighted_samples(measurement, exponent, settings.theta_max, error)
+                solution = last_steps(layout, solution.z, own, settings)
             z = solution.z
         if settings.weights == "adaptive" or k == len(config.exponents) - 1:
             with clock.stage("metrics"):
                 found.append(replace(assess(layout, solution, measurement, own, settings.theta_max), exponent=exponent))
     return found
+
+
+def last_steps(layout: Layout, z: np.ndarray, samples: AnySamples, settings: FitSection) -> Solution:
+    """Where a fit comes to from here on its last grid."""
+    problem = make_problem(thinned(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
+    return solve(Objective(layout, problem), z, settings.max_steps, backend=settings.backend)
 
 
 UNGRIDDED = {  # what there is not without a grid, by the option that asks for it
@@ -294,7 +308,8 @@ def assess(
     predicted = predict_samples(layout, solution.z, samples)
     errors, costs = assess_prediction(predicted, measurement, samples, theta_max)
     whole = replace(solution, cost=float(costs.sum()))
-    return Fitted(layout, whole, costs, count_of(samples, predicted), errors, [])
+    error = samples.model_error if isinstance(samples, ScatteredSamples) else None
+    return Fitted(layout, whole, costs, count_of(samples, predicted), errors, [], model_error=error)
 
 
 def fit_coarse(

@@ -136,6 +136,15 @@ class Result(Strict):
             return f"{origin} (stated, not checked)"
         return UNSAID if self.source.format == "MERL" else UNSAID_SCATTERED
 
+    @property
+    def uncertainty_words(self) -> str:
+        """Where the uncertainties of the file's values are from, and what the model is taken to err by beside them."""
+        stated, error = self.source.fraction_uncertain, self.fit.model_error
+        if stated is None or error is None:
+            return "none given; how far residuals count is found from their own size and likeness (docs/statistics.md)"
+        some = "" if stated == 1 else f" for {stated:.1%} of the values, the channel's median for the others"
+        return f"given by the file{some}; beside them the model is taken to err by {error:.3g} 1/sr at the weight 1"
+
     def values(self, flat: np.ndarray | None = None) -> dict[str, Any]:
         """Values by parameter name, arrays for those per channel: what the model takes.
 

@@ -57,6 +57,9 @@ class Fit(Strict):
     """Models and their variants that were compared."""
     weights: float | Literal["log"] | None = None
     """Exponent of the compressive weight that the fit was made with, or ``log``."""
+    model_error: float | None = None
+    """Standard deviation (1/sr) that the model is taken to err by, where the weight is 1, beside the uncertainties that
+    the file states: found with the fit (docs/statistics.md); null where it states none."""
     cautions: Many[str] = []  # noqa: RUF012 - pydantic copies it
     """What a user of the parameters should know, in words."""
 

@@ -39,6 +39,8 @@ class Source(Strict):
     """Share of the bins that hold a datum in every channel; of scattered directions that of values that are data."""
     outliers: int | None
     """Number of valid bins that are very much brighter than their neighbours; null of scattered directions."""
+    fraction_uncertain: float | None = None
+    """Share of the data whose uncertainty the file states; null of a file that states none."""
 
     quantity: Quantity = "brdf"
     """What the file's numbers are, as the user declared it; everything here is of BRDFs."""

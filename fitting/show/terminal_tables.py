@@ -150,6 +150,8 @@ def print_result(console: Console, result: Result) -> None:
     if result.model is None:
         console.print(f"{f.status}: {f.message}")
         return
+    if s.fraction_uncertain is not None:
+        console.print(f"uncertainties: {result.uncertainty_words}")
     console.print(fitted_line(result.model))
     console.print(parameter_table(result))
     console.print(f"{f.status}: {f.message}")

@@ -60,6 +60,34 @@ def test_a_blank_cell_is_no_datum_and_the_others_count(cell, tmp_path):
     np.testing.assert_array_equal(inputs.read(archive(tmp_path / "gaps.npz", values=values)).values, values.T)
 
 
+@pytest.mark.parametrize(
+    "names", ["sigma_550nm,u_650nm", "550nm_std,650nm uncertainty", "unc(0.55um),SD [650nm]"], ids=lambda names: names
+)
+def test_uncertainties_stand_beside_their_values(names, tmp_path):
+    """Blank and zero are none given, in CSV and NPZ; another quantity divides them, too."""
+    target, head = tmp_path / "plate.csv", "theta_i_deg,theta_o_deg,phi_deg,650nm,550nm,"
+    target.write_text(f"{head}{names}\n0,30,0,1,2,0.2,0.1\n0,40,0,3,4,,0.3\n0,50,0,5,,0.6,0\n")
+    found, expected = inputs.read(target), [[0.1, 0.3, np.nan], [0.2, np.nan, np.nan]]
+    assert found.bands.names == ("650nm", "550nm")
+    np.testing.assert_array_equal(found.uncertainty, expected)
+    assert found.fraction_uncertain == 3 / 5
+    assert row_of_directions(found)[3].endswith("with uncertainties")
+    factor = inputs.read(target, quantity="reflectance_factor")
+    np.testing.assert_allclose(factor.uncertainty, np.array(expected) / np.pi)
+    three = np.array([[0.1, 0.2, 0], [0.3, 0, np.nan], [0, 0.2, 0.1]])
+    stated = inputs.read(archive(tmp_path / "made.npz", uncertainty=three)).uncertainty
+    np.testing.assert_array_equal(stated, np.where(three > 0, three, np.nan).T)
+    nothing = inputs.read(archive(tmp_path / "nothing.npz", uncertainty=np.zeros((3, 3))))
+    assert nothing.uncertainty is None
+    assert "its uncertainties are all blank or 0" in nothing.notes[0]
+
+
+def test_one_value_needs_no_name_for_its_uncertainty(tmp_path):
+    target = tmp_path / "one.csv"
+    target.write_text("theta_i_deg,theta_o_deg,phi_deg,633nm,sigma\n0,30,0,1,0.1\n0,40,0,1,0.2\n")
+    np.testing.assert_array_equal(inputs.read(target).uncertainty, [[0.1, 0.2]])
+
+
 def test_rgb_and_weights(tmp_path):
     target = tmp_path / "rgb.csv"
     target.write_text("weight,theta_i_deg,theta_o_deg,phi_deg,R,G,B\n2,0,30,0,1,2,3\n0.5,10,20,0,1,2,3\n")
@@ -112,6 +140,17 @@ def test_what_check_says(file):
         (TEXT.replace("60,10", "-90,10"), "line 5: theta_i_deg -90 is not in"),
         ("theta_i_deg,theta_o_deg,phi_deg,weight,500nm\n0,10,0,-1,1\n", "line 2: weight -1 is negative"),
         ("theta_i_deg,theta_o_deg,phi_deg,500nm\n0,10,0,nan\n", "holds no datum"),
+        (
+            "theta_i_deg,theta_o_deg,phi_deg,500nm,sigma\n0,10,0,1,-1\n",
+            "line 2: the uncertainty of 500nm, -1, is negative; leave it blank where none is known",
+        ),
+        (TEXT.replace("650.5nm", "sigma_550nm").replace("0.25", "x"), "sigma_550nm is 'x', not a finite number; leave"),
+        (TEXT.replace("650.5nm", "sigma"), "column 'sigma' does not say of which value: name it such as sigma_450nm"),
+        (TEXT.replace("650.5nm", "u_R"), "column 'u_R' is an uncertainty of R, and there are no values of that"),
+        (
+            "theta_i_deg,theta_o_deg,phi_deg,500nm,sigma,500nm_std\n0,10,0,1,1,1\n",
+            "one value has two columns of uncertainties",
+        ),
         ("theta_i_deg,theta_o_deg,phi_deg\n0,10,0\n", "has no column of values"),
         (HEAD + "\n", "it has no lines of numbers"),
         ("", "it has no line of names"),
@@ -140,6 +179,8 @@ def test_a_bad_table_gets_one_line_that_names_it(text, words, tmp_path):
         ({"values": np.ones((3, 3), complex)}, "array values holds no real numbers"),
         ({"wavelengths_um": np.array([0.5, 0.5, 0.6])}, "wavelength 500nm is there twice"),
         ({"weight": np.array([1.0, 2.0])}, "array weight has shape (2,), not (3,)"),
+        ({"uncertainty": np.ones(3)}, "array uncertainty has shape (3,), not (3, 3)"),
+        ({"uncertainty": -np.ones((3, 3))}, "sample 1: the uncertainty of 450nm, -1, is negative"),
         ({"theta_i_deg": np.array([0.0, 90, 3])}, "sample 2: theta_i_deg 90 is not in (-90, 90)"),
     ],
 )
