@@ -62,6 +62,18 @@ class Geometry(eqx.Module):
         return jnp.clip(safe_divide(self.projected_dot, sin_i * sin_o), -1.0, 1.0)
 
     @property
+    def mirrored(self) -> "Geometry":
+        """The same with the viewer mirrored about the normal, which the half vector then is where light goes back.
+
+        cos^2 theta_d' = sin^2 theta_d + cos_i cos_o, tan^2 theta_h' = (4 sin^2 theta_d - (cos_i - cos_o)^2) / (cos_i +
+        cos_o)^2: no difference of nearly equal numbers but near the horizon.
+        """
+        sin2_d, product = jnp.sin(self.theta_d) ** 2, self.cos_i * self.cos_o
+        across = safe_sqrt(4 * sin2_d - (self.cos_i - self.cos_o) ** 2)
+        theta_d = jnp.arctan2(safe_sqrt(1 - sin2_d - product), safe_sqrt(sin2_d + product))
+        return Geometry(jnp.arctan2(across, self.cos_i + self.cos_o), theta_d, self.cos_i, self.cos_o)
+
+    @property
     def theta_i(self) -> Array:
         """Angle between normal and light (rad)."""
         return safe_acos(self.cos_i)

@@ -35,7 +35,8 @@ class Parameter:
         per_channel: one value per colour channel.
         quantity: field of :class:`merlfit.model.priors.Priors` with its prior, if that is not of its own name.
         source: where the parameter is defined.
-        prior: log-normal one of the parameter itself, if it has none in :class:`merlfit.model.priors.Priors`.
+        prior: log-normal one of the parameter itself, or of its odds, if it is none of
+            :class:`merlfit.model.priors.Priors`.
         alike: whether it is nearly the same in all channels: then the prior in the middle one is its own, that in the
             others of the ratio to the middle one (``Priors.dispersion``).
         shift: by how much the logarithm of the prior's median moves with the values of other parameters, none of which

@@ -21,6 +21,7 @@ from ...model.measured import Measured
 from ...model.ndf.epd import HALF
 from ...model.parameters import WHICH_BODY
 from ...model.reflectance import Reflectance
+from ...model.rivals.ashikhmin_shirley import coupled_body
 from ...model.sum import Sum, lowest, over
 
 TYPICAL = {"p": 1.0, "b": 2.0, "c": 1.5, "sigma_s": 0.03}  # of a two-scale material, where fits start
@@ -218,6 +219,29 @@ def _weighted(weight: str, least: float, most: float, starts: Starts) -> Callabl
     return hints
 
 
+def _scatter(weight: str, power: int, start: Callable[[float], Start]) -> Callable[[Any], Hints]:
+    """Hints for a lobe of the distance x to the mirror direction, about 2 tan(theta_h), whose half is given.
+
+    Args:
+        power: of the parameter ``weight`` is the lobe's height.
+    """
+    tried = {weight: np.geomspace(1e-6, 1e3, 46) ** (1 / power)}
+
+    def hints(model: Any) -> Hints:  # noqa: ANN401
+        body, fixed = (None, ()) if model.diffuse == "none" else (bodies.lambert_of, (("diffuse_albedo", 0.0),))
+        reflectance = _alone if power == 1 else _squared
+        linear = LinearParameters(
+            model, ((weight, 1.0), *fixed), tried, reflectance, False, body, None, "diffuse_albedo"
+        )
+        return Hints(lambda data, _: [start(2 * data.half_width)], linear=linear)
+
+    return hints
+
+
+def _squared(cos_d: Array, **weight: Array) -> Array:
+    return _alone(cos_d, **weight) ** 2
+
+
 def _alone(cos_d: Array, **weight: Array) -> Array:
     """The weight, whatever the angle."""
     return next(iter(weight.values())) * jnp.ones_like(cos_d)
@@ -283,6 +307,32 @@ def _shoulder(half_width: float) -> Start:
     return {"alpha": min(half_width / 1.2, 1.5)}
 
 
+def _ashikhmin_shirley(model: Any) -> Hints:  # noqa: ANN401
+    """Exactly separated: a surface that reflects everything has no body."""
+    fixed = (("F0", 1.0), ("albedo", 0.0))
+    linear = LinearParameters(model, fixed, FACETS, schlick_of_F0, False, coupled_body, "F0")
+    return Hints(lambda data, _: [_phong(data.half_width)], linear=linear)
+
+
+def _phong(half_width: float) -> Start:
+    """cos^n is a half where n tan^2 is 2 ln 2, about."""
+    return {"exponent": float(np.clip(2 * np.log(2.0) / half_width**2, 1.5, 8e5))}
+
+
+def _principled(rough: str, metal: str) -> Callable[[Any], Hints]:
+    """Hints for Disney's model and those after it: a dielectric, or a metal; the highlight is the base's or the coat's.
+
+    Args:
+        rough: name of the square root of alpha. metal: that of the weight of the metal.
+    """
+
+    def starts(data: StartHints, middle_um: float) -> list[Start]:
+        found = {rough: float(np.clip(np.sqrt(data.half_width / 0.644), 0.04, 0.95))}
+        return [{**found, metal: 0.02}, {**found, metal: 0.9}, {rough: min(2.5 * found[rough], 0.9), metal: 0.02}]
+
+    return lambda model: Hints(starts, {rough: 3})
+
+
 # Where lobes are at half their peak, with t the tangent of theta_h there: t = m sqrt(ln 2), about, for Beckmann's;
 # t = alpha sqrt(sqrt(2) - 1) for GGX. At C = 1 an ABC lobe is where B times its argument is 1: 1 - cos(theta_h) for
 # microfacets, the square of D_p, about twice the tangent, for the smooth model.
@@ -301,5 +351,21 @@ _BY_NAME: dict[str, Callable[[Any], Hints]] = {
     "he": _weighted("albedo", 0.003, 300.0, _he_starts),
     "sgd": lambda model: Hints(lambda data, _: [_shoulder(data.half_width)], {"alpha": 3, "p": 2}),
     "hp15": _hp15,
+    "student-t": _microfacets(lambda t: {"alpha": min(t / 0.644, 0.99)}),
+    "ward": _weighted("albedo", 0.003, 1.95, lambda data, _: [{"alpha": min(data.half_width / 0.833, 1.4)}]),
+    "blinn-phong": _weighted("albedo", 0.003, 1.95, lambda data, _: [_phong(data.half_width)]),
+    "lafortune": _weighted(
+        "albedo",
+        0.003,
+        1.95,
+        lambda data, _: [{"exponent": float(np.clip(np.log(2.0) / (2 * data.half_width**2), 0.6, 8e5)), "C": 1.0}],
+    ),
+    "ashikhmin-shirley": _ashikhmin_shirley,
+    "retro": _weighted("k_r", 0.003, 0.95, lambda data, _: [{"alpha": 0.15}]),
+    "abg": _scatter("A", 1, lambda x: {"B": min(x**2, 5.0), "g": 2.0}),
+    "harvey-shack": _scatter("b0", 1, lambda x: {"L": min(x / 1.7, 1.5), "s": 2.0}),
+    "k-correlation": _scatter("sigma", 2, lambda x: {"B": 1.0 / min(x, 2.0), "s": 2.5}),
+    "disney": _principled("roughness", "metallic"),
+    "openpbr": _principled("specular_roughness", "base_metalness"),
     "oren-nayar": _oren_nayar,
 }

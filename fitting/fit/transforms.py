@@ -223,7 +223,7 @@ class Layout:
         for k, q in enumerate(self.entries):
             prior = LogNormal(1.0, np.e)  # of no use to a uniform one
             if q.quantity == ODDS:
-                prior, low, high = self.priors.odds, _log_odds(q.lower), _log_odds(q.upper)
+                prior, low, high = self.log_normal(q), _log_odds(q.lower), _log_odds(q.upper)
             elif q.scale == "log":
                 prior = self.priors.dispersion if q.alike and k in moved else self.log_normal(q)
                 low, high = np.log(q.lower - q.offset), np.log(q.upper - q.offset)
@@ -299,7 +299,10 @@ class Layout:
         tied = ", one value for all channels" if own.tied and parameter.per_channel else ""
         bounds = f"in [{parameter.lower:g}, {parameter.upper:g}]"
         if parameter.quantity == ODDS:
-            odds, cut = self.priors.odds, "" if (parameter.lower, parameter.upper) == (0.0, 1.0) else f"; {bounds}"
+            odds, cut = (
+                self.log_normal(parameter),
+                "" if (parameter.lower, parameter.upper) == (0.0, 1.0) else f"; {bounds}",
+            )
             said = f"{parameter.name}/(1 - {parameter.name}) log-normal, {odds.median:g} times or over {odds.factor:g}"
             return said + cut + tied
         if parameter.scale == "linear":

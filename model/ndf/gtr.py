@@ -1,9 +1,8 @@
 """Generalised Trowbridge-Reitz (GTR) distribution of microfacet normals (Burley 2012, HP15 Table 1)."""
 
 import jax.numpy as jnp
-from jax import Array
 
-from ..numerics import Real, Scalar
+from ..numerics import Real, Scalar, expm1_over
 
 
 def slopes(squared: Real, alpha: Scalar, gamma: Scalar | float) -> Real:
@@ -17,14 +16,7 @@ def slopes(squared: Real, alpha: Scalar, gamma: Scalar | float) -> Real:
 def constant(alpha: Scalar, gamma: Scalar | float) -> Real:
     """What normalises it: u expm1(L) / (pi expm1(u L)), L = log alpha^2, u = 1 - gamma; u = 0 is no exception."""
     L = 2 * jnp.log(alpha)
-    return _expm1_over(L) / (_expm1_over((1 - gamma) * L) * jnp.pi)
-
-
-def _expm1_over(x: Array) -> Array:
-    """(e^x - 1) / x, 1 at 0."""
-    small = jnp.abs(x) < 1e-4
-    kept = jnp.where(small, 1.0, x)
-    return jnp.where(small, 1 + x / 2 * (1 + x / 3), jnp.expm1(kept) / kept)
+    return expm1_over(L) / (expm1_over((1 - gamma) * L) * jnp.pi)
 
 
 def D(theta_h: Real, alpha: Scalar, gamma: Scalar | float) -> Real:

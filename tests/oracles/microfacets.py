@@ -48,6 +48,13 @@ def epd(theta, beta, p):
     return p / (math.pi * beta**2 * math.gamma(1 / p)) * math.exp(-((x / beta**2) ** p)) / math.cos(theta) ** 4
 
 
+def student_t(theta, alpha, gamma):
+    """Ribardiere et al. 2017, Eq. 10."""
+    x = math.tan(theta) ** 2
+    p22 = (gamma - 1) ** gamma * alpha ** (2 * gamma - 2) / (math.pi * ((gamma - 1) * alpha**2 + x) ** gamma)
+    return p22 / math.cos(theta) ** 4
+
+
 def smith_G1(cos_o, D, narrow):
     """By the definition; ``narrow``: a typical slope. 1e-7."""
     sin_o = math.sqrt(1 - cos_o**2)

@@ -12,6 +12,7 @@ from merlfit.model.rivals.epd import EPD
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.rivals.gtr import GTR
 from merlfit.model.rivals.sgd_microfacet import SGDMicrofacet
+from merlfit.model.rivals.student_t import StudentT
 from merlfit.model.two_scale import TwoScale
 
 from tests.oracles import microfacets as oracle
@@ -33,6 +34,8 @@ CASES = {  # widths, the oracle's D, a typical slope, accuracy of our masking
     "gtr, light tail": (GTR(), {"alpha": 0.6, "gamma": 6.0}, oracle.gtr, 0.3, 2e-7),
     "sgd": (SGDMicrofacet(), {"alpha": 0.1, "p": 0.7}, oracle.sgd, 0.1, 2e-7),
     "sgd, narrow": (SGDMicrofacet(), {"alpha": 0.005, "p": 1.6}, oracle.sgd, 0.005, 2e-7),
+    "student-t": (StudentT(), {"alpha": 0.2, "gamma": 2.6}, oracle.student_t, 0.2, 2e-7),
+    "student-t, light tail": (StudentT(), {"alpha": 0.4, "gamma": 12.0}, oracle.student_t, 0.4, 2e-7),
     "epd": (EPD(), {"beta": 0.2, "p": 0.6}, oracle.epd, 0.2, 1e-8),
 }
 ANGLES = np.radians([5, 40, 70, 85, 89])
@@ -91,6 +94,14 @@ def test_exact_reflectances_are_those_of_the_oracle(fresnel):
     given = zip(*constants.values(), strict=True)
     expected = [oracle.reflectance(i, o, *(x if len(x) == 2 else (*x, 0.0))) for x in given]
     np.testing.assert_allclose(found / lobe, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("gamma", [1.7, 2.0, 8.0])
+def test_students_masking_has_the_mean_slope_of_its_distribution(gamma):
+    """G1 tends to pi cot(theta) over the mean slope, whose tail the oracle's range would cut off at 1.7."""
+    mean = math.sqrt(gamma - 1) * 0.2 * math.gamma(1.5) * math.gamma(gamma - 1.5) / math.gamma(gamma - 1)
+    found = float(jax.jit(StudentT().G1)(np.asarray(1e-6), {"alpha": np.asarray(0.2), "gamma": np.asarray(gamma)}))
+    assert found == pytest.approx(1e-6 * math.pi / mean, rel=1e-4)
 
 
 def random_pairs(count=40):
