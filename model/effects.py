@@ -15,7 +15,7 @@ Masking = Literal["smith", "height_correlated", "none"]
 Diffraction = Literal["off", "lobe", "quadrature", "exact"]
 Split = Literal["printed", "conserving", "free"]
 Colour = Literal["rayleigh_rice", "fresnel"]
-Index = Literal["usual", "complex", "real"]
+Index = Literal["usual", "complex", "real", "film"]
 Body = Literal["none", "lambert", "plastic", "subsurface", "any"]
 Kind = tuple[Index, Body]
 Same = TypeVar("Same", bound="Effects")
@@ -23,6 +23,8 @@ KINDS: tuple[Kind, ...] = (
     ("complex", "none"), ("real", "lambert"), ("real", "plastic"), ("real", "subsurface"), ("complex", "lambert"),
 )  # fmt: skip
 """Interfaces and bodies that a fit compares, the simplest first: by the number of parameters, then of effects."""
+FILMS: tuple[Kind, ...] = (("film", "none"), ("film", "lambert"))
+"""Those with a film, which are compared where one is asked for."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,12 @@ class Effects:
             ``conserving`` (:mod:`merlfit.model.energy`), which never reflects more than it receives; or ``free``: that
             of HP17 with a weight in [0, 1] per channel on the diffraction lobe, so that A_spec is no longer its share.
         colour: of the diffraction lobe: ``rayleigh_rice`` (Q/2, HP17 Eq. 10) or ``fresnel`` (F at theta_d, by the
-            formula chosen for the specular term).
+            formula chosen for the specular term), which is a film's.
         index: of refraction of the interface, per channel: ``complex`` (n + i k, a conductor), ``real`` (a
-            dielectric), or ``usual``: complex over no body, real over one. A Lambert floor under a complex index is
-            stray light and dust on a metal; plastic and subsurface ask how light gets through the interface, and so
-            for a real one.
+            dielectric), ``film`` (a thin transparent film over a complex one, whose interference colours both lobes:
+            :mod:`merlfit.model.film`), or ``usual``: complex over no body, real over one. A Lambert floor under a
+            complex index is stray light and dust on a metal; plastic and subsurface ask how light gets through the
+            interface, and so for a real one.
     """
 
     body: Body = "none"
@@ -78,8 +81,13 @@ class Effects:
                 raise ValueError(f"{name} has an effect only where {where}: leave it out")
         if self.index == "usual":
             object.__setattr__(self, "index", "complex" if self.body == "none" else "real")
-        if self.index == "complex" and self.body in ("plastic", "subsurface"):
-            raise ValueError(f"body {self.body!r} lies under a clear interface: its index is real, not complex")
+        if self.index == "film":
+            if self.fresnel != "exact":
+                raise ValueError(f"fresnel {self.fresnel!r} knows of no film: leave it out")
+            if self.diffraction != "off":
+                object.__setattr__(self, "colour", "fresnel")
+        if self.index in ("complex", "film") and self.body in ("plastic", "subsurface"):
+            raise ValueError(f"body {self.body!r} lies under a clear interface: its index is real, not {self.index}")
 
     def changed(self: Same, **settings: Any) -> Same:  # noqa: ANN401 - of its fields
         """The same with other settings; options that nothing uses any more take their defaults, given here or not.

@@ -110,13 +110,19 @@ CONDUCTOR = (
     Parameter("k", "k", "imaginary part of the index of refraction", "1", 3.0, 1e-3, 15.0, per_channel=True,
               source="HP17 Eq. 3"),
 )  # fmt: skip
+FILM = (
+    Parameter("film_thickness", "d", "thickness of the film", "um", 0.3, 0.02, 1.0,
+              source="Belcour & Barla 2017", prior=LogNormal(0.3, 1.8)),
+    Parameter("film_eta", r"\eta_f", "index of refraction of the film", "1", 1.7, 1.01, 3.0, offset=1.0,
+              source="Belcour & Barla 2017", prior=LogNormal(0.7, 1.5)),
+)  # fmt: skip
 INTERFACE = (
     Parameter("eta", r"\eta", "index of refraction of the interface", "1", 1.5, 1.001, 2.6, offset=1.0,
               per_channel=True, source="HP17 Eq. 3", alike=True),
 )  # fmt: skip
 ALBEDO = Parameter("albedo", r"\rho_d", "albedo of the body", "1", 0.3, 0.0, 1.0, "linear", per_channel=True,
                    source="HP17 Eq. 43, 44", quantity="odds")  # fmt: skip
-TWO_SCALE = (*SURFACE, *DIFFRACTION, WEIGHT, *CONDUCTOR, *INTERFACE, ALBEDO)
+TWO_SCALE = (*SURFACE, *DIFFRACTION, WEIGHT, *FILM, *CONDUCTOR, *INTERFACE, ALBEDO)
 WHICH_BODY = "which_body"  # beside parameters, where a model leaves it open: the body's number in `effects.BODIES`
 GRAZING = Parameter("grazing_exponent", "g", "exponent of the acquisition's loss of specular light at grazing angles",
                     "1", 0.5, 0.0, 1.0, "linear", source="HP17 Eq. 60")  # fmt: skip

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from . import body, convolution, diffraction, energy, exact
+from . import body, convolution, diffraction, energy, exact, film
 from .acquisition import RINGS_RAD
 from .effects import ANY, Effects
 from .fresnel import diffraction_colour, fresnel, schlick
@@ -36,7 +36,10 @@ def masking_G(e: Effects, v: Values, s: Setting) -> Array:
 
 
 def fresnel_F(e: Effects, v: Values, s: Setting) -> Array:
-    """F(theta_d) by the chosen formula."""
+    """F(theta_d) by the chosen formula, or that of a film."""
+    if e.index == "film":
+        of_film = v["film_eta"], v["film_thickness"]
+        return film.reflectance(s.geometry.cos_d, v["n"], v["k"], *of_film, s.wavelength_um)
     formula = fresnel if e.fresnel == "exact" else schlick
     return formula(s.geometry.cos_d, *_index(v))
 

@@ -171,7 +171,7 @@ class TwoScale(Effects, Reflectance):
 
 @cache
 def _general(model: TwoScale) -> TwoScale:
-    return replace(model, index="complex", body=ANY)
+    return replace(model, index="film" if model.index == "film" else "complex", body=ANY)
 
 
 @cache
@@ -179,7 +179,8 @@ def _parameters(model: TwoScale) -> tuple[Parameter, ...]:
     shared = declared.SURFACE + (() if model.diffraction == "off" else declared.DIFFRACTION)
     if not model.renormalised:  # all height diffracts into directions that exist
         shared = tuple(replace(q, shift=None) if q.name == "sigma_s" else q for q in shared)
-    interface = declared.CONDUCTOR if model.index == "complex" else declared.INTERFACE
+    interface = declared.INTERFACE if model.index == "real" else declared.CONDUCTOR
+    shared += declared.FILM if model.index == "film" else ()
     weight = (declared.WEIGHT,) if model.split == "free" else ()
     return shared + weight + interface + (() if model.body == "none" else (declared.ALBEDO,))
 

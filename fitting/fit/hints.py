@@ -15,11 +15,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from ...model import body as bodies
+from ...model import film
 from ...model.effects import BODIES
 from ...model.fresnel import fresnel, fresnel_of_dielectric, schlick, schlick_of_dielectric, schlick_of_F0
 from ...model.measured import Measured
 from ...model.ndf.epd import HALF
-from ...model.parameters import WHICH_BODY
+from ...model.parameters import FILM, WHICH_BODY
 from ...model.reflectance import Reflectance
 from ...model.rivals.ashikhmin_shirley import coupled_body
 from ...model.sum import Sum, lowest, over
@@ -29,6 +30,8 @@ APART = 4.0  # times as wide as the highlight, or as narrow, may be the lobe of 
 STRATA = 3  # of every shared parameter with a logarithmic scale
 _METALS = np.array(list(product(np.geomspace(0.05, 6, 14), np.geomspace(0.05, 12, 14)))).T
 METALS = {"n": _METALS[0], "k": _METALS[1]}
+_UNDER_FILMS = np.array(list(product(np.geomspace(0.05, 5, 8), np.geomspace(0.003, 8, 7)))).T
+UNDER_FILMS = {"n": _UNDER_FILMS[0], "k": _UNDER_FILMS[1]}
 DIELECTRICS = {"eta": 1 + np.geomspace(0.15, 1.55, 10)}
 FACETS = {"F0": np.geomspace(0.003, 0.95, 16)}
 TRIED = {
@@ -64,11 +67,13 @@ class LinearParameters(NamedTuple):
     Attributes:
         lobes: the sharp lobes of facets that reflect everything. fixed: values per channel that make them so, by name.
         constants: values of the interface that are worth a try, (K,) each, by name.
-        reflectance: of a facet, from cos_d (D,) and the constants (K, 1): (K, D).
+        reflectance: of a facet, from cos_d (D,) and the constants (K, 1): (K, D). Of a film from the values of
+            ``shared`` and the channels' wavelengths (C, 1, 1), too: (C, K, D).
         alike: whether all channels take the same ones.
         body: from the cosines, a constant and an albedo that broadcast against them; or None.
         body_constant: name of the constant that the body depends on, if it depends on one.
         albedo: name of the body's albedo.
+        shared: names of shared parameters that the reflectance depends on.
     """
 
     lobes: Reflectance
@@ -79,6 +84,7 @@ class LinearParameters(NamedTuple):
     body: Callable[[Array, Array, Array, Array], Array] | None = None
     body_constant: str | None = None
     albedo: str = "albedo"
+    shared: tuple[str, ...] = ()
 
 
 class General(NamedTuple):
@@ -179,13 +185,23 @@ def _two_scale(model: Any) -> Hints:  # noqa: ANN401 - of the class that its nam
 
     exact, real = model.fresnel == "exact", model.index == "real"
     of_metal, of_dielectric = (fresnel, fresnel_of_dielectric) if exact else (schlick, schlick_of_dielectric)
+    filmed = model.index == "film"
+    constants, formula = (DIELECTRICS, of_dielectric) if real else (METALS, of_metal)
     linear = LinearParameters(
         model.changed(body="none", index="complex", colour="fresnel", split="printed"),
-        PERFECT, DIELECTRICS if real else METALS, of_dielectric if real else of_metal,
+        PERFECT, UNDER_FILMS if filmed else constants, of_film if filmed else formula,
         real, BODY_BRDF[model.body], "eta" if model.body in ("plastic", "subsurface") else None,
+        shared=tuple(q.name for q in FILM) if filmed else (),
     )  # fmt: skip
-    strata = {"beta": 3, "p": 2, **({"sigma_s": 2} if diffracts else {})}
+    strata = {"beta": 3, "p": 2, **({"sigma_s": 2} if diffracts else {}), **({FILM[0].name: 4} if filmed else {})}
     return Hints(starts, strata, linear, replace(model, split="printed") if model.split == "conserving" else None)
+
+
+def of_film(
+    cos_d: Array, n: Array, k: Array, film_eta: Array, film_thickness: Array, wavelengths_um: ArrayLike
+) -> Array:
+    """Reflectance of films over matter of some constants (K, 1), as `LinearParameters` has it: (C, K, D)."""
+    return film.reflectance(cos_d, n[None], k[None], film_eta, film_thickness, jnp.reshape(wavelengths_um, (-1, 1, 1)))
 
 
 def _microfacets(reading: Callable[[float], Start]) -> Callable[[Any], Hints]:
@@ -292,6 +308,12 @@ def _sum(model: Sum) -> Hints:
     return Hints(starts, {**{name: 2 for name in base.strata or {}}, **of_top}, search=search)
 
 
+def _grating(model: Any) -> Hints:  # noqa: ANN401
+    """A ring lies far from the highlight, and says nothing of it; periods of everything visible are tried."""
+    found = _weighted("efficiency", 0.003, 0.97, lambda data, _: [{}])(model)
+    return replace(found, strata={"period": 6})
+
+
 def _he_starts(data: StartHints, middle_um: float) -> list[Start]:
     """A rough surface reflects as facets of root mean square slope sqrt(2) sigma / tau; a smooth one diffracts.
 
@@ -368,4 +390,5 @@ _BY_NAME: dict[str, Callable[[Any], Hints]] = {
     "disney": _principled("roughness", "metallic"),
     "openpbr": _principled("specular_roughness", "base_metalness"),
     "oren-nayar": _oren_nayar,
+    "grating": _grating,
 }

@@ -37,9 +37,11 @@ def of_matter(material: Reflectance, v: Mapping[str, np.ndarray]) -> bool:
     """Whether some matter may have these constants, if its photograph has any scale: what a choice goes by.
 
     Metals of photographs are up to ten times too dark, so that their n and k lie far from the tables' (`cautions` says
-    so), but they are no bright bodies, they absorb, and only the best mirrors have an n near 0.
+    so), but they are no bright bodies, they absorb, and only the best mirrors have an n near 0. Under a film there may
+    be anything.
     """
-    if "k" not in v or not isinstance(lowest(material), TwoScale):
+    base = lowest(material)
+    if "k" not in v or not isinstance(base, TwoScale) or base.index == "film":
         return True
     n, k = np.atleast_1d(v["n"]), np.atleast_1d(v["k"])
     floor = float(np.max(v.get("albedo", np.zeros(1))))

@@ -12,7 +12,7 @@ channels, as a dielectric's index nearly is, is taken alike: a channel that star
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -85,7 +85,7 @@ def project(
             dict(zip(tried, crossed, strict=True)),
             dict(zip(tried, alone, strict=True)),
         )
-        return [_project(each, problem, sums) for each in parted]
+        return [_project(each, problem, sums, batch, layouts[0].bands.wavelengths_um) for each in parted]
 
     done = list(over(of_batch, batches))
     joined = [jax.tree.map(lambda *x: np.concatenate(x)[:count], *each) for each in zip(*done, strict=True)]
@@ -120,20 +120,24 @@ def _added(parts: Sequence[T]) -> T:
     return jax.tree.map(lambda *x: np.sum(x, 0), *parts)
 
 
-def _project(parted: LinearParameters, problem: Problem, sums: Sums) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _project(
+    parted: LinearParameters,
+    problem: Problem,
+    sums: Sums,
+    shared: Mapping[str, np.ndarray],
+    wavelengths_um: tuple[float, ...],
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The projection of one model and batch, and only what is per channel."""
     squares, products, energy = sums[:3]
-    cos_d = tuple(_columns(problem).tolist())
-    constants = tuple((name, tuple(x.tolist())) for name, x in parted.constants.items())
-    reflectance = reflectances(parted.reflectance, constants, cos_d)  # (tried, D)
-    lobes = energy[:, None] - 2 * products @ reflectance.T + squares @ (reflectance**2).T  # (N, C, tried)
+    reflectance = reflectances(parted, _columns(problem), shared, wavelengths_um)
+    by_angle = np.swapaxes(reflectance, -1, -2)
+    lobes = -2 * products[..., None, :] @ by_angle + squares[..., None, :] @ by_angle**2
+    lobes = energy[:, None] + lobes[..., 0, :]  # (N, C, tried)
     rest = float(np.sum(np.asarray(problem.rest)))
     costs = lobes[..., None]  # (N, C, tried, albedo)
     if (body := _body_of(parted)) is not None:
         crossed, alone = sums.crossed[body], sums.alone[body][None]
-        if len(reflectance) != crossed.shape[2]:  # a body that does not know of the constants
-            crossed, alone = (np.repeat(x, len(reflectance), 2) for x in (crossed, alone))
-        costs = costs + 2 * np.einsum("ed,ncead->ncea", reflectance, crossed, optimize=True) + alone
+        costs = costs + 2 * (crossed @ reflectance[..., None])[..., 0] + alone  # of one constant, or of every one tried
     each = costs.min(-1)  # (N, C, tried)
     together = np.argmin(each.sum(1), -1)[:, None].repeat(each.shape[1], 1)
     best = together if parted.alike else np.argmin(each, -1)
@@ -150,13 +154,37 @@ def _columns(problem: Problem) -> np.ndarray:
     return cosines[0] if len(cosines) == 1 else cosines.mean(0)
 
 
-@cache
 def reflectances(
-    reflectance: Callable[..., Array], constants: tuple[tuple[str, tuple[float, ...]], ...], cos_d: tuple[float, ...]
+    parted: LinearParameters, cos_d: np.ndarray, shared: Mapping[str, np.ndarray], wavelengths_um: tuple[float, ...]
 ) -> np.ndarray:
-    """F of all constants that are tried at every theta_d."""
-    tried = {name: np.array(x)[:, None] for name, x in constants}
-    return np.asarray(jax.jit(lambda cos_d, tried: reflectance(cos_d, **tried))(np.array(cos_d), tried))
+    """F of all constants that are tried at every theta_d: (1, 1, K, D), or (N, C, K, D) of films.
+
+    Args:
+        shared: values (N,) of N candidates.
+    """
+    constants = {name: x[:, None] for name, x in parted.constants.items()}
+    if parted.shared:
+        own = {name: shared[name] for name in parted.shared}
+        return np.asarray(_of_candidates(parted.reflectance, cos_d, constants, own, np.array(wavelengths_um)))
+    return np.asarray(_of_constants(parted.reflectance, cos_d, constants))[None, None]
+
+
+@partial(jax.jit, static_argnums=0)
+def _of_constants(reflectance: Callable[..., Array], cos_d: Array, constants: Mapping[str, Array]) -> Array:
+    return reflectance(cos_d, **constants)
+
+
+@partial(jax.jit, static_argnums=0)
+def _of_candidates(
+    reflectance: Callable[..., Array],
+    cos_d: Array,
+    constants: Mapping[str, Array],
+    shared: Mapping[str, Array],
+    wavelengths_um: Array,
+) -> Array:
+    return jax.lax.map(
+        lambda own: reflectance(cos_d, **constants, **own, wavelengths_um=wavelengths_um), dict(shared), batch_size=8
+    )
 
 
 @partial(jax.jit, static_argnums=0)

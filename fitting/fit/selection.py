@@ -40,6 +40,7 @@ MARGIN = 1.05
 BEYOND = 2.5  # times the J or E of what no matter has: so much worse may a dielectric be
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
 ENOUGH = 0.005  # of the weighted energy: a single model that leaves no more needs no other lobe
+MUCH = 0.03  # of the weighted energy: one that leaves more may need a third
 WORTH = 0.5  # times the J E^2 of a single model, or less: a sum that takes its place
 FACTOR = 2.0  # a highlight that is off by more is lost
 VISIBLE = 2.0  # CIELAB distance of lit pixels above which a fit does not look like its file

@@ -51,7 +51,7 @@ def project_sum(
     last = len(surfaces) - 1
     shares = [0.5 ** min(last - k + 1, last) for k in range(last + 1)]  # of surfaces whose every share is 1/2
     weights = weights * np.array([*shares, *([] if body is None else [0.5])])
-    found = {**shared, **_constants(surfaces, weights)}
+    found = {**shared, **_constants(surfaces, weights, shared, layout.bands.wavelengths_um)}
     if body is not None:
         found[surfaces[0].linear.albedo] = np.clip(weights[..., -1], ALBEDOS[0], ALBEDOS[-1])
     for q in (q for q in layout.parameters if q.name in found):
@@ -59,7 +59,12 @@ def project_sum(
     return found
 
 
-def _constants(surfaces: Sequence["SumPart"], weights: np.ndarray) -> dict[str, np.ndarray]:
+def _constants(
+    surfaces: Sequence["SumPart"],
+    weights: np.ndarray,
+    shared: Mapping[str, np.ndarray],
+    wavelengths_um: tuple[float, ...],
+) -> dict[str, np.ndarray]:
     """Shares (N,) and constants (N, C) by name, from the weights (N, C, K) of surfaces of which the base is first."""
     found, left = {}, np.ones(len(weights))
     for k in range(len(surfaces) - 1, -1, -1):
@@ -69,8 +74,8 @@ def _constants(surfaces: Sequence["SumPart"], weights: np.ndarray) -> dict[str, 
             share = found[f"share{suffix}"] = np.clip(weight.mean(1) / np.maximum(below, 1e-9), 0.02, 0.98)
         reflectance = weight / np.maximum(left * share, 1e-9)[:, None]
         left = left * (1 - share)
-        constants = tuple((name, tuple(x.tolist())) for name, x in linear.constants.items())
-        tried = reflectances(linear.reflectance, constants, (1.0,))[:, 0]
+        own = {name: shared[f"{name}{suffix}"] for name in linear.shared}
+        tried = reflectances(linear, np.ones(1), own, wavelengths_um)[..., 0]
         if linear.alike:
             reflectance = np.broadcast_to(reflectance.mean(1, keepdims=True), reflectance.shape)
         nearest = np.argmin(abs(tried - reflectance[..., None]), -1)

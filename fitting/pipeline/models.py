@@ -1,15 +1,15 @@
 """The models to fit, made of the settings."""
 
-from dataclasses import asdict
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
 from ...merl_io.bands import MERL, Bands
-from ...model.effects import KINDS, TWO_SCALE, Kind
+from ...model.effects import FILMS, KINDS, TWO_SCALE, Kind
 from ...model.measured import Measured
 from ...model.reflectance import Reflectance
 from ...model.rivals.epd import EPD
-from ...model.rivals.ggx import GGX
+from ...model.rivals.grating import Grating
 from ...model.sum import Sum, lowest, over
 from ...model.two_scale import TwoScale
 from ..fit.hints import hints_of
@@ -27,14 +27,40 @@ def candidates(config: Config) -> list[Measured]:
     return sorted(named, key=_numbers)
 
 
-def with_sums(config: Config, single: TwoScale) -> list[Measured]:
-    """What ``auto`` tries beside a single model: a clear coat over each kind, and another surface beside it.
+def with_sums(config: Config, single: Reflectance) -> list[Measured]:
+    """What ``auto`` tries beside a single model: a clear coat over each kind, another surface beside it, and a film.
 
     Only kinds of its interface: with lobes enough a felt would pass for a metal.
     """
+    assert isinstance(single, TwoScale)
     bases = [two_scale(config, kind).material for kind in _kinds(config) if kind[0] == single.index]
-    sums = [each for base in bases for each in (Sum(GGX(), base, coated=True), Sum(EPD(), base))]
-    return sorted(_constrained(config, AUTO, [*map(partial(measured, config), sums)]), key=_numbers)
+    sums = [each for base in bases for each in (Sum(EPD(), base, coated=True), Sum(EPD(), base))]
+    return _beside(config, [*sums, *_filmed(config, single)])
+
+
+def with_more(config: Config, taken: Reflectance) -> list[Measured]:
+    """What ``auto`` tries beside what it has taken: a coat, a film under what there is, gratings, another surface."""
+    coat = taken if isinstance(taken, Sum) and taken.coated else None
+    below = coat.base if coat else taken
+    added = [] if isinstance(below, Sum) else [Sum(part, below) for part in (Grating(), EPD())]
+    every = [replace(coat, base=each) if coat else each for each in added]
+    if coat is None:
+        every.append(Sum(EPD(), taken, coated=True))
+    return _beside(config, [*every, *_filmed(config, taken)])
+
+
+def _filmed(config: Config, taken: Reflectance) -> list[Reflectance]:
+    """The same with a film over the interface of the two-scale part, with and without a body."""
+    base = lowest(taken)
+    assert isinstance(base, TwoScale)
+    if base.index == "film" or config.effects.index != "auto" or config.effects.fresnel != "exact":
+        return []
+    films = [two_scale(config, kind).material for kind in FILMS if config.effects.body in ("auto", kind[1])]
+    return [over(taken, film) if isinstance(taken, Sum) else film for film in films]
+
+
+def _beside(config: Config, materials: Sequence[Reflectance]) -> list[Measured]:
+    return sorted(_constrained(config, AUTO, [measured(config, each) for each in materials]), key=_numbers)
 
 
 def _variants(config: Config, material: Reflectance) -> list[Measured]:
@@ -73,7 +99,8 @@ def _constrained(config: Config, name: str, variants: list[Measured]) -> list[Me
 def _kinds(config: Config) -> list[Kind]:
     """Interfaces and bodies to compare, the simplest first."""
     given = config.effects.index, config.effects.body
-    found = [kind for kind in KINDS if all(g in ("auto", k) for g, k in zip(given, kind, strict=True))]
+    every = FILMS if given[0] == "film" else KINDS
+    found = [kind for kind in every if all(g in ("auto", k) for g, k in zip(given, kind, strict=True))]
     return found or [("real", "none")]  # the only other one that `TwoScale` allows
 
 

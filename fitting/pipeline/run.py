@@ -18,8 +18,7 @@ from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.measured import Measured
 from ...model.reflectance import of_order
-from ...model.sum import Sum, lowest
-from ...model.two_scale import TwoScale
+from ...model.sum import lowest
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
@@ -29,7 +28,7 @@ from ..fit.problem import Problem, make_problem
 from ..fit.published_errors import assess_prediction
 from ..fit.residuals import Objective
 from ..fit.residuals import predict_samples as predicted_by
-from ..fit.selection import ENOUGH, choose, choose_sum, nearest, score
+from ..fit.selection import ENOUGH, MUCH, choose, choose_sum, nearest, score
 from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..fit.weights import found_error, weighted_samples
@@ -40,7 +39,7 @@ from ..support.choices import THETA_MAX
 from ..support.clock import Clock, Report, silent
 from ..support.threads import CORES, one_core_a_call
 from .draws import chain_of
-from .models import candidates, layout_for, with_sums
+from .models import candidates, layout_for, with_more, with_sums
 from .result import make_result
 
 # Runs of bins along theta_h, theta_d, phi_d that one bin stands for (merl_io.samples.thin). Near the mirror direction
@@ -152,11 +151,11 @@ def fit(
 
         tried = searched(candidates(config))
         compared, chosen = compare(tried, few)
-        if config.model.name == AUTO and tried[chosen].solution.cost > ENOUGH:
-            single = tried[chosen].layout.material
-            assert isinstance(single, TwoScale)
-            tried += searched(with_sums(config, single))
-            compared, chosen = compare(tried, few, chosen)
+        for richer, left in ((with_sums, ENOUGH), (with_more, MUCH)) if config.model.name == AUTO else ():
+            if tried[chosen].solution.cost > left:
+                known, taken = [each.layout.model for each in tried], tried[chosen].layout.material
+                tried += searched([model for model in richer(config, taken) if model not in known])
+                compared, chosen = compare(tried, few, chosen, len(known))
         layout, rough, solution = tried[chosen]
         z, last = solution.z, cheaper(layout, COARSE_ORDER)
         if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
@@ -253,12 +252,12 @@ class Searched(NamedTuple):
 
 
 def compare(
-    tried: Sequence[Searched], samples: AnySamples, single: int | None = None
+    tried: Sequence[Searched], samples: AnySamples, taken: int | None = None, first: int = 0
 ) -> tuple[list[schema.Candidate], int]:
     """Fits of the same samples, the simplest model first, and which of them to take (`selection`).
 
     Args:
-        single: which of them was taken before the sums that are listed after it.
+        taken: which of those before ``first`` was taken, if the others are richer models to take in its place.
     """
     layouts, found = [each.rough for each in tried], [each.solution for each in tried]
     materials = [layout.material for layout in layouts]
@@ -287,11 +286,11 @@ def compare(
         brightest = largest_albedo(materials[k], values[k], layouts[k].bands)
         return brightest is not None and brightest.excessive
 
-    if single is not None:
-        kind = lowest(materials[single])
-        sums = [k for k, material in enumerate(materials) if isinstance(material, Sum) and matter[k]]
+    if taken is not None:
+        kind = lowest(materials[taken])
+        sums = [k for k in range(first, len(materials)) if matter[k]]
         sums.sort(key=lambda k: lowest(materials[k]) != kind)
-        return candidates, choose_sum(single, sums, objectives, roots, scores, excessive)
+        return candidates, choose_sum(taken, sums, objectives, roots, scores, excessive)
     dielectric, explains = ["k" not in v for v in values], [s.cost <= UNEXPLAINED_COST for s in found]
     return candidates, choose(objectives, roots, scores, matter, dielectric, explains, excessive)
 

@@ -133,7 +133,7 @@ class EffectsSection(Effects):
     """
 
     preset: Literal["hp17", "conserving", "free", "microfacet", "preview", "fast"] = "hp17"
-    index: Literal["auto", "complex", "real"] = "auto"  # pyright: ignore[reportIncompatibleVariableOverride]
+    index: Literal["auto", "complex", "real", "film"] = "auto"  # pyright: ignore[reportIncompatibleVariableOverride]
     body: Literal["auto", "none", "lambert", "plastic", "subsurface"] = "auto"  # pyright: ignore[reportIncompatibleVariableOverride]
 
 

@@ -29,6 +29,9 @@ NEVER = (
 )
 
 
+INTERFACES = {"complex": "a conductor", "real": "a dielectric", "film": "a thin film, which interferes, over matter"}
+
+
 def simulated(result: Result) -> list[str]:
     """Effects that the fit has, a line each."""
     if result.model is None:
@@ -44,12 +47,12 @@ def simulated(result: Result) -> list[str]:
 
 
 def _two_scale(m: TwoScale) -> list[str]:
-    interface = "a conductor" if m.index == "complex" else "a dielectric"
+    interface = INTERFACES[m.index]
     masked = "no masking" if m.masking == "none" else f"{m.masking.replace('_', ' ')} masking"
     fresnel = "Fresnel's formulas" if m.fresnel == "exact" else "Schlick's polynomial"
     said = [f"reflection by microfacets of {interface}: {fresnel}, {masked}"]
     if m.diffraction != "off":
-        colour = "Rayleigh-Rice" if m.colour == "rayleigh_rice" else "Fresnel"
+        colour = "Rayleigh-Rice" if m.colour == "rayleigh_rice" else "the film" if m.index == "film" else "Fresnel"
         said.append(
             f"diffraction by nano-geometry: {DIFFRACTION[m.diffraction]}; colour by {colour}, "
             f"energy split {SPLITS[m.split]}"

@@ -122,7 +122,7 @@ def material_words(material: Reflectance) -> str:
     """What a material is, for people."""
     if not isinstance(material, TwoScale):
         return str(material)
-    interface = "conductor" if material.index == "complex" else "dielectric"
+    interface = {"complex": "conductor", "real": "dielectric", "film": "thin film"}[material.index]
     return f"{material.name}, {interface}" + ("" if material.body == "none" else f" over {material.body}")
 
 

@@ -17,6 +17,7 @@ from merlfit.fitting.settings.config import Config, load
 from merlfit.merl_io.binary import read, write
 from merlfit.model.effects import KINDS
 from merlfit.model.registry import made
+from merlfit.model.sum import lowest
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.known_materials import CONDUCTOR, EXPONENTS, PLASTIC, tabulate
@@ -54,17 +55,15 @@ def test_known_materials_are_recovered_to_a_thousandth(files, tmp_path, name, va
 
 def test_auto_finds_the_coat_that_a_file_has_and_no_other(files, tmp_path):
     """Of one kind: a coat of the file's own values, which is read back; a file without one keeps the single model."""
-    coated, coat = (
-        made("coat(ggx)+two-scale", {"base": asdict(TwoScale("lambert"))}),
-        {"alpha_coat": 0.03, "eta_coat": 1.5},
-    )
+    coated = made("coat(epd)+two-scale", {"base": asdict(TwoScale("lambert"))})
+    coat = {"beta_coat": 0.03, "p_coat": 0.9, "eta_coat": 1.5}
     rough = {**PLASTIC, **coat, "beta": 0.35}
     exponents = {**EXPONENTS, "grazing_exponent_coat": 0.3}
     write(tmp_path / "coated.binary", tabulate(rough, coated, exponents))
     one = load(model="auto", index="real", body="lambert", posterior=False)
     result = run.fit_file(tmp_path / "coated.binary", tmp_path / "out", one)
-    assert result.model.name == "coat(ggx)+two-scale"
-    assert [c.model for c in result.fit.candidates] == ["two-scale", "coat(ggx)+two-scale", "epd+two-scale"]
+    assert result.model.name == "coat(epd)+two-scale"
+    assert [c.model for c in result.fit.candidates] == ["two-scale", "coat(epd)+two-scale", "epd+two-scale"]
     assert result.fit.cost < 1e-4
     for name, value in coat.items():
         np.testing.assert_allclose(result.values()[name], value, rtol=0.02)
@@ -73,7 +72,24 @@ def test_auto_finds_the_coat_that_a_file_has_and_no_other(files, tmp_path):
     assert [c.model for c in single.fit.candidates] == ["two-scale"]
     fixed = load({"parameters": {"eta": {"fixed": 1.5}}}, model="auto", posterior=False)
     assert all("eta" in {q.name for q in model.parameters} for model in with_sums(fixed, TwoScale("lambert")))
-    assert all(model.material.base.index == "complex" for model in with_sums(load(model="auto"), TwoScale()))
+    beside = [lowest(model.material).index for model in with_sums(load(model="auto"), TwoScale())]
+    assert sorted(beside) == ["complex"] * 4 + ["film"] * 2
+
+
+def test_a_film_is_recovered(tmp_path):
+    """Of facets alone: thickness, index and what lies under the film are read back from what they have made."""
+    values = {
+        "beta": 0.3, "p": 0.8, "film_thickness": 0.31, "film_eta": 1.55, "n": np.array([2.2, 1.6, 1.2]),
+        "k": np.array([0.6, 0.9, 1.3]),
+    }  # fmt: skip
+    material = TwoScale(diffraction="off", index="film")
+    write(tmp_path / "film.binary", tabulate(values, material, {"grazing_exponent": 0.3}))
+    config = load(preset="microfacet", index="film", body="none", posterior=False)
+    result = run.fit_file(tmp_path / "film.binary", tmp_path / "out", config)
+    assert result.fit.cost < 1e-5
+    assert read_result(tmp_path / "out" / "film.json").model.material == material
+    for name, value in values.items():
+        np.testing.assert_allclose(result.values()[name], value, rtol=0.02, err_msg=name)
 
 
 def test_nickel_as_its_neural_reconstruction(make_merl, tmp_path):

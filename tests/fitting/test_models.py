@@ -54,6 +54,9 @@ TRUTH = {
         "beta": 0.15, "p": 0.8, "a": 0.8, "k_s": np.array([0.8, 0.5, 0.4]), "F0": np.array([0.8, 0.5, 0.3]),
         "k_w": np.array([8e-3, 5e-3, 3e-3]), "diffuse_albedo": ALBEDO,
     },
+    "grating": {
+        "period": 0.8, "spread": 0.2, "higher": 0.2, "efficiency": np.array([0.2, 0.3, 0.25]), "diffuse_albedo": ALBEDO,
+    },
     "smooth": {"B": 30.0, "C": 1.3, "eta": 1.6, "A": A, "diffuse_albedo": ALBEDO},
     "abc-microfacet": {"B": 60.0, "C": 1.6, "eta": 1.6, "A": A, "diffuse_albedo": ALBEDO},
     "cook-torrance": {"roughness": 0.25, "eta": 1.6, "albedo": F0, "diffuse_albedo": ALBEDO},

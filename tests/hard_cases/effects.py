@@ -4,20 +4,25 @@ from dataclasses import fields
 
 import jax.numpy as jnp
 import mpmath as mp
-from merlfit.model import acquisition, body, convolution, diffraction, energy, fresnel
+from merlfit.model import acquisition, body, convolution, diffraction, energy, film, fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.masking import smith
 from merlfit.model.measured import Measured
 from merlfit.model.ndf.epd import epd
 from merlfit.model.two_scale import TwoScale, two_scale
 
-from ..oracles import precise
+from ..oracles import films, precise
 
 FIELDS = tuple(x.name for x in fields(TwoScale))
 CHOICES = (*FIELDS[: FIELDS.index("index")], "acquisition", *FIELDS[FIELDS.index("index") :])  # marks of cases go by it
-TIERS = ("quadrature", "exact", "conserving")  # with accuracies of their own; and the free split, with its own oracle
+TIERS = (
+    "quadrature",
+    "exact",
+    "conserving",
+)  # with accuracies of their own; and the free split and films, with their own oracles
 DEAR = (
-    "convolve", "convolve_256", "lobe_albedo", "two_scale", "two_scale_free", *(f"two_scale_{tier}" for tier in TIERS),
+    "convolve", "convolve_256", "lobe_albedo", "two_scale", "two_scale_free", "two_scale_film",
+    *(f"two_scale_{tier}" for tier in TIERS),
 )  # fmt: skip
 
 
@@ -68,11 +73,27 @@ def free_split(weight, **at):
         return weight * precise.two_scale(**printed) + (1 - weight) * without
 
 
+def of_film(cos_theta, n, k, eta, thickness_um, wavelength_um):
+    """The film's reflectance at one wavelength."""
+    return film.reflectance(cos_theta, n[None], k[None], eta, thickness_um, wavelength_um[None])[0]
+
+
+def filmed(film_eta, film_thickness, **at):
+    """The BRDF of an interface of which both lobes have the colour F(theta_d), with a film's reflectance for F."""
+    bare = {**at, "index": "complex", "colour": "fresnel"}
+    with mp.workdps(30):
+        lobes = precise.two_scale(**{**bare, "body": "none"})
+        cosine = mp.cos(mp.mpf(at["theta_d"]))
+        under = films.reflectance_of_line(cosine, at["n"], at["k"], film_eta, film_thickness, at["wavelength_um"])
+        return precise.two_scale(**bare) + lobes * (under / precise.fresnel(cosine, at["n"], at["k"]) - 1)
+
+
 # Stored references are marked by the oracle's name: renaming one makes them out of date.
 PAIRS = {
     "fresnel": (fresnel.fresnel, precise.fresnel),
     "schlick": (fresnel.schlick, precise.schlick),
     "diffraction_colour": (fresnel.diffraction_colour, precise.diffraction_colour),
+    "film": (of_film, films.reflectance_of_line),
     "epd": (epd, precise.epd),
     "smith_lambda": (smith.smith_lambda, precise.smith_lambda),
     "masking": (smith.masking_direct, precise.masking),
@@ -88,6 +109,7 @@ PAIRS = {
     "subsurface": (body.subsurface, precise.subsurface),
     "grazing": (grazing, precise.grazing),
     "two_scale_free": (assembled, free_split),
+    "two_scale_film": (assembled, filmed),
     **dict.fromkeys(("two_scale", *(f"two_scale_{tier}" for tier in TIERS)), (assembled, precise.two_scale)),
 }
 MODEL = {effect: pair[0] for effect, pair in PAIRS.items()}
