@@ -438,7 +438,8 @@ def export(
     to: Annotated[
         str,
         typer.Option(
-            help="mitsuba (scene and tables), merl (.binary), json (parameters alone), gltf or openpbr (nearest GGX), "
+            help="mitsuba (scene and tables), principled (Mitsuba's plugin, of a fit of disney), merl (.binary), json "
+            "(parameters alone), gltf or openpbr (parameters of a fit of disney or openpbr; nearest GGX of others), "
             "zemax (table of scatter), abg or k-correlation (parameters by incidence)."
         ),
     ],

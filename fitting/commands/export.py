@@ -27,16 +27,20 @@ from ..support.compilation import use_persistent_cache
 from ..support.numbers import number
 from ..support.outputs import refuse_others
 from ..support.terminal import console, fail, reporting, writable_folder
+from . import principled
 from .nearest_ggx import nearest
 from .scatter_files import targets_of, to_formulas, to_zemax
 from .scatter_formulas import FORMULAS
 from .scenes import of_result
 
-To = Literal["mitsuba", "merl", "json", "gltf", "openpbr", "zemax", "abg", "k-correlation"]
-ENDINGS = {"mitsuba": ("mitsuba.npz", "xml"), "json": ("material.json",), "gltf": ("gltf",), "openpbr": ("mtlx",)}
+To = Literal["mitsuba", "principled", "merl", "json", "gltf", "openpbr", "zemax", "abg", "k-correlation"]
+ENDINGS = {
+    "mitsuba": ("mitsuba.npz", "xml"), "principled": ("principled.xml",), "json": ("material.json",),
+    "gltf": ("gltf",), "openpbr": ("mtlx",),
+}  # fmt: skip
 """Endings of files that are written but for MERL files, which may always be measurements."""
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
-<!-- {said}. Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr -->
+<!-- {said} -->
 <scene version="3.0.0">
     <integrator type="path"/>
     <sensor type="perspective">
@@ -49,17 +53,14 @@ SCENE = """<?xml version="1.0" encoding="utf-8"?>
     <emitter type="directional">
         <vector name="direction" value="-0.45, -0.55, -0.7"/><rgb name="irradiance" value="2"/>
     </emitter>
-    <shape type="sphere"><bsdf type="merlfit"><string name="filename" value={tables}/></bsdf></shape>
+    <shape type="sphere">{bsdf}</shape>
 </scene>
 """
 MATERIALX = """<?xml version="1.0"?>
 <!-- {said} -->
 <materialx version="1.39" colorspace="lin_rec709">
   <open_pbr_surface name="{name}_surface" type="surfaceshader">
-    <input name="base_color" type="color3" value="{base}"/>
-    <input name="base_metalness" type="float" value="{metal:g}"/>
-    <input name="specular_roughness" type="float" value="{roughness:.6g}"/>
-    <input name="specular_ior" type="float" value="{ior:.6g}"/>
+{inputs}
   </open_pbr_surface>
   <surfacematerial name="{name}" type="material">
     <input name="surfaceshader" type="surfaceshader" nodename="{name}_surface"/>
@@ -117,6 +118,9 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> tup
             say("bins")
             write(out / f"{path.stem}.binary", from_result(path)[0])
             return [out / f"{path.stem}.binary"], []
+        case "principled":
+            principled.is_own(result, to)
+            return [to_principled(path.stem, result, said, out)], []
         case "json":
             return [_write_json(out / f"{path.stem}.material.json", parameters_of(result))], []
         case "zemax":
@@ -127,10 +131,29 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> tup
             say("formulas")
             targets = targets_of(path, result, to, out)
             return targets, [to_formulas(path, targets[0], result, to, fit)]
+        case "gltf" if principled.is_own(result, to):
+            say("spheres")
+            found = principled.metallic_roughness(result, from_result(path)[0])
+            off = f"{found['error']['cielab']:.2f}"
+            left = ", ".join(f"{name} {number(x)}" for name, x in found["left_out"].items())
+            what = (
+                f"the fitted parameters of Disney's model themselves, without what glTF has not ({left}): "
+                f"spheres drawn by the formulas of glTF differ from the fit by a mean CIELAB distance of {off}"
+            )
+            return [to_gltf(path.stem, found, said, what, out)], [what]
+        case "openpbr" if principled.is_own(result, to):
+            inputs = principled.openpbr_inputs(result)
+            return [to_openpbr(path.stem, inputs, said, principled.in_words(result), out)], []
         case _:
             say("nearest GGX")
-            write_ = to_gltf if to == "gltf" else to_openpbr
-            return [write_(path.stem, nearest_of(path, result, to), said, out)], []
+            found = nearest_of(path, result, to)
+            if to == "gltf":
+                return [to_gltf(path.stem, found, said, in_words(found, "glTF 2.0, Appendix B"), out)], []
+            inputs = {
+                "base_color": found["base_color"], "base_metalness": found["metallic"],
+                "specular_roughness": found["roughness"], "specular_ior": found["ior"],
+            }  # fmt: skip
+            return [to_openpbr(path.stem, inputs, said, in_words(found, "OpenPBR"), out)], []
 
 
 def _colours(model: Model) -> str:
@@ -143,8 +166,16 @@ def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path
     """Tables and a scene that renders at once: a sphere under a lamp in an even room."""
     tables = out / f"{_word(name)}.mitsuba.npz"
     write_tables(tables, material)
-    text = SCENE.format(said=_comment(said), tables=quoteattr(tables.name))
-    return [tables, write_text(out / f"{name}.xml", text)]
+    bsdf = f'<bsdf type="merlfit"><string name="filename" value={quoteattr(tables.name)}/></bsdf>'
+    render = "Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr"
+    return [tables, write_text(out / f"{name}.xml", SCENE.format(said=_comment(f"{said}. {render}"), bsdf=bsdf))]
+
+
+def to_principled(name: str, result: Result, said: str, out: Path) -> Path:
+    """A scene as of `to_mitsuba`, of Mitsuba's own plugin with the parameters of a fit of Disney's model."""
+    words = f"{said}: {principled.in_words(result)}. Render this file: mitsuba THIS.xml"
+    text = SCENE.format(said=_comment(words), bsdf=principled.mitsuba_bsdf(result))
+    return write_text(out / f"{name}.principled.xml", text)
 
 
 def parameters_of(result: Result) -> dict[str, Any]:
@@ -186,8 +217,9 @@ def in_words(found: dict[str, Any], to: str) -> str:
     )
 
 
-def to_gltf(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
-    """A glTF 2.0 asset of one material."""
+def to_gltf(name: str, found: dict[str, Any], said: str, what: str, out: Path) -> Path:
+    """A glTF 2.0 asset of one material; ``what`` the values are, in words."""
+    more = {key: found[key] for key in ("intervals", "left_out") if key in found}
     material = {
         "name": name,
         "pbrMetallicRoughness": {
@@ -195,9 +227,7 @@ def to_gltf(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
             "roughnessFactor": found["roughness"],
         },
         "extensions": {"KHR_materials_ior": {"ior": found["ior"]}},
-        "extras": {
-            "merlfit": {"source": said, "what": in_words(found, "glTF 2.0, Appendix B"), "error": found["error"]}
-        },
+        "extras": {"merlfit": {"source": said, "what": what, "error": found["error"], **more}},
     }  # fmt: skip
     asset = {
         "asset": {"version": "2.0", "generator": "merlfit"}, "extensionsUsed": ["KHR_materials_ior"],
@@ -206,13 +236,14 @@ def to_gltf(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
     return _write_json(out / f"{name}.gltf", asset)
 
 
-def to_openpbr(name: str, found: dict[str, Any], said: str, out: Path) -> Path:
-    """A MaterialX document of one OpenPBR surface."""
+def to_openpbr(name: str, inputs: dict[str, Any], said: str, what: str, out: Path) -> Path:
+    """A MaterialX document of one OpenPBR surface; ``what`` its inputs are, in words."""
     plain = "".join(c if c.isalnum() else "_" for c in name)
-    text = MATERIALX.format(
-        said=_comment(f"{said}: {in_words(found, 'OpenPBR')}"), name=f"m_{plain}", metal=found["metallic"],
-        base=", ".join(f"{x:.6g}" for x in found["base_color"]), roughness=found["roughness"], ior=found["ior"],
-    )  # fmt: skip
+    lines = []
+    for key, value in inputs.items():
+        kind, numbers = ("color3", value) if isinstance(value, list) else ("float", [value])
+        lines.append(f'    <input name="{key}" type="{kind}" value="{", ".join(f"{x:.6g}" for x in numbers)}"/>')
+    text = MATERIALX.format(said=_comment(f"{said}: {what}"), name=f"m_{plain}", inputs="\n".join(lines))
     return write_text(out / f"{name}.mtlx", text)
 
 

@@ -129,10 +129,8 @@ def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
         values: BRDF on MERL's grid (3, 90, 90, 180), 1/sr, NaN where there is none. metal: whether it is known to be
             one; else it becomes whichever is nearer.
     """
-    half, draw = DIMS[2] // 2, FORMATS[to]
-    ours = (values[..., :half] + values[..., : half - 1 : -1]) / 2
-    used = np.asarray(np.isfinite(ours).all(0))
-    kinds = [_search(ours, used, draw, kind) for kind in ((True,) if metal else (True, False))]
+    draw, seen, target = FORMATS[to], *_pictures(values)
+    kinds = [_search(seen, target, draw, kind) for kind in ((True,) if metal else (True, False))]
     apart, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
     return {
         "base_color": base.tolist(), "metallic": float(ior is None), "roughness": roughness,
@@ -140,25 +138,47 @@ def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def apart(values: np.ndarray, to: str, base: list[float], metallic: float, roughness: float, ior: float) -> float:
+    """Mean CIELAB distance of spheres between a material, as of :func:`nearest`, and given parameters of a format."""
+    seen, target = _pictures(values)
+    _, angles, spheres = _looked_at()
+    slope, rest = (
+        metallic * metal + (1 - metallic) * body
+        for metal, body in zip(*(FORMATS[to](angles, roughness, n) for n in (None, ior)), strict=True)
+    )
+    drawn = np.where(seen, np.array(base)[:, None] * slope + rest, 0.0)
+    return _distance([cielab(render(pixels, drawn)) for pixels in spheres], target)
+
+
+def _pictures(values: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Which of the bins that pictures look at have values, and pixels of both spheres."""
+    half = DIMS[2] // 2
+    ours = (values[..., :half] + values[..., : half - 1 : -1]) / 2
+    bins, _, spheres = _looked_at()
+    seen = np.isfinite(ours).all(0).ravel()[bins]
+    planes = np.where(seen, ours.reshape(3, -1)[:, bins], 0.0)
+    return seen, [cielab(render(pixels, planes)) for pixels in spheres]
+
+
+def _distance(drawn: list[np.ndarray], target: list[np.ndarray]) -> float:
+    return float(np.mean([np.linalg.norm(a - b, axis=-1).mean() for a, b in zip(drawn, target, strict=True)]))
+
+
 def _search(
-    ours: np.ndarray, used: np.ndarray, draw: Format, metal: bool
+    seen: np.ndarray, target: list[np.ndarray], draw: Format, metal: bool
 ) -> tuple[float, float, float | None, np.ndarray]:
     """Mean CIELAB distance, roughness, index and base colour: the best node of a grid, and from there downhill.
 
     A picture is linear in the base colour, which is found for each roughness and index by itself.
     """
-    bins, angles, spheres = _looked_at()
-    seen = used.ravel()[bins]
-    planes = np.where(seen, ours.reshape(3, -1)[:, bins], 0.0)
-    target = [cielab(render(pixels, planes)) for pixels in spheres]
+    _, angles, spheres = _looked_at()
 
     def attempt(at: np.ndarray) -> tuple[float, np.ndarray]:
         parts = [np.where(seen, x, 0.0) for x in draw(angles, float(at[0]), None if metal else float(at[1]))]
         lit = [render(pixels, np.stack(parts)) for pixels in spheres]
 
         def off(base: np.ndarray) -> float:
-            labs = [cielab(p[:, :1] * base + p[:, 1:]) for p in lit]
-            return float(np.mean([np.linalg.norm(a - b, axis=-1).mean() for a, b in zip(labs, target, strict=True)]))
+            return _distance([cielab(p[:, :1] * base + p[:, 1:]) for p in lit], target)
 
         found = minimize(off, start["base"], bounds=[(0, 1)] * 3, method="L-BFGS-B")
         return float(found.fun), found.x

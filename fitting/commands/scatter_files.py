@@ -12,7 +12,7 @@ from ...merl_io.atomic import write_text
 from ...merl_io.inputs import MerlError
 from ...merl_io.scattered import ScatteredMeasurement, vectors_of
 from ..fit.total_scatter import COUNT, USUAL, of_values
-from ..results.schema import Result
+from ..results.schema import Model, Result
 from ..show.inspection import file_of
 from ..show.prediction import Fitted, predicted_lobe
 from ..support.numbers import number
@@ -133,23 +133,29 @@ def to_formulas(path: Path, target: Path, result: Result, to: str, said: str) ->
         values = evaluated(fitted, light, at.o)
         for channel, (name, wavelength_um) in enumerate(zip(model.channels, model.wavelengths_um, strict=True)):
             for title, formula in FORMULAS[to].items():
-                q = scatter_formulas.nearest(formula, values[channel], at, np.cos(theta_i), wavelength_um)
-                own = np.exp(formula.log(q, at.x, np.cos(theta_i) * at.o[:, 2], wavelength_um))
+                if own := _is_own(model, formula.model):
+                    given = {name: float(np.ravel(x)[channel % np.size(x)]) for name, x in result.values().items()}
+                    q = np.array(formula.given(given, wavelength_um))
+                else:
+                    q = scatter_formulas.nearest(formula, values[channel], at, np.cos(theta_i), wavelength_um)
+                drawn = np.exp(formula.log(q, at.x, np.cos(theta_i) * at.o[:, 2], wavelength_um))
                 beside = (
                     scatter_formulas.against(formula, q, measured, theta_i, channel)
                     if isinstance(measured, ScatteredMeasurement)
                     else None
                 )
                 rows.append({
-                    "model": title, "theta_i_deg": round(float(np.degrees(theta_i)), 3), "channel": name,
+                    "model": title, "fitted": own, "theta_i_deg": round(float(np.degrees(theta_i)), 3), "channel": name,
                     "wavelength_um": wavelength_um, "parameters": formula.told(q, wavelength_um),
-                    "error": scatter_formulas.errors(own, values[channel], at.share), "error_to_file": beside,
+                    "error": scatter_formulas.errors(drawn, values[channel], at.share), "error_to_file": beside,
                     "tis": scatter_formulas.tis_of(formula, q, theta_i, wavelength_um),
                     "tis_of_fit": float(tis[channel, k]),
                 })  # fmt: skip
     told: dict[str, Any] = {
         "format": f"merlfit-{to} 1", "said": said,
         "models": {title: {"brdf": f.text, "source": f.source} for title, f in FORMULAS[to].items()},
+        "fitted": "true where these are the parameters of the fit itself, which has this formula; else they are the "
+        "nearest for that incidence",
         "x": "|beta - beta0|, beta the projection of the unit vector to the viewer, beta0 of the mirror direction",
         "error": "of the formula from the fit: log_rms of natural logarithms and sMAPE over viewers up to 80 degrees, "
         "as many at every x from 1e-4 on, which rises by a constant factor; error_to_file from the file's own samples",
@@ -157,6 +163,11 @@ def to_formulas(path: Path, target: Path, result: Result, to: str, said: str) ->
     }  # fmt: skip
     write_text(target, json.dumps(told, indent=2, allow_nan=False) + "\n")
     return _shown(rows)
+
+
+def _is_own(model: Model, name: str) -> bool:
+    """Whether a fit has a formula: it is of the model of that name, with nothing diffuse below."""
+    return model.name == name and getattr(model.material, "diffuse", None) == "none"
 
 
 def _shown(rows: list[dict[str, Any]]) -> Table:

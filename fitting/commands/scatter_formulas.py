@@ -4,7 +4,7 @@ x = |beta - beta0| is the distance of the projections of viewer and mirror direc
 natural ones; a row of the hemisphere's viewers at one x counts like any other, x rising by a constant factor.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,9 @@ class Formula(NamedTuple):
     Attributes:
         text: in words of programs. source: of these. names: of the parameters. log: its logarithm, of the logarithms
             of the parameters, x, cos_i cos_o and the wavelength (um). starts: the same of x at which it begins to fall.
-        told: parameters by name as programs take them, of the logarithms, x of the incidence and the wavelength.
+        told: parameters by name as programs take them, of the logarithms and the wavelength.
+        model: whose fits have this formula. given: the logarithms, of such a fit's values in a channel and the
+            wavelength.
     """
 
     text: str
@@ -34,6 +36,8 @@ class Formula(NamedTuple):
     log: Logarithm
     starts: Callable[[float, float], Sequence[float]]
     told: Callable[[np.ndarray, float], dict[str, float]]
+    model: str
+    given: Callable[[Mapping[str, float], float], Sequence[float]]
 
 
 def _abg(q: np.ndarray, x: np.ndarray, cosines: np.ndarray, wavelength_um: float) -> np.ndarray:
@@ -51,10 +55,20 @@ def _dittman(q: np.ndarray, x: np.ndarray, cosines: np.ndarray, wavelength_um: f
 def _as_dittman(q: np.ndarray, wavelength_um: float) -> dict[str, float]:
     """Roughness, B and s of K-correlation; 4 pi^2 dn^2 / lambda^4 times the PSD at f = 0 is the first number."""
     K, B, s = np.exp(q[0]), wavelength_um / np.exp(q[1]), float(np.exp(q[2]))
-    ends = np.log1p((B / wavelength_um) ** 2)  # of [1 - (1 + (B / lambda)^2)^(1 - s / 2)] / (s - 2), finite at s = 2
+    return {"sigma_um": float(np.sqrt(K / _height(float(B), s, wavelength_um))), "B_um": float(B), "s": s}
+
+
+def _of_dittman(v: Mapping[str, float], wavelength_um: float) -> list[float]:
+    height = v["sigma"] ** 2 * _height(v["B"], v["s"], wavelength_um)
+    return np.log([height, wavelength_um / v["B"], v["s"]]).tolist()
+
+
+def _height(B_um: float, s: float, wavelength_um: float) -> float:
+    """The first number of K-correlation for a roughness of 1 um."""
+    ends = np.log1p((B_um / wavelength_um) ** 2)
+    # [1 - (1 + (B / lambda)^2)^(1 - s / 2)] / (s - 2), finite at s = 2
     share = ends / 2 if abs(s - 2) < 1e-9 else -np.expm1((1 - s / 2) * ends) / (s - 2)
-    variance = K * wavelength_um**4 / (16 * np.pi**2) * 2 * np.pi * share / B**2
-    return {"sigma_um": float(np.sqrt(variance)), "B_um": float(B), "s": s}
+    return float(16 * np.pi**2 * B_um**2 / (wavelength_um**4 * 2 * np.pi * share))
 
 
 FORMULAS: dict[str, dict[str, Formula]] = {
@@ -63,6 +77,7 @@ FORMULAS: dict[str, dict[str, Formula]] = {
             "A / (B + x^g)", "OpticStudio's help, 'ABg Model Scattering'; x = |beta - beta0|", _abg,
             lambda level, x: (level + 2 * np.log(x), 2 * np.log(x), np.log(2.0)),
             lambda q, wavelength_um: dict(zip("ABg", np.exp(q).tolist(), strict=True)),
+            "abg", lambda v, wavelength_um: np.log([v["A"], v["B"], v["g"]]).tolist(),
         ),
     },
     "k-correlation": {
@@ -71,12 +86,14 @@ FORMULAS: dict[str, dict[str, Formula]] = {
             "Pfisterer 2011, 'Approximated scatter models for stray light analysis'; FRED, ASAP", _harvey,
             lambda level, x: (level, np.log(x), np.log(2.0)),
             lambda q, wavelength_um: {"b0": float(np.exp(q[0])), "L": float(np.exp(q[1])), "S": -float(np.exp(q[2]))},
+            "harvey-shack", lambda v, wavelength_um: np.log([v["b0"], v["L"], v["s"]]).tolist(),
         ),
         "K-correlation": Formula(
             "4 pi^2 2^2 / lambda^4 cos_i cos_s sigma^2 (s - 2) B^2 / (2 pi (1 - (1 + (B / lambda)^2)^(1 - s / 2))) "
             "(1 + (B x / lambda)^2)^(-s / 2)",
             "Dittman 2006, doi:10.1117/12.678320; OpticStudio's K-correlation", _dittman,
             lambda level, x: (level, np.log(x), np.log(2.0)), _as_dittman,
+            "k-correlation", _of_dittman,
         ),
     },
 }  # fmt: skip

@@ -31,6 +31,7 @@ MARKS = {
     ".zemax.bsdf": rb"\A# [^\n]* by merlfit ",
     ".json": rb'\A\s*\{\s*"schema_version"\s*:\s*"\d+\.\d+",\s*"(run|source)"\s*:',
     ".mitsuba.npz": rb"\APK\x03\x04[\s\S]{26}brdf\.npy[\s\S]*share\.npy[\s\S]*below\.npy",
+    ".principled.xml": rb"\A<\?xml[^>]*>\n<!-- ((?!-->)[\s\S])* by merlfit ",
     ".xml": rb"\A<\?xml[^>]*>\n<!-- ((?!-->)[\s\S])*python -m merlfit\.scene\.mitsuba ",
     ".gltf": rb'\A\{\s*"asset": \{\s*"version": "2\.0",\s*"generator": "merlfit"',
     ".mtlx": rb"\A<\?xml[^>]*>\n<!-- ((?!-->)[\s\S])* by merlfit ",

@@ -1,0 +1,101 @@
+"""Fits of Disney's model and of OpenPBR as other programs take them: their parameters as they are, with intervals."""
+
+from typing import Any
+
+import numpy as np
+
+from ...merl_io.bands import MERL
+from ..results.schema import Result
+from ..results.storage import ResultError
+from ..support.numbers import number
+from .nearest_ggx import apart
+
+OWN = {"principled": "disney", "gltf": "disney", "openpbr": "openpbr"}
+"""Formats that take the parameters of a model as they are."""
+MITSUBA = {
+    "baseColor": "base_color", "roughness": "roughness", "metallic": "metallic", "specular": "specular",
+    "specularTint": "spec_tint", "sheen": "sheen", "sheenTint": "sheen_tint", "clearcoat": "clearcoat",
+    "clearcoatGloss": "clearcoat_gloss", "subsurface": "flatness",
+}  # fmt: skip
+"""What Mitsuba's plugin `principled` calls them."""
+COAT = 4.0  # times as bright along the normal is Mitsuba's clearcoat, without Disney's 1 / (4 cos_i cos_o)
+FIXED = {"base_weight": 1.0, "specular_weight": 1.0, "coat_darkening": 1.0}
+"""What the model of OpenPBR's base and coat has fixed."""
+WITHOUT = ("specularTint", "sheen", "sheenTint", "clearcoat", "clearcoatGloss", "subsurface")
+"""What glTF's metallic-roughness material has no counterpart of."""
+
+
+def is_own(result: Result, to: str) -> bool:
+    """Whether a format takes this fit's parameters: its model, and colours as the format has them.
+
+    Raises:
+        ResultError: the format takes no others.
+    """
+    model = result.model
+    assert model is not None
+    own = model.name == OWN.get(to) and set(model.channels) == set(MERL.names)
+    if to == "principled" and not own:
+        what = "other channels than R, G and B" if model.name == OWN[to] else f"is a fit of {model.name}"
+        raise ResultError(
+            f"{result.source.material}: Mitsuba's principled takes the parameters of Disney's model in R, G and B, "
+            f"and this {what}: fit it by --model disney, or export it --to mitsuba"
+        )
+    return own
+
+
+def values_of(result: Result) -> dict[str, Any]:
+    """Numbers, and lists of three for colours, by name, without the apparatus."""
+    found = {name: np.asarray(x) for name, x in result.values().items() if not name.startswith("grazing_")}
+    return {name: x.tolist() if x.ndim else float(x) for name, x in found.items()}
+
+
+def intervals_of(result: Result) -> dict[str, list[float] | None]:
+    """90 % intervals by name and channel; None where the data do not decide."""
+    found = {}
+    for q in (q for q in result.parameters if not q.parameter.startswith("grazing_")):
+        known = q.quantiles or q.laplace
+        found[q.name] = None if known is None else [known.q05, known.q95]
+    return found
+
+
+def in_words(result: Result) -> str:
+    """The parameters with their intervals, in a line."""
+    known, said = intervals_of(result), []
+    for q in (q for q in result.parameters if q.name in known):
+        ends = known[q.name]
+        between = "not decided by the data" if ends is None else f"{number(ends[0])} .. {number(ends[1])}"
+        said.append(f"{q.name} {number(q.value)} ({between})")
+    return "the fitted parameters themselves, with 90 % intervals: " + ", ".join(said)
+
+
+def mitsuba_bsdf(result: Result) -> str:
+    """Mitsuba's `principled` with the values of Disney's names."""
+    lines = []
+    for name, value in values_of(result).items():
+        if isinstance(value, list):
+            lines.append(f'<rgb name="{MITSUBA[name]}" value="{", ".join(f"{x:.6g}" for x in value)}"/>')
+        else:
+            lines.append(f'<float name="{MITSUBA[name]}" value="{value / (COAT if name == "clearcoat" else 1):.6g}"/>')
+    return '<bsdf type="principled">' + "".join(lines) + "</bsdf>"
+
+
+def metallic_roughness(result: Result, bins: np.ndarray) -> dict[str, Any]:
+    """What `export.to_gltf` writes of a fit of Disney's model, and how far spheres are from those of its bins."""
+    v = values_of(result)
+    root = np.sqrt(0.08 * v["specular"])
+    found = {
+        "base_color": v["baseColor"], "metallic": v["metallic"], "roughness": v["roughness"],
+        "ior": float((1 + root) / (1 - root)),
+    }  # fmt: skip
+    off = apart(bins, "gltf", *found.values())
+    return {
+        **found,
+        "error": {"cielab": off},
+        "intervals": intervals_of(result),
+        "left_out": {n: v[n] for n in WITHOUT},
+    }
+
+
+def openpbr_inputs(result: Result) -> dict[str, Any]:
+    """Values by OpenPBR's names, with those that the model has fixed."""
+    return {**FIXED, **values_of(result)}

@@ -1,0 +1,160 @@
+"""Fits whose parameters another program takes as they are: Mitsuba, glTF, OpenPBR, optical design programs."""
+
+import json
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from merlfit.fitting.commands import cli
+from merlfit.fitting.commands.nearest_ggx import Angles, openpbr
+from merlfit.fitting.commands.scatter_formulas import FORMULAS
+from merlfit.fitting.results.storage import write_result
+from merlfit.model.reflectance import setting
+from merlfit.model.registry import models
+from typer.testing import CliRunner
+
+from tests.support.compiled import evaluate, from_vectors
+from tests.support.made_results import made
+
+RGB = np.array([0.7, 0.3, 0.05])
+DISNEY = {
+    "baseColor": RGB, "metallic": 1.0, "specular": 0.6, "specularTint": 0.0, "roughness": 0.45, "sheen": 0.0,
+    "sheenTint": 0.0, "clearcoat": 0.4, "clearcoatGloss": 0.0, "subsurface": 0.0,
+}  # fmt: skip
+OPENPBR = {
+    "base_color": RGB, "specular_color": np.ones(3), "coat_color": np.array([0.9, 0.5, 0.8]), "coat_weight": 0.0,
+    "specular_roughness": 0.5, "specular_ior": 1.5, "base_metalness": 0.0, "base_diffuse_roughness": 0.0,
+    "coat_roughness": 0.3, "coat_ior": 1.6,
+}  # fmt: skip
+SCATTER = {
+    "abg": {"A": RGB, "B": 0.01, "g": 1.7}, "harvey-shack": {"b0": RGB, "L": 0.05, "s": 1.9},
+    "k-correlation": {"sigma": 0.03 * RGB, "B": 6.0, "s": 2.3},
+}  # fmt: skip
+
+
+def call(*words):
+    return CliRunner().invoke(cli.app, [str(word) for word in words], env={"COLUMNS": "400"})
+
+
+def written(folder, name, values, to):
+    """What is printed when a made fit of a model is exported."""
+    result = made("paint", model=models()[name]())
+    parameters = []
+    for q in result.parameters:
+        value = np.ravel(values.get(q.parameter, q.value))
+        value = float(value["RGB".index(q.channel or "R") % len(value)])
+        interval = q.laplace.model_copy(update={"q05": 0.9 * value, "q50": value, "q95": 1.1 * value})
+        parameters.append(q.model_copy(update={"value": value, "laplace": interval}))
+    parameters[1] = parameters[1].model_copy(update={"laplace": None})
+    write_result(folder / "paint.json", result.model_copy(update={"parameters": parameters}))
+    found = call("export", folder / "paint.json", "--to", to, "-o", folder)
+    assert found.exit_code == 0, found.output
+    return found.output
+
+
+def pairs():
+    rng = np.random.default_rng(0)
+    theta, phi = np.arccos(rng.uniform(0.2, 1, (2, 30))), rng.uniform(0, 2 * np.pi, (2, 30))
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+
+
+def test_disneys_metal_in_mitsubas_principled_is_ours(tmp_path):
+    """Without a coat; of a coat a quarter is written, which is as bright along the normal."""
+    mi = pytest.importorskip("mitsuba", reason="needs merlfit[mitsuba]")
+    mi.set_variant("scalar_rgb")
+
+    def of(values):
+        written(tmp_path, "disney", values, "principled")
+        text = (tmp_path / "paint.principled.xml").read_text()
+        bsdf = re.search("<bsdf.*</bsdf>", text)
+        assert bsdf
+        assert "roughness 0.45 (0.405 .. 0.495)" in text
+        assert "not decided by the data" in text
+        return (
+            mi.load_string(f'<scene version="3.0.0"><shape type="sphere">{bsdf[0]}</shape></scene>').shapes()[0].bsdf()
+        )
+
+    def seen(bsdf, i, o):
+        at = mi.SurfaceInteraction3f()
+        at.wi, at.n, at.sh_frame = mi.Vector3f(*i), [0, 0, 1], mi.Frame3f([0, 0, 1])
+        return np.array(bsdf.eval(mi.BSDFContext(), at, mi.Vector3f(*o))) / o[2]
+
+    i, o = pairs()
+    bare = DISNEY | {"clearcoat": 0.0}
+    bsdf = of(bare)
+    theirs = np.transpose([seen(bsdf, a, b) for a, b in zip(i, o, strict=True)])
+    np.testing.assert_allclose(theirs, evaluate(models()["disney"](), bare, from_vectors(i, o)), rtol=1e-4)
+    up = np.array([[0.0, 0.0, 1.0]])
+    ours = np.asarray(evaluate(models()["disney"](), DISNEY, from_vectors(up, up)))[:, 0]
+    np.testing.assert_allclose(seen(of(DISNEY), up[0], up[0]), ours, rtol=1e-4)
+
+
+def test_disneys_parameters_in_gltf_are_those_of_the_fit(tmp_path):
+    said = written(tmp_path, "disney", DISNEY | {"clearcoat": 0.0, "roughness": 0.3}, "gltf")
+    (material,) = json.loads((tmp_path / "paint.gltf").read_text())["materials"]
+    surface, told = material["pbrMetallicRoughness"], material["extras"]["merlfit"]
+    assert surface == {"baseColorFactor": [*RGB, 1.0], "metallicFactor": 1.0, "roughnessFactor": 0.3}
+    assert told["intervals"]["roughness"] == pytest.approx([0.27, 0.33])
+    assert told["intervals"]["specular"] is None
+    assert told["error"]["cielab"] < 0.01, "a metal is the same in both"
+    assert set(told["left_out"]) == {"specularTint", "sheen", "sheenTint", "clearcoat", "clearcoatGloss", "subsurface"}
+    assert "the fitted parameters of Disney's model themselves" in " ".join(said.split())
+
+
+def test_openpbrs_parameters_in_materialx_are_those_of_the_fit(tmp_path):
+    """And its formula is, without a coat, that by which the nearest of other models is found."""
+    written(tmp_path, "openpbr", OPENPBR, "openpbr")
+    tree = ElementTree.parse(tmp_path / "paint.mtlx")
+    surface = tree.getroot().find("open_pbr_surface")
+    assert surface is not None
+    inputs = {each.attrib["name"]: np.array(each.attrib["value"].split(", "), float) for each in surface}
+    assert set(inputs) == {*OPENPBR, "base_weight", "specular_weight", "coat_darkening"}
+    for name, value in OPENPBR.items():
+        np.testing.assert_allclose(inputs[name], value, rtol=1e-6)
+
+    i, o = pairs()
+    for metal in (0.0, 1.0):
+        geometry = from_vectors(i, o)
+        found = evaluate(models()["openpbr"](), OPENPBR | {"base_metalness": metal}, geometry)
+        at = setting(geometry).geometry
+        angles = Angles(*map(np.asarray, (at.cos_i, at.cos_o, np.cos(at.theta_h), at.cos_d)))
+        slope, rest = openpbr(angles, 0.5, None if metal else 1.5)
+        np.testing.assert_allclose(found, RGB[:, None] * slope + rest, rtol=4e-3)
+
+
+@pytest.mark.parametrize("to", ["gltf", "openpbr"])
+def test_parameters_of_another_model_are_not_taken_as_they_are(tmp_path, to, monkeypatch):
+    from merlfit.fitting.commands import export
+
+    asked = []
+    found = {"base_color": [0.1] * 3, "metallic": 0.0, "roughness": 0.2, "ior": 1.5, "error": {"cielab": 1.0}}
+    monkeypatch.setattr(export, "nearest_of", lambda path, result, to: asked.append(to) or found)
+    written(tmp_path, {"gltf": "openpbr", "openpbr": "disney"}[to], {}, to)
+    assert asked == [to]
+
+
+def test_principled_takes_disneys_parameters_alone(tmp_path):
+    write_result(tmp_path / "paint.json", made("paint"))
+    found = call("export", tmp_path / "paint.json", "--to", "principled", "-o", tmp_path)
+    assert found.exit_code == 2
+    said = " ".join(found.output.split())
+    assert "this is a fit of two-scale: fit it by --model disney" in said
+
+
+@pytest.mark.parametrize("name", SCATTER)
+def test_scatter_of_a_fit_by_its_own_formula_is_the_fit(tmp_path, name):
+    to = "abg" if name == "abg" else "k-correlation"
+    written(tmp_path, name, SCATTER[name], to)
+    told = json.loads((tmp_path / f"paint.{to}.json").read_text())
+    own = [row for row in told["rows"] if FORMULAS[to][row["model"]].model == name]
+    assert len(own) == 9
+    assert {row["model"] for row in told["rows"] if row["fitted"]} == {row["model"] for row in own}
+    names = {"b0": "b0", "sigma_um": "sigma", "B_um": "B", "L": "L", "s": "s", "A": "A", "B": "B", "g": "g"}
+    for row in own:
+        assert row["error"]["log_rms"] < 1e-9
+        assert row["tis"] == pytest.approx(row["tis_of_fit"], rel=0.02)
+        for key, value in row["parameters"].items():
+            expected = -1.9 if key == "S" else np.ravel(SCATTER[name][names[key]])
+            expected = expected if key == "S" else expected["RGB".index(row["channel"]) % len(expected)]
+            assert value == pytest.approx(expected, rel=1e-9)
