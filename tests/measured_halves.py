@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 from merlfit.fitting.fit.weights import weighted_samples
-from merlfit.fitting.pipeline.run import settings_for_scattered
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io import inputs
@@ -45,7 +44,7 @@ def half_of(measurement, kept):
 def halves(path, split, kind):
     """Intervals of both halves, with the index and body that the whole file was given."""
     index, body = kind
-    config = settings_for_scattered(path, load(index=index, body=body))
+    config = load(index=index, body=body).for_scattered
     measurement = inputs.read(path)
     odd, found = parity(measurement, split), {}
     for name, kept in (("even", ~odd), ("odd", odd)):

@@ -203,11 +203,9 @@ def fit(
         body=body, weights=weights, posterior=posterior, seed=seed,
         parameters=parameters_given(fix, bounds, start, tie),
     )  # fmt: skip
-    from .fit import aim_of, fit_files, refuse_unoffered, summarise
+    from .fit import aims_of, fit_files, summarise
 
-    given = {"--accuracy": accuracy is not None, "--time": within is not None}
-    refuse_unoffered(files, settings, *(option for option, asked in given.items() if asked))
-    outcomes = fit_files(files, out, settings, aim_of(settings, accuracy, within), jobs, resume, executor)
+    outcomes = fit_files(files, out, settings, aims_of(settings, accuracy, within, files), jobs, resume, executor)
     summarise(outcomes)
 
 

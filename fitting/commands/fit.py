@@ -22,7 +22,6 @@ from ..cost.accuracy import Aim, aim
 from ..cost.request import request
 from ..pipeline.models import candidates
 from ..pipeline.place import Completeness, claimed, completeness, results_beside
-from ..pipeline.run import settings_for_scattered
 from ..results.manifest import Ending, Journal
 from ..results.schema import Result
 from ..results.storage import valid_result
@@ -42,14 +41,24 @@ from ..support.terminal import (
     writable_folder,
 )
 
+Aims = dict[bool, Aim]
+"""What files are taken to, by whether they hold scattered directions; empty where nothing was asked for."""
 
-def aim_of(settings: Config, accuracy: float | None, within: str | None) -> Aim | None:
-    """Choose settings for an accuracy or a time, and print them; None if neither was asked for."""
+
+def aims_of(settings: Config, accuracy: float | None, within: str | None, files: list[Path]) -> Aims:
+    """Choose settings for an accuracy or a time, and print them."""
     if accuracy is None and within is None:
-        return None
-    chosen = aim(request(accuracy, within), settings)
-    console.print(chosen.summary)
-    return chosen
+        return {}
+    if within is not None and (scattered := next(filter(is_scattered, files), None)):
+        raise fail(
+            f"{scattered}: holds scattered directions, and what settings take is calibrated on MERL's grid: leave "
+            "--time out"
+        )
+    asked = request(accuracy, within)
+    aims = {kind: aim(asked, settings, kind) for kind in sorted(set(map(is_scattered, files)))}
+    for each in aims.values():
+        console.print(each.summary)
+    return aims
 
 
 def numbered(k: int, of: int, name: str) -> str:
@@ -64,12 +73,6 @@ def refuse_same_names(files: list[Path]) -> None:
         raise fail(
             f"several files are named {twice[0]}, and a result is named after its file: fit them into different folders"
         )
-
-
-def refuse_unoffered(files: list[Path], settings: Config, *options: str) -> None:
-    """End with an error where more is asked for than there is of scattered directions, before anything is read."""
-    for path in filter(is_scattered, files):
-        settings_for_scattered(path, settings, *options)
 
 
 def executor_of(
@@ -90,7 +93,7 @@ def executor_of(
 
 
 def fit_files(
-    files: list[Path], out: Path, settings: Config, aim: Aim | None = None, jobs: int | None = None,
+    files: list[Path], out: Path, settings: Config, aims: Aims | None = None, jobs: int | None = None,
     resume: bool = False, where: str | None = None,
 ) -> list[Outcome]:  # fmt: skip
     """Fit files, and write each result when it is done; whatever one runs into, the others are fitted.
@@ -105,9 +108,13 @@ def fit_files(
     """
     writable_folder(out)
     refuse_same_names(files)
-    chosen, finish = (aim.settings, aim.finish) if aim else (settings, None)
+    found_aims = [(aims or {}).get(is_scattered(path)) for path in files]
+    units = [
+        Unit(path, out, aim.settings if aim else settings, aim.finish if aim else None)
+        for path, aim in zip(files, found_aims, strict=True)
+    ]
+    chosen = units[0].settings if units else settings
     candidates(chosen)  # said before any file is read, if there is none
-    units = [Unit(path, out, chosen, finish) for path in files]
     found: dict[int, Outcome] = {}
     start = time.perf_counter()
     with claimed(out), progress_display() as progress:

@@ -9,6 +9,9 @@ diffraction errs by, is evaluated; the second is the length |J dz| of the Gauss-
 to take from z. A sum of lengths is an upper bound as far as one step goes; of other minima it knows nothing. Those are
 counted by the calibration: where more than one in twenty of its fits ended in another minimum, no estimate is below
 what nineteen in twenty keep to (`frontier.Point.other_minimum`): then a floor is stated, and called so.
+Of scattered directions, of which every file has others, nothing is calibrated. Their settings are found on the file's
+own samples: from the cheapest last steps on, until the estimate is as small as was asked for. They start from as many
+points as the reference does, so that neither knows of a minimum that the other does not.
 Held to its word on synthetic cases by ``tests/fitting/test_accuracy.py``.
 """
 
@@ -20,8 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...merl_io.binary import Measurement
-from ...merl_io.samples import Samples
+from ...merl_io.inputs import Input
 from ...model.two_scale import TwoScale
 from ..fit.levenberg_marquardt import Solution, compress
 from ..fit.outcome import Fitted
@@ -29,13 +31,14 @@ from ..fit.problem import Problem, make_problem
 from ..fit.residuals import Objective, predict
 from ..fit.transforms import Layout
 from ..pipeline.models import layout_for, variant
-from ..pipeline.run import assess, last_steps
+from ..pipeline.run import AnySamples, assess, last_steps
 from ..results import schema, storage
-from ..settings.choice import FITTED, REFERENCE, Choice, choice_of, default_choice
+from ..settings.choice import FITTED, POINTS, REFERENCE, Choice, choice_of, default_choice
 from ..settings.config import Config, ConfigError
 from .frontier import Point, load
 from .request import Request, needed
 
+UNCALIBRATED = "no calibration is of their directions"
 Model = tuple[Layout, np.ndarray]  # and its free coordinates
 
 
@@ -82,12 +85,12 @@ def same_variant(settings: Config, layout: Layout) -> Layout:
     return layout_for(settings, variant(settings, material.name, material.variant), layout.bands)
 
 
-def reference_problem(samples: Samples) -> Problem:
+def reference_problem(samples: AnySamples) -> Problem:
     """All bins as the reference fit has them."""
     return make_problem(samples, REFERENCE.azimuths, REFERENCE.precision)
 
 
-def resume_fit(model: Model, settings: Config, samples: Samples) -> tuple[Layout, Solution]:
+def resume_fit(model: Model, settings: Config, samples: AnySamples) -> tuple[Layout, Solution]:
     """The last steps once more from where a fit is."""
     layout = same_variant(settings, model[0])
     return layout, last_steps(layout, model[1], samples, settings.fit)
@@ -108,23 +111,25 @@ class Aim:
     """A request, the point of the frontier that was chosen for it, and the settings that it is applied to.
 
     Attributes:
-        calibration: in words, where the frontier comes from.
+        point: None of scattered directions. calibration: in words, where the frontier comes from.
     """
 
     request: Request
-    point: Point
+    point: Point | None
     config: Config
     calibration: str
 
     @property
-    def settings(self) -> Config:
-        """Settings of the fit to start with."""
-        return self.point.choice.settings(self.config)
+    def choices(self) -> list[Choice]:
+        """What a fit is taken through, one after the other, until it is accurate enough."""
+        if self.point is None:
+            return [*(q for q in POINTS if q.starts == REFERENCE.starts), REFERENCE]
+        return [self.point.choice, *[self.point.choice.finest()] * 2]
 
     @property
-    def longest(self) -> float:
-        """Seconds to expect at the most."""
-        return needed(self.point, self.request.has_time_to_estimate(self.point))
+    def settings(self) -> Config:
+        """Settings of the fit to start with."""
+        return self.choices[0].settings(self.config)
 
     @property
     def calibrated(self) -> bool:
@@ -138,24 +143,31 @@ class Aim:
     def summary(self) -> str:
         """What was asked, what is chosen for it, and what to expect."""
         point, said = self.point, "what to expect of these effects and limits was not calibrated"
+        if point is None:
+            first, last = self.choices[0], self.choices[-1]
+            return (
+                f"{self.request}: each file's own samples decide ({self.calibration}): a fit begins with {first}, and "
+                f"goes on, to {last} at the most, until it is estimated to be so near to the reference fit"
+            )
         if self.calibrated:
+            longest = needed(point, self.request.has_time_to_estimate(point))
             said = (
                 f"expected within {point.promised.p95:.2g} of the reference fit in {point.seconds.median:.2g} to "
-                f"{self.longest:.2g} s for each file, without posterior; the first fit with these settings also "
+                f"{longest:.2g} s for each file, without posterior; the first fit with these settings also "
                 "compiles its programs, which takes longer than the fit"
             )
         default = " (the defaults)" if point.choice == default_choice() else ""
         return f"{self.request}: {choice_of(self.settings)}{default}; {said} ({self.calibration})"
 
-    def finish(self, fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, schema.Accuracy]:
+    def finish(self, fitted: Fitted, measurement: Input, samples: AnySamples) -> tuple[Fitted, schema.Accuracy]:
         """The error that a fit is estimated to have, and the fit carried on where that is not what was asked for."""
-        if not self.request.has_time_to_estimate(self.point):
+        if self.point is not None and not self.request.has_time_to_estimate(self.point):
             only = _Try(choice_of(self.settings), fitted.layout, fitted.solution, np.inf)
             return fitted, self._summary([only], only)
         problem, wanted = reference_problem(samples), self.request.accuracy
-        best = self._assessed(self.point.choice, fitted.layout, fitted.solution, problem)
+        best = self._assessed(self.choices[0], fitted.layout, fitted.solution, problem)
         tried = [best]
-        for choice in [self.point.choice.finest()] * 2:
+        for choice in self.choices[1:]:
             if wanted is None or best.error <= wanted:
                 break
             found = resume_fit((best.layout, best.solution.z), choice.settings(self.config), samples)
@@ -167,14 +179,16 @@ class Aim:
         return fitted, self._summary(tried, best)
 
     def _assessed(self, choice: Choice, layout: Layout, solution: Solution, problem: Problem) -> _Try:
-        error, floor = estimate((layout, solution.z), problem, self.config), self.point.other_minimum
+        error = estimate((layout, solution.z), problem, self.config)
+        floor = 0.0 if self.point is None else self.point.other_minimum
         return _Try(choice_of(choice.settings(self.config)), layout, solution, max(error, floor), floor > error)
 
     def _summary(self, tried: list[_Try], best: _Try) -> schema.Accuracy:
-        asked, known = self.request, self.calibrated
+        asked, point = self.request, self.point if self.calibrated else None
+        longest = None if point is None else needed(point, asked.has_time_to_estimate(point))
         return schema.Accuracy(
             asked=asked.accuracy, asked_seconds=asked.seconds, calibration=self.calibration,
-            expected=self.point.promised.p95 if known else None, expected_seconds=self.longest if known else None,
+            expected=None if point is None else point.promised.p95, expected_seconds=longest,
             tried=[schema.Tried(settings=t.choice, estimated=storage.finite(t.error), floor=t.floor) for t in tried],
             settings=best.choice, estimated=storage.finite(best.error), floor=best.floor,
             met=None if asked.accuracy is None else best.error <= asked.accuracy,
@@ -186,8 +200,11 @@ def usable(points: Sequence[Point], config: Config) -> list[Point]:
     return [q for q in points if config.effects.diffraction == "quadrature" or q.choice.diffraction == "quadrature"]
 
 
-def aim(request: Request, config: Config) -> Aim:
+def aim(request: Request, config: Config, scattered: bool = False) -> Aim:
     """The cheapest way to what is asked for.
+
+    Args:
+        scattered: whether the files hold scattered directions.
 
     Raises:
         ConfigError: there is none, or the configuration sets what is to be chosen.
@@ -202,5 +219,7 @@ def aim(request: Request, config: Config) -> Aim:
             "--accuracy and --time choose among settings of the two-scale model alone, and what is to be fitted is "
             f"{config.model.name if isinstance(config.model.name, str) else ', '.join(config.model.name)}"
         )
+    if scattered:
+        return Aim(request, None, config.for_scattered, UNCALIBRATED)
     frontier, calibration = load()
     return Aim(request, request.choose(usable(frontier.points, config)), config, calibration)

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...merl_io.binary import Measurement, write
+from ...merl_io.binary import write
 from ...merl_io.grid import merl_grid
-from ...merl_io.samples import Samples
+from ...merl_io.inputs import Input
 from ...model.effects import KINDS, TWO_SCALE
 from ...model.measured import Measured
 from ...model.two_scale import TwoScale
@@ -25,7 +25,7 @@ from ..fit.outcome import Fitted
 from ..fit.problem import Problem, directions
 from ..fit.residuals import predict
 from ..pipeline.models import layout_for, variant
-from ..pipeline.run import assess, fit_file
+from ..pipeline.run import AnySamples, assess, fit_file
 from ..pipeline.synthesis import from_published
 from ..settings.choice import REFERENCE, Choice
 from ..settings.config import Config, load
@@ -121,14 +121,14 @@ def measure(choice: Choice, path: Path, references: Path, repeats: int) -> dict[
     }  # fmt: skip
 
 
-Seen = tuple[Fitted, Measurement, Samples, Problem, float, float]  # a fit's end, the estimate of its error, its seconds
+Seen = tuple[Fitted, Input, AnySamples, Problem, float, float]  # a fit's end, the estimate of its error, its seconds
 
 
 def _timed(choice: Choice, config: Config, path: Path, repeats: int) -> tuple[float, Seen]:
     """Median seconds of fits during which nothing was compiled, without their estimates; the last fit."""
     seen: list[Seen] = []
 
-    def finish(fitted: Fitted, measurement: Measurement, samples: Samples) -> tuple[Fitted, None]:
+    def finish(fitted: Fitted, measurement: Input, samples: AnySamples) -> tuple[Fitted, None]:
         start, problem = time.perf_counter(), reference_problem(samples)
         error = estimate((fitted.layout, fitted.solution.z), problem, config)
         seen[:] = [(fitted, measurement, samples, problem, error, time.perf_counter() - start)]

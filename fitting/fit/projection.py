@@ -137,7 +137,11 @@ def _project(
     costs = lobes[..., None]  # (N, C, tried, albedo)
     if (body := _body_of(parted)) is not None:
         crossed, alone = sums.crossed[body], sums.alone[body][None]
-        costs = costs + 2 * (crossed @ reflectance[..., None])[..., 0] + alone  # of one constant, or of every one tried
+        if crossed.shape[2] == 1:  # a body that does not know of the constants: one product of matrices for all
+            both = np.swapaxes(crossed[:, :, 0] @ by_angle, -1, -2)
+        else:
+            both = (crossed @ reflectance[..., None])[..., 0]
+        costs = costs + 2 * both + alone
     each = costs.min(-1)  # (N, C, tried)
     together = np.argmin(each.sum(1), -1)[:, None].repeat(each.shape[1], 1)
     best = together if parted.alike else np.argmin(each, -1)

@@ -24,7 +24,7 @@ from ..settings.config import Config, ConfigError, parse
 from ..support.clock import Report, Stage, silent
 from ..support.numbers import counted
 from .models import candidates
-from .run import fit_file, settings_for_scattered
+from .run import fit_file
 
 KEYS = ("material", "model", "variant", "origin", "weights", "status", "numbers")
 FIT = "fit"
@@ -108,7 +108,7 @@ def compare_file(
         inputs.read(path, dims=config.input.allowed, quantity=config.input.quantity) if isinstance(path, Path) else path
     )
     if isinstance(measurement, ScatteredMeasurement):
-        settings, with_published = [settings_for_scattered(measurement.path, each) for each in settings], False
+        settings, with_published = [each.for_scattered for each in settings], False
     results: dict[str, Result] = {}
     for k, name in enumerate(names):
         report(Stage(f"{name} ({k + 1} of {counted(len(names), 'model')})", k / len(names)))

@@ -12,7 +12,6 @@ import numpy as np
 
 from ...merl_io import inputs, scattered
 from ...merl_io.atomic import refused
-from ...merl_io.binary import Measurement, MerlError
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
@@ -60,7 +59,7 @@ OFFSET_EARLY, OFFSET_LATE = 0.05, 0.01
 MARGINS = 1.6, 1.3  # times the lowest after the first and after the second round: who is so much behind gives up
 MOST_ROUNDS, SAME_ERROR = 4, 0.05  # of weights with what the model errs by, and a change of it that ends them
 APART = 0.3  # in standard deviations of the prior: points nearer to each other are on the way to the same minimum
-Finish = Callable[[Fitted, Measurement, Samples], tuple[Fitted, schema.Accuracy | None]]
+Finish = Callable[[Fitted, Input, AnySamples], tuple[Fitted, schema.Accuracy | None]]
 
 
 def fit_file(
@@ -90,13 +89,12 @@ def fit_file(
             else path
         )
         if isinstance(measurement, ScatteredMeasurement):
-            config = settings_for_scattered(measurement.path, config, *(["--accuracy"] if finish else []))
+            config = config.for_scattered
         samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted, accuracy = fit(measurement, samples, config, report, clock), None
     if fitted is not None and (fitted.exponent, fitted.model_error) != (config.exponents[0], None):
         samples = weighted_samples(measurement, fitted.exponent, config.fit.theta_max, fitted.model_error)
-    if fitted is not None and finish is not None and isinstance(measurement, Measurement):
-        assert isinstance(samples, Samples)
+    if fitted is not None and finish is not None:
         with clock.stage("accuracy"):
             report("accuracy")
             fitted, accuracy = finish(fitted, measurement, samples)
@@ -201,26 +199,6 @@ def last_steps(layout: Layout, z: np.ndarray, samples: AnySamples, settings: Fit
     """Where a fit comes to from here on its last grid."""
     problem = make_problem(thinned(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
     return solve(Objective(layout, problem), z, settings.max_steps, backend=settings.backend)
-
-
-UNGRIDDED = {  # what there is not without a grid, by the option that asks for it
-    "--accuracy": "and what settings reach is calibrated on MERL's grid",
-    "--time": "and what settings take is calibrated on MERL's grid",
-}
-
-
-def settings_for_scattered(path: Path, config: Config, *options: str) -> Config:
-    """Settings for a file of scattered directions.
-
-    Args:
-        options: that were given, of `UNGRIDDED`.
-
-    Raises:
-        merlfit.merl_io.binary.MerlError: they ask for what there is not without a grid.
-    """
-    for option in options:
-        raise MerlError(f"{path}: holds scattered directions, {UNGRIDDED[option]}: leave {option} out")
-    return config.for_scattered
 
 
 def thinned(samples: AnySamples, runs: tuple[Runs, Runs, Runs]) -> AnySamples:

@@ -109,10 +109,10 @@ class Accuracy(Strict):
     asked_seconds: float | None
     """Seconds that were asked for; null if an error was."""
     calibration: str
-    """Which calibration the settings were chosen by, in words."""
+    """Which calibration the settings were chosen by, in words; scattered directions have none."""
     expected: float | None
-    """What 95 % of the calibration's fits with the first settings keep to; null for effects or limits of steps that
-    were not calibrated."""
+    """What 95 % of the calibration's fits with the first settings keep to; null for effects, limits of steps or
+    directions that were not calibrated."""
     expected_seconds: float | None
     """The same of the seconds."""
     tried: Many[Tried]

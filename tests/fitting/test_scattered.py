@@ -7,16 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.commands.metrics import samples_by_incidence
+from merlfit.fitting.cost.accuracy import distance, reference_problem, resume_fit
 from merlfit.fitting.fit import scattered_errors as assess
 from merlfit.fitting.fit.problem import Arrangement, make_problem
 from merlfit.fitting.fit.residuals import Objective, predict_samples
 from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import compressive_weight, cos_weighted_median, weighted_samples
+from merlfit.fitting.pipeline.models import layout_for
 from merlfit.fitting.pipeline.result import unread
 from merlfit.fitting.pipeline.run import fit_file
 from merlfit.fitting.posterior.coreset import edges_of
 from merlfit.fitting.results.storage import read_result
+from merlfit.fitting.settings.choice import POINTS, REFERENCE
 from merlfit.fitting.settings.config import load
 from merlfit.merl_io import inputs
 from merlfit.merl_io.bands import Bands
@@ -259,17 +262,38 @@ def test_the_commands_take_a_table(file, tmp_path):
     assert read(tmp_path / "seen.binary").valid.any()
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--accuracy", "1e-2"), "what settings reach is calibrated on MERL's grid: leave --accuracy out"),
-        (("--time", "20s"), "what settings take is calibrated on MERL's grid: leave --time out"),
-    ],
-)
-def test_what_needs_a_grid_is_refused_in_one_line(file, tmp_path, words, said):
-    refused = call("fit", file, "-o", tmp_path, *words)
+def test_a_time_that_nothing_is_calibrated_for_is_refused_in_one_line(file, tmp_path):
+    refused = call("fit", file, "-o", tmp_path, "--time", "20s")
     assert refused.exit_code == 2
+    said = "holds scattered directions, and what settings take is calibrated on MERL's grid: leave --time out"
     assert said in " ".join(refused.stderr.split())
+
+
+@pytest.mark.slow
+def test_settings_are_found_on_the_samples_themselves(tmp_path):
+    """The cheapest ones err by more than was asked for; those that were taken do not, measured from the reference."""
+    um, asked = spectral.WAVELENGTHS_UM[::15], 1e-4
+    bands = Bands(tuple(f"{round(1e3 * x)}nm" for x in um), tuple(um.tolist()))
+    path, angles = tmp_path / "metal.csv", spectral.directions(350)
+    values = spectral.values_of(TwoScale("none"), {**spectral.SURFACE, **spectral.metal(um)}, angles, um)
+    noise = 0.03 * np.random.default_rng(0).standard_normal(values.shape)
+    spectral.write_csv(path, angles, values * (1 + noise), bands.names)
+    words = ("--body", "none", "--no-posterior", "--accuracy", asked)
+    shown = call("fit", path, "-o", tmp_path, *words)
+    assert shown.exit_code == 0, shown.stderr
+    assert "each file's own samples decide (no calibration is of their directions)" in " ".join(shown.stdout.split())
+    result = read_result(tmp_path / "metal.json")
+    told = result.accuracy
+    assert told.met
+    assert told.expected is None
+    assert [t.settings for t in told.tried] == [q for q in POINTS if q.starts == 8][: len(told.tried)]
+    assert told.tried[0].estimated > asked >= told.tried[-1].estimated == told.estimated
+    samples, config = weighted_samples(inputs.read(path)), load(body="none").for_scattered
+    layout = layout_for(config, result.model.measured, bands)
+    found = layout, layout.free(result.values())
+    best = resume_fit(found, REFERENCE.settings(config), samples)
+    away = distance(found, (best[0], best[1].z), reference_problem(samples))
+    assert 0 < away < asked
 
 
 def test_what_an_isotropic_material_cannot_tell_apart_is_one_sample(file):
