@@ -383,7 +383,7 @@ _BY_NAME: dict[str, Callable[[Any], Hints]] = {
         lambda data, _: [{"exponent": float(np.clip(np.log(2.0) / (2 * data.half_width**2), 0.6, 8e5)), "C": 1.0}],
     ),
     "ashikhmin-shirley": _ashikhmin_shirley,
-    "retro": _weighted("k_r", 0.003, 0.95, lambda data, _: [{"alpha": 0.15}]),
+    "retro": _weighted("k_r", 0.003, 0.95, lambda data, _: [{"alpha": 0.1, "falloff": 1.0}]),
     "abg": _scatter("A", 1, lambda x: {"B": min(x**2, 5.0), "g": 2.0}),
     "harvey-shack": _scatter("b0", 1, lambda x: {"L": min(x / 1.7, 1.5), "s": 2.0}),
     "k-correlation": _scatter("sigma", 2, lambda x: {"B": 1.0 / min(x, 2.0), "s": 2.5}),

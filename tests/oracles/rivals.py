@@ -258,9 +258,9 @@ def openpbr(i, o, q, darkening=1.0, albedos=True):
     return lerp(below, (1 - E_c) * through * below, C) * dark + C * _dielectric(np.array(d), n_c) * top
 
 
-def retro(i, o, a, weight, albedo):
+def retro(i, o, a, weight, albedo, falloff=0.0):
     """Facets of light and the viewer that is mirrored about the normal (Portsmouth et al. 2026)."""
-    back = half(i, o * [-1, -1, 1])
+    back, weight = half(i, o * [-1, -1, 1]), weight * (i[2] * o[2]) ** falloff
     return albedo / math.pi + weight * gtr2(back[2], a) * smith_ggx(i[2], a) * smith_ggx(o[2], a) / (4 * i[2] * o[2])
 
 
