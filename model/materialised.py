@@ -20,7 +20,9 @@ def materialised(compute: Callable[..., T], always: Array, *args: object) -> T:
         always: true, which the compiler must not know (`true_of`).
     """
     shapes = jax.eval_shape(compute, *args)
-    return jax.lax.cond(always, compute, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)
+    nothing = lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)  # noqa: E731
+    # the barrier is for GPUs, where a conditional mapped over materials is none
+    return jax.lax.optimization_barrier(jax.lax.cond(always, compute, nothing, *args))
 
 
 def true_of(number: Array) -> Array:

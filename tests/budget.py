@@ -37,7 +37,7 @@ MORE = {
     "tests/fitting/test_starts.py": 36,
     # As they were before NumPy arrays went to the device without a program, slow tests among them; to be measured anew
     "tests/fitting/test_accuracy.py": 140,
-    "tests/fitting/test_batch.py": 110,
+    "tests/fitting/test_stacked.py": 110,
     "tests/fitting/test_cluster_fits.py": 300,
     "tests/fitting/test_coreset.py": 26,
     "tests/fitting/test_cost.py": 30,

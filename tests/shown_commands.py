@@ -54,6 +54,7 @@ ELSEWHERE = {  # commands that are not run here, and where they are
     r"merlfit fit .*--preset (conserving|free)": "minutes: tests/test_cli.py and make bench",
     r"merlfit fit .*--model auto": "minutes of compiling: tests/fitting/test_fit.py",
     r"dask |merlfit fit .*--executor": "tests/fitting/test_cluster.py",
+    r"merlfit fit .*--device gpu": "where there is a GPU: make bench-gpu; on CPUs tests/fitting/test_stacked.py",
     r"python -m merlfit.scene.mitsuba": "tests/scene/test_mitsuba.py",
 }
 MINUTES = {  # commands that `--quick` leaves out, and what runs them

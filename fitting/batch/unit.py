@@ -10,7 +10,7 @@ from ...merl_io.atomic import WriteError
 from ...merl_io.binary import MerlError
 from ...model.two_scale import TwoScale
 from ..pipeline.place import place_of
-from ..pipeline.run import Finish, fit_file
+from ..pipeline.run import Finish, Found, fit_file
 from ..results.manifest import Ending
 from ..results.schema import Result
 from ..results.storage import ResultError, read_result
@@ -23,12 +23,13 @@ from ..support.terminal import Stopped, why_ended
 
 @dataclass(frozen=True)
 class Unit:
-    """A file, the folder for its result, and the settings; as `pipeline.run.fit_file` takes them."""
+    """A file, the folder for its result, the settings, and a fit of it; as `pipeline.run.fit_file` takes them."""
 
     path: Path
     out: Path
     settings: Config
     finish: Finish | None = None
+    found: Found | None = None
 
     @property
     def name(self) -> str:
@@ -78,7 +79,7 @@ def fit_unit(unit: Unit, report: Report = silent) -> Ended:
         with place_of(unit.out, unit.name) as place:
             of = FIRST_FIT if unit.settings.model.name == TwoScale.name else FIRST_RIVAL
             with programs_told(_logged(unit, report), of) as told:
-                result = fit_file(unit.path, place.folder, unit.settings, told, unit.finish)
+                result = fit_file(unit.path, place.folder, unit.settings, told, unit.finish, unit.found)
         log(unit.log, f"{result.fit.status}, {result.seconds['total']:.1f} s")
         ended = Ended(Ending.FITTED, result)
     except MerlError as error:

@@ -190,6 +190,10 @@ def fit(
     executor: Annotated[
         str | None, typer.Option(help="Fit on a cluster, dask://HOST:PORT or dask-slurm; see docs/clusters.md.")
     ] = None,
+    device: Annotated[
+        str | None,
+        typer.Option(help="gpu: fit all files together on a GPU (docs/howto/fit.md); cpu \\[default: cpu]."),
+    ] = None,
 ) -> None:
     """Fit each file and write OUT/NAME.json, OUT/logs/NAME.log and a line of OUT/manifest.jsonl.
 
@@ -203,9 +207,12 @@ def fit(
         body=body, weights=weights, posterior=posterior, seed=seed,
         parameters=parameters_given(fix, bounds, start, tie),
     )  # fmt: skip
-    from .fit import aims_of, fit_files, summarise
+    from .fit import aims_of, device_of, fit_files, summarise
 
-    outcomes = fit_files(files, out, settings, aims_of(settings, accuracy, within, files), jobs, resume, executor)
+    given = [option for option, x in {"--accuracy": accuracy, "--time": within}.items() if x is not None]
+    chosen = device_of(device, settings, *given, *(["--executor"] if executor is not None else []))
+    aims = aims_of(settings, accuracy, within, files)
+    outcomes = fit_files(files, out, settings, aims, jobs, resume, executor, chosen)
     summarise(outcomes)
 
 

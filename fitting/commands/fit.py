@@ -1,11 +1,12 @@
 """Fits of files, as the commands `merlfit fit` and `merlfit demo` make them."""
 
+import os
 import shlex
 import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 from rich.progress import Progress, TaskID
@@ -27,6 +28,7 @@ from ..results.schema import Result
 from ..results.storage import valid_result
 from ..settings.config import Config
 from ..show.terminal_tables import Outcome, accuracy_line, summary_table
+from ..support.choices import Device
 from ..support.numbers import counted
 from ..support.processes import jobs_for
 from ..support.terminal import (
@@ -41,6 +43,10 @@ from ..support.terminal import (
     writable_folder,
 )
 
+if TYPE_CHECKING:  # it loads JAX
+    from ..batch.gpu import Gpu
+
+DEVICES = ("gpu", "cpu")
 Aims = dict[bool, Aim]
 """What files are taken to, by whether they hold scattered directions; empty where nothing was asked for."""
 
@@ -75,6 +81,37 @@ def refuse_same_names(files: list[Path]) -> None:
         )
 
 
+def device_of(asked: str | None, settings: Config, *others: str) -> Device | None:
+    """The device on which all files are fitted together; None for the CPU, a file at a time in each process.
+
+    Args:
+        others: options that were given and cannot be kept there.
+    """
+    if asked is None:
+        return None
+    if asked not in DEVICES:
+        raise fail(f"--device {asked}: is neither {' nor '.join(DEVICES)}")
+    if asked == "cpu":
+        os.environ["JAX_PLATFORMS"] = "cpu"
+        return None
+    import jax
+
+    try:
+        device, _ = jax.devices(asked)[0], jax.devices("cpu")
+    except RuntimeError:
+        if platforms := os.environ.get("JAX_PLATFORMS"):
+            raise fail(f"--device {asked}: JAX_PLATFORMS={platforms} leaves out the GPU or the CPU: unset it") from None
+        raise fail(
+            f"--device {asked}: JAX finds no GPU here, only {jax.devices()[0].platform}; with a GPU of NVIDIA, "
+            "pip install 'jax[cuda13]' into merlfit's environment"
+        ) from None
+    from ..batch.gpu import not_offered
+
+    if without := [*others, *filter(None, [not_offered(settings)])]:
+        raise fail(f"--device {asked}: all files are fitted together, which is not offered with {without[0]}")
+    return device
+
+
 def executor_of(
     units: int, jobs: int | None = None, where: str | None = None
 ) -> tuple[Here | Pool | Cluster, int | Literal["one a worker"]]:
@@ -92,16 +129,24 @@ def executor_of(
     return (Here(), 1) if units <= 1 else (Pool(count, note=note), count)
 
 
+def gpu_of(device: Device, units: int, jobs: int | None = None) -> tuple["Gpu", int]:
+    """What fits so many units together on a device of JAX's, and in how many processes it writes their results."""
+    from ..batch.gpu import Gpu
+
+    count = jobs_for(max(1, units), jobs)
+    return Gpu(device, Pool(count, note=note)), count
+
+
 def fit_files(
     files: list[Path], out: Path, settings: Config, aims: Aims | None = None, jobs: int | None = None,
-    resume: bool = False, where: str | None = None,
+    resume: bool = False, where: str | None = None, device: Device = None,
 ) -> list[Outcome]:  # fmt: skip
     """Fit files, and write each result when it is done; whatever one runs into, the others are fitted.
 
     Args:
         jobs: processes at the same time; None for as many as cores and memory allow.
         resume: leave alone what has a result of the same file, settings and versions.
-        where: of a cluster, as `executor_of` takes it.
+        where: of a cluster, as `executor_of` takes it. device: as `gpu_of` takes it.
 
     Returns:
         what came of each file, in their order.
@@ -123,7 +168,7 @@ def fit_files(
                 found[k] = Outcome(files[k], result)
         left = [k for k in range(len(units)) if k not in found]
         journal = Journal(out)
-        executor, count = executor_of(len(left), jobs, where)
+        executor, count = executor_of(len(left), jobs, where) if device is None else gpu_of(device, len(left), jobs)
         journal.began(chosen, len(files), count, executor.name)
         for k, outcome in found.items():
             journal.ended(units[k].path, "kept", outcome.result)

@@ -158,9 +158,9 @@ def general_of(model: Reflectance) -> General:
         given = dict(v)
         if base.index == "real":
             given["n"] = given.pop("eta")
-            given["k"] = np.zeros_like(given["n"])
+            given["k"] = np.zeros(np.shape(given["n"]))
         if base.body == "none":
-            given["albedo"] = np.zeros_like(given["n"])
+            given["albedo"] = np.zeros(np.shape(given["n"]))
         return given | {WHICH_BODY: np.int32(BODIES.index(base.body))}
 
     whole: Reflectance = over(material, base.general) if isinstance(material, Sum) else base.general

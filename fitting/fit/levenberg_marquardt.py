@@ -124,7 +124,7 @@ def compress(z: Array, normal: Array | np.ndarray) -> _Affine:
     return _Affine(z, r[:, -1], r[:, :-1])
 
 
-class _SolverState(eqx.Module):
+class SolverState(eqx.Module):
     """Where one solve is; of several, all arrays have a leading axis.
 
     Attributes:
@@ -144,8 +144,8 @@ class _SolverState(eqx.Module):
 
 
 @cache
-def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState], Callable[..., _SolverState]]:
-    """Start and step of the solver for P parameters, compiled, of several solves at once."""
+def steps(size: int, rtol: float) -> tuple[Callable[..., SolverState], Callable[..., SolverState]]:
+    """Start and step of the solver for P parameters, of one solve, to be compiled."""
     solver = TrustRegion(rtol=rtol, atol=rtol)
 
     def affine(z: Array, near: _Affine) -> tuple[Array, None]:
@@ -158,12 +158,14 @@ def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState]
 
     dynamic, static = eqx.partition(eqx.filter_jit(init)(), eqx.is_array)  # one program for all of its arrays
 
-    def start(y: Array, kept: Array) -> _SolverState:
+    def start(y: Array, kept: Array) -> SolverState:
         state = eqx.tree_at(lambda s: s.y_eval, dynamic, y)
         never, finite = jnp.asarray(-CLEAR), jnp.all(jnp.isfinite(kept))
-        return _SolverState(y, state, kept, jnp.asarray(jnp.inf), jnp.asarray(0), never, jnp.asarray(False), finite)
+        return SolverState(
+            y, state, kept, jnp.asarray(jnp.inf, float), jnp.asarray(0), never, jnp.asarray(False), finite
+        )
 
-    def advance(tolerance: float | Array, way: _SolverState, normal: Array) -> _SolverState:
+    def advance(tolerance: float | Array, way: SolverState, normal: Array) -> SolverState:
         state: Any = eqx.combine(way.state, static)
         near = compress(state.y_eval, normal)
         y, state, _ = solver.step(affine, way.y, near, {}, state, frozenset())
@@ -171,18 +173,27 @@ def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., _SolverState]
         steps = way.steps + 1
         better = (state.num_steps_since_acceptance == 0) | (steps == 1)
         offset = jnp.where(better, relative_offset(near.value), way.offset)
-        blocked = jnp.where(jnp.all(jnp.isfinite(normal)), way.blocked, steps)
-        converged = (stop & (steps > blocked + CLEAR)) | (offset < tolerance)
-        kept = jnp.where(better, normal, way.kept)
-        moved = _SolverState(y, eqx.filter(state, eqx.is_array), kept, offset, steps, blocked, converged, ~converged)
+        finite = jnp.all(jnp.isfinite(normal))
+        blocked = jnp.where(finite, way.blocked, steps)
+        usable = finite | (steps > 1)  # what is not finite where it starts goes nowhere
+        converged = usable & ((stop & (steps > blocked + CLEAR)) | (offset < tolerance))
+        kept, active = jnp.where(better, normal, way.kept), usable & ~converged
+        moved = SolverState(y, eqx.filter(state, eqx.is_array), kept, offset, steps, blocked, converged, active)
         return jax.tree.map(lambda new, old: jnp.where(way.active, new, old), moved, way)
 
+    return start, advance
+
+
+@cache
+def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., SolverState], Callable[..., SolverState]]:
+    """The same of several solves at once, compiled."""
+    start, advance = steps(size, rtol)
     return jax.jit(jax.vmap(start)), jax.jit(_one_after_the_other(advance))
 
 
 def _one_after_the_other(
-    advance: Callable[[float | Array, _SolverState, Array], _SolverState],
-) -> Callable[[float | Array, _SolverState, Array], _SolverState]:
+    advance: Callable[[float | Array, SolverState, Array], SolverState],
+) -> Callable[[float | Array, SolverState, Array], SolverState]:
     """Over the leading axis of states and equations; on a GPU side by side.
 
     On a CPU XLA spreads a batch of decompositions over its own threads, and waits for them in one of these: calls from
@@ -215,11 +226,11 @@ def solve_many(
         if not np.asarray(ways.active).any():
             break
         ways = advance(offset, ways, evaluate(np.asarray(ways.state.y_eval)) if step else ways.kept)
-    ended: _SolverState = jax.tree.map(np.asarray, ways)
+    ended: SolverState = jax.tree.map(np.asarray, ways)
     return [_ended(jax.tree.map(lambda x, k=k: x[k], ended)) for k in range(len(begun))]
 
 
-def _ended(way: _SolverState) -> Solution:
+def _ended(way: SolverState) -> Solution:
     kept = np.asarray(way.kept)
     cost = float(kept[:, -1, -1].sum()) if np.all(np.isfinite(kept)) else float("nan")
     return Solution(np.asarray(way.y), cost, kept, max(int(way.steps), 1), float(way.offset), bool(way.converged))

@@ -4,7 +4,7 @@ Nothing of the size bins x parameters is ever held: blocks of theta_h rows add u
 loop over blocks on one core, so every core is given its share of them by a thread of its own.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial, reduce
 from operator import add
@@ -97,7 +97,7 @@ class Objective:
         general = general_of(self.layout.model)
         given = general.values(values)
         found = side_by_side(lambda part: np.asarray(compute(general.model, given, part)), self.problem.parts)
-        kept = _rows(general)
+        kept = rows_of(general)
         compact = reduce(add, found)[..., kept[:, None], kept]
         return spread_out(self.layout, np.asarray(slopes), compact, np.asarray(self.problem.rest))
 
@@ -134,18 +134,40 @@ def weigh(root: Array, nodes: Array) -> Array:
 
 
 @cache
-def _rows(general: General) -> np.ndarray:
+def rows_of(general: General) -> np.ndarray:
     """Which rows of the general model's normal equations are those of the special one: parameters, and the residual."""
     rows = [q.name for q in general.model.parameters]
     return np.array([*map(rows.index, general.names), len(rows)])
 
 
-def _compact(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
+def products(columns: Sequence[Array]) -> Array:
+    """Products of all columns (C, n) with each other, (C, G+1, G+1): sums that need no other copy of them."""
+    upper = {
+        (i, j): jnp.sum(columns[i] * columns[j], -1, dtype=jnp.float64)
+        for i in range(len(columns))
+        for j in range(i + 1)
+    }
+    count = range(len(columns))
+    return jnp.stack([jnp.stack([upper[max(i, j), min(i, j)] for j in count], -1) for i in count], -1)
+
+
+def products_by_matrix(columns: Sequence[Array]) -> Array:
+    """The same as a product of matrices, for a GPU."""
+    matrix = jnp.stack(columns, -2).astype(jnp.float64)
+    return matrix @ matrix.swapaxes(-1, -2)
+
+
+def compact_equations(
+    model: Reflectance,
+    values: Mapping[str, Array],
+    part: Part,
+    multiplied: Callable[[Sequence[Array]], Array] = products,
+) -> Array:
     """Normal equations by physical values: one row and column a parameter, whether it is per channel or not."""
     moving = _rates(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
-        return total + _block_gram(model, *moving, b), None
+        return total + multiplied(_block_columns(model, *moving, b)), None
 
     groups, channels = len(model.parameters) + 1, part.target.shape[1]
     return jax.lax.scan(step, jnp.zeros((channels, groups, groups)), part)[0]
@@ -155,12 +177,12 @@ def _compact_of_many(model: Reflectance, values: Mapping[str, Array], part: Part
     """The same of M points, one after the other; values with a leading axis, but for the number of the body."""
     fixed = {name: values[name] for name in (WHICH_BODY,) if name in values}
     moving = {name: x for name, x in values.items() if name not in fixed}
-    return jax.lax.map(lambda v: _compact(model, {**v, **fixed}, part), moving)
+    return jax.lax.map(lambda v: compact_equations(model, {**v, **fixed}, part), moving)
 
 
 # XLA's older CPU emitters compile these in half the time and run them as fast (CONTRIBUTING.md, compile times).
 OLDER_EMITTERS = {"xla_cpu_use_fusion_emitters": False}
-compact_normal_equations = jax.jit(_compact, static_argnums=0, compiler_options=OLDER_EMITTERS)
+compact_normal_equations = jax.jit(compact_equations, static_argnums=0, compiler_options=OLDER_EMITTERS)
 compact_normal_equations_of_many = jax.jit(_compact_of_many, static_argnums=0, compiler_options=OLDER_EMITTERS)
 
 
@@ -171,14 +193,14 @@ def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers)
         slopes: of physical values by free coordinates, (..., P, F). compact: a row and column a parameter,
             (..., C, G+1, G+1). rest: what is added to each channel's cost, (C,).
     """
-    place, last = _places(layout.structure), np.eye(layout.size + 1)[-1]
+    place, last = places(layout.structure), np.eye(layout.size + 1)[-1]
     widened = slopes @ np.eye(layout.size, layout.size + 1)
     chain = place[..., :-1] @ widened[..., None, :, :] + place[..., -1:] * last
     return chain.swapaxes(-1, -2) @ compact @ chain + rest[:, None, None] * (last[:, None] * last)
 
 
 @cache
-def _places(structure: Structure) -> np.ndarray:
+def places(structure: Structure) -> np.ndarray:
     """Which physical value each channel's parameters are, and the residual after them, (C, G+1, P+1) of 0 and 1."""
     channels, slices = structure.channels, structure.slices.values()
     where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in slices]
@@ -226,10 +248,10 @@ def _rates(
     return {**values, **found}, rates
 
 
-def _block_gram(
+def _block_columns(
     model: Reflectance, values: Mapping[str, Array], rates: Mapping[str, Mapping[str, Array]], b: Part
-) -> Array:
-    """Normal equations of one block, one row and column a parameter group and one for the residual."""
+) -> list[Array]:
+    """Of one block: a column (C, n) of the Jacobian for each parameter, and the residual."""
 
     def factor_derivatives(values: Mapping[str, Array], b: Directions) -> tuple[dict[str, Array], dict[str, Array]]:
         s, read = setting_of(b), reads(model, b.scattered)
@@ -256,11 +278,4 @@ def _block_gram(
 
     always = true_of(b.target[0, 0, 0, 0])
     at, slopes = materialised(factor_derivatives, always, values, b.directions)
-    columns_ = [x.reshape(x.shape[0], -1) for x in materialised(columns, always, at, slopes, b)]
-    upper = {
-        (i, j): jnp.sum(columns_[i] * columns_[j], -1, dtype=jnp.float64)
-        for i in range(len(columns_))
-        for j in range(i + 1)
-    }
-    count = range(len(columns_))
-    return jnp.stack([jnp.stack([upper[max(i, j), min(i, j)] for j in count], -1) for i in count], -1)
+    return [x.reshape(x.shape[0], -1) for x in materialised(columns, always, at, slopes, b)]

@@ -161,14 +161,10 @@ def _of_alike(
         if summed:  # weights by least squares are no constants yet
             found = [(_costs(layout, v, problem), v) for layout, (_, v) in zip(layouts, found, strict=True)]
     rows_of_kinds = [tuple(each) for each in kinds.tolist()]
+    chosen = [[0, *(1 + k for k in _best(costs[1:], rows_of_kinds[1:], count))] for costs, _ in found]
     return [
-        np.array(
-            [
-                layout.free({name: x[i] for name, x in values.items()})
-                for i in (0, *(1 + k for k in _best(costs[1:], rows_of_kinds[1:], count)))
-            ]
-        )
-        for layout, (costs, values) in zip(layouts, found, strict=True)
+        layout.free_of_many({name: x[rows] for name, x in values.items()})
+        for layout, rows, (_, values) in zip(layouts, chosen, found, strict=True)
     ]
 
 
@@ -228,8 +224,8 @@ def _sobol(size: int, count: int, skipped: int = 0) -> np.ndarray:
 def _best(costs: np.ndarray, kinds: Sequence[tuple[int, ...]], count: int) -> list[int]:
     """So many candidates: of every kind the best, then the second best, and so on."""
     better: Counter[tuple[int, ...]] = Counter()
-    order = []
-    for i in np.argsort(np.nan_to_num(costs, nan=np.inf), kind="stable").tolist():
-        order.append((better[kinds[i]], float(np.nan_to_num(costs[i], nan=np.inf)), i))
+    order, finite = [], np.nan_to_num(costs, nan=np.inf).tolist()
+    for i in np.argsort(finite, kind="stable").tolist():
+        order.append((better[kinds[i]], finite[i], i))
         better[kinds[i]] += 1
     return [i for _, _, i in sorted(order)[:count]]

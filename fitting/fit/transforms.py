@@ -265,7 +265,7 @@ class Layout:
 
     def values_and_slopes_of_many(self, points: ArrayLike) -> tuple[dict[str, Array], Array]:
         """The same for many points (M, F), with a leading axis M."""
-        return _values_and_slopes_of_many(self.structure, self.table, points)
+        return values_and_slopes_of_many(self.structure, self.table, points)
 
     def held(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Values by name, of one point or many, with those that are fixed as they are fixed."""
@@ -278,6 +278,13 @@ class Layout:
                            for q in self.parameters})  # fmt: skip
         inside = [np.ravel(np.clip(given[q.name], q.lower, q.upper)) for q in self.parameters]
         return np.asarray(_free(self.structure, self.table, np.concatenate(inside)))[self.leads]
+
+    def free_of_many(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The same for many points, (M, F); values with a leading axis M."""
+        given = self.held({q.name: np.asarray(values[q.name], float) for q in self.parameters})
+        inside = [np.clip(given[q.name], q.lower, q.upper) for q in self.parameters]
+        flat = np.concatenate([x.reshape(len(x), -1) for x in inside], 1)
+        return np.asarray(_free_of_many(self.structure, self.table, flat))[:, self.leads]
 
     def _shape(self, parameter: Parameter) -> tuple[int, ...]:
         return (len(self.bands),) if parameter.per_channel else ()
@@ -422,7 +429,8 @@ def _values_and_slopes(s: Structure, t: Table, z: Array) -> tuple[dict[str, Arra
 
 
 @partial(jax.jit, static_argnums=0)
-def _values_and_slopes_of_many(s: Structure, t: Table, points: Array) -> tuple[dict[str, Array], Array]:
+def values_and_slopes_of_many(s: Structure, t: Table, points: Array) -> tuple[dict[str, Array], Array]:
+    """Physical values by name and their slopes at many points (M, F), with a leading axis M."""
     return jax.vmap(lambda z: _values_and_slopes(s, t, z))(points)
 
 
@@ -436,6 +444,11 @@ def _free(s: Structure, t: Table, values: Array) -> Array:
     if len(s.moved):
         median = median.at[s.moved].add(s.shifts(values, t.offset))
     return jnp.where(t.odds | t.logarithmic, _standard_normal(logarithm, t, median), linear)
+
+
+@partial(jax.jit, static_argnums=0)
+def _free_of_many(s: Structure, t: Table, values: Array) -> Array:
+    return jax.vmap(lambda flat: _free(s, t, flat))(values)
 
 
 @cache

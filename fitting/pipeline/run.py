@@ -62,18 +62,30 @@ APART = 0.3  # in standard deviations of the prior: points nearer to each other 
 Finish = Callable[[Fitted, Input, AnySamples], tuple[Fitted, schema.Accuracy | None]]
 
 
+class Found(NamedTuple):
+    """A fit that was made elsewhere, of a file with this SHA-1: where it ended, what was compared, seconds it took."""
+
+    layout: Layout
+    solution: Solution
+    candidates: list[schema.Candidate]
+    sha1: str
+    seconds: float
+
+
 def fit_file(
     path: str | os.PathLike[str] | Input,
     out: str | os.PathLike[str],
     config: Config,
     report: Report = silent,
     finish: Finish | None = None,
+    found: Found | None = None,
 ) -> schema.Result:
     """Fit one file, or what was read of it, and sample its posterior: ``out/NAME.json`` and the chain beside it.
 
     Args:
         report: called with a few words on what is being done.
         finish: looks at the fit before it is written, and may go on from there (``accuracy.Aim.finish``).
+        found: its fit, if there is one already; of another file it is ignored.
 
     Raises:
         merlfit.merl_io.binary.MerlError: the file cannot be used.
@@ -91,7 +103,12 @@ def fit_file(
         if isinstance(measurement, ScatteredMeasurement):
             config = config.for_scattered
         samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
-    fitted, accuracy = fit(measurement, samples, config, report, clock), None
+    if found is not None and found.sha1 == measurement.sha1:
+        report("errors on all bins")
+        fitted = _arrived(found, measurement, samples, config, clock)
+    else:
+        fitted = fit(measurement, samples, config, report, clock)
+    accuracy = None
     if fitted is not None and (fitted.exponent, fitted.model_error) != (config.exponents[0], None):
         samples = weighted_samples(measurement, fitted.exponent, config.fit.theta_max, fitted.model_error)
     if fitted is not None and finish is not None:
@@ -116,6 +133,14 @@ def fit_file(
     return result
 
 
+def _arrived(found: Found, measurement: Input, samples: AnySamples, config: Config, clock: Clock) -> Fitted:
+    """A fit with its errors, and its seconds on the clock."""
+    clock.spent("together", found.seconds)
+    with clock.stage("metrics"):
+        fitted = assess(found.layout, found.solution, measurement, samples, config.fit.theta_max)
+    return replace(fitted, candidates=found.candidates, exponent=config.exponents[0])
+
+
 @one_core_a_call
 def fit(
     measurement: Input,
@@ -131,8 +156,7 @@ def fit(
         first: shared parameters to start from instead of those read off the data.
     """
     clock = clock or Clock()
-    sets = [samples, *(thinned(samples, runs) for runs in (COARSE, CANDIDATES))]
-    if min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS:
+    if too_dark(samples):
         return None
     with clock.stage("coarse"):
         data, few, (problem, roughly) = start_hints(samples), thinned(samples, COARSE), make_coarse(samples)
@@ -140,10 +164,7 @@ def fit(
         def searched(models: list[Measured]) -> list[Searched]:
             report(f"coarse grid: {', '.join(model.variant for model in models)}")
             layouts = [layout_for(config, model, samples.bands) for model in models]
-            rough = [
-                cheaper(replace(each, model=hints_of(each.model).search or each.model), COARSE_ORDER)
-                for each in layouts
-            ]
+            rough = [searched_for(each) for each in layouts]
             found = fit_coarse(rough, data, problem, roughly, config, first)
             return [*map(Searched, layouts, rough, found)]
 
@@ -199,6 +220,12 @@ def last_steps(layout: Layout, z: np.ndarray, samples: AnySamples, settings: Fit
     """Where a fit comes to from here on its last grid."""
     problem = make_problem(thinned(samples, GRIDS[settings.grid]), settings.azimuths, settings.precision)
     return solve(Objective(layout, problem), z, settings.max_steps, backend=settings.backend)
+
+
+def too_dark(samples: AnySamples) -> bool:
+    """Whether too few bins have light to carry a fit."""
+    sets = [samples, *(thinned(samples, runs) for runs in (COARSE, CANDIDATES))]
+    return min(int(np.any((s.weight > 0) & (s.value > BLACK), axis=0).sum()) for s in sets) < LEAST_BINS
 
 
 def thinned(samples: AnySamples, runs: tuple[Runs, Runs, Runs]) -> AnySamples:
@@ -325,7 +352,7 @@ def fit_coarse(
             together = [list(chain.from_iterable(islice(solved, len(each)))) for each in shares]
             return [found[: len(each)] for found, each in zip(together, points, strict=True)]
 
-        return successive_halving(points, follow, config, rivals=True)
+        return successive_halving(points, follow, config, [0] * len(points))
 
 
 def _shared_out(points: np.ndarray) -> list[np.ndarray]:
@@ -350,15 +377,16 @@ Follow = Callable[[list[np.ndarray], Round], list[list[Solution]]]
 
 
 def successive_halving(
-    points: list[np.ndarray], follow: Follow, config: Config, rivals: bool = False
+    points: list[np.ndarray], follow: Follow, config: Config, contests: Sequence[int] | None = None
 ) -> list[Solution]:
     """The best of many points: all go a few steps, the leaders further, the best of these to the end.
 
     Args:
         points: free coordinates of every team's starting points, (R, P) each: a team is a body, or a material.
         follow: solutions, by team and point, at the end of a round.
-        rivals: whether the teams compete: then who is far behind the leader of all gives up, and a team that has but
-            such points sends its best one into the second round, and none into the last.
+        contests: number of the contest that each team is in, if the teams compete: then who is far behind the leader
+            of a contest gives up, and a team that has but such points sends its best one into the second round, and
+            none into the last.
     """
     settings = config.fit
     first, second = (min(steps, settings.coarse_steps) for steps in (FIRST_ROUND, SECOND_ROUND))
@@ -372,10 +400,15 @@ def successive_halving(
         found = follow(points, stage)
         leaders = [_leaders(each, stage.kept) if each else before for each, before in zip(found, leaders, strict=True)]
         going = leaders
-        if rivals and number < len(MARGINS):
-            limit = MARGINS[number] * min(_rank(each[0]) for each in leaders)
+        if contests is not None and number < len(MARGINS):
+            lowest = dict.fromkeys(contests, np.inf)
+            for contest, each in zip(contests, leaders, strict=True):
+                lowest[contest] = min(lowest[contest], _rank(each[0]))
             least = 1 if number == 0 else 0
-            going = [[s for k, s in enumerate(each) if k < least or _rank(s) <= limit] for each in leaders]
+            going = [
+                [s for k, s in enumerate(each) if k < least or _rank(s) <= MARGINS[number] * lowest[contest]]
+                for contest, each in zip(contests, leaders, strict=True)
+            ]
         points = [np.array([s.z for s in each]) for each in going]
     return [each[0] for each in leaders]
 
@@ -391,6 +424,11 @@ def _leaders(found: list[Solution], most: int) -> list[Solution]:
         if len(chosen) < most and all(np.linalg.norm(s.z - other.z) > APART for other in chosen):
             chosen.append(s)
     return chosen
+
+
+def searched_for(layout: Layout) -> Layout:
+    """What is looked for on the coarse grid in place of a layout."""
+    return cheaper(replace(layout, model=hints_of(layout.model).search or layout.model), COARSE_ORDER)
 
 
 def cheaper(layout: Layout, order: int) -> Layout:

@@ -1,6 +1,6 @@
 """What settings choose among, and the parts that compute name in their types: no jax."""
 
-from typing import Literal
+from typing import Any, Literal
 
 Precision = Literal["float64", "float32"]
 """In which a model is evaluated; sums are always taken in float64."""
@@ -17,3 +17,4 @@ WEIGHT_SCHEDULES: dict[Weights, tuple[Exponent, ...]] = {
 """Weights that a fit is made with, one after the other, each from where the one before it ended: the search for the
 lowest minimum and the choice of a body are those of the first. ``adaptive`` keeps the one with the nearest picture.
 ``none`` searches for itself: on some metals and plastics compressive weights do not lead to its lowest minimum."""
+Device = Any  # one of `jax.devices()`, which has no type of its own

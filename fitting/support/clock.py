@@ -34,6 +34,11 @@ class Clock:
         """By stage, and ``total`` until now."""
         return {**self.seconds, "total": round(time.perf_counter() - self.start, 3)}
 
+    def spent(self, name: str, seconds: float) -> None:
+        """Count what a stage took before this clock was started."""
+        self.start -= seconds
+        self.seconds[name] = round(self.seconds.get(name, 0.0) + seconds, 3)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Seconds of what is done in here, added to what the stage has taken before."""
