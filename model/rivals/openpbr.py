@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from .. import piecewise
+from .. import chebyshev
 from ..body import energy_preserving_oren_nayar, internal_diffuse_reflectance
 from ..fresnel import fresnel_of_dielectric, schlick_of_F0
 from ..masking.smith import height_correlated
@@ -21,7 +21,7 @@ from ..reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
 
 COAT = "specular_coat"
 EDGE = 1 / 7  # cosine of the angle, 82 degrees, at which specular_color tints a metal
-NODES = 48  # cosines of an albedo's table
+NODES = 24  # cosines at which an albedo is integrated
 CAP, TURNS = 20, 16  # Gauss nodes of visible facets
 SOURCE = "OpenPBR 1.1"
 
@@ -138,12 +138,12 @@ def metal(cos: Real, F0: Real, tint: Real) -> Real:
 
 
 def albedo_table(alpha: Scalar, ratio: Scalar) -> Real:
-    """Share of light that dielectric facets reflect, at even cosines of the viewer from 0 to 1, (NODES,).
+    """Share of light that dielectric facets reflect, by the cosine of the viewer: coefficients of `chebyshev.series`.
 
-    The mean of F G2/G1 over visible facets, drawn as spherical caps (Dupuy & Benyoub 2023). To 3e-4, 1e-3 for widths
-    above 0.5 (``tests/rivals/test_principled.py``).
+    The mean of F G2/G1 over visible facets, drawn as spherical caps (Dupuy & Benyoub 2023). To 2.5e-3 of the light
+    (``tests/rivals/test_principled.py``), beside the horizon, below 1 degree, of lobes narrower than that.
     """
-    cos = jnp.linspace(1e-3, 1.0, NODES)[:, None, None]
+    cos = jnp.asarray(chebyshev.nodes(NODES))[:, None, None]
     (u, cap), (turn, round_) = gauss_legendre(CAP), gauss_legendre(TURNS)
     sin = safe_sqrt((1 - cos) * (1 + cos))
     length = jnp.sqrt((alpha * sin) ** 2 + cos**2)
@@ -157,11 +157,7 @@ def albedo_table(alpha: Scalar, ratio: Scalar) -> Real:
     lit = cos_i > 0
     one, other = ggx.G1(cos, alpha), ggx.G1(jnp.where(lit, cos_i, 1.0), alpha)
     seen = fresnel_of_dielectric(cos_d, ratio) * height_correlated(one, other) / one
-    return jnp.sum(jnp.where(lit, seen, 0.0) * cap[:, None] * round_, (1, 2))
-
-
-def _at(table: Real, cos: Real) -> Real:
-    return piecewise.interpolate(table, (cos - 1e-3) * ((NODES - 1) / (1 - 1e-3)))
+    return chebyshev.coefficients(jnp.sum(jnp.where(lit, seen, 0.0) * cap[:, None] * round_, (1, 2)))
 
 
 def _gloss_table(v: Values) -> Real:
@@ -198,13 +194,13 @@ def _through(v: Values, s: Setting, cos: Array) -> Array:
     base, rough = _base_albedo(v)
     turned_back = v["turned_back"] if "turned_back" in v else internal_diffuse_reflectance(n)
     K = _mix(fresnel_of_dielectric(cos, n), turned_back, rough)
-    left = 1 - _at(v["albedo_of_coat"] if "albedo_of_coat" in v else _coat_table(v), cos)
+    left = 1 - chebyshev.series(v["albedo_of_coat"] if "albedo_of_coat" in v else _coat_table(v), cos)
     return _mix(1.0, left * absorbed, C) * _mix(1.0, (1 - K) / (1 - base * K), C)
 
 
 def _left(v: Values, cos: Array) -> Array:
     """1 - E_gloss."""
-    return 1 - _at(v["albedo_of_gloss"] if "albedo_of_gloss" in v else _gloss_table(v), cos)
+    return 1 - chebyshev.series(v["albedo_of_gloss"] if "albedo_of_gloss" in v else _gloss_table(v), cos)
 
 
 def _base_albedo(v: Values) -> tuple[Array, Array]:
