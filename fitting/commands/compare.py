@@ -7,16 +7,19 @@ from pathlib import Path
 
 import typer
 
+from ...merl_io import inputs
 from ...merl_io.atomic import WriteError, refused
 from ...merl_io.binary import MerlError
 from ...merl_io.inputs import Input
 from ...model.registry import made, models
+from ..fit.tabulated import tabulated
+from ..fit.weights import weighted_samples
 from ..pipeline.comparison import FIT, compare_file
 from ..pipeline.place import claimed, place_of
 from ..pipeline.run import fit_file
 from ..results.schema import Result
 from ..settings.config import Config, ConfigError
-from ..show.comparison_table import NAME, by_label, compared_in, table_of, verdict, write_tables
+from ..show.comparison_table import NAME, beside_table, by_label, compared_in, table_of, verdict, write_tables
 from ..support.compilation import programs_told, use_persistent_cache
 from ..support.numbers import counted
 from ..support.outputs import log, log_of, refuse_others
@@ -133,9 +136,11 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     writable_folder(out)
     wanted = chosen_models(names)
     with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
-        rows, _ = compare_file(path, wanted, settings, out, told, False, placed)
+        measurement = inputs.read(path, dims=settings.input.allowed, quantity=settings.input.quantity)
+        rows, _ = compare_file(measurement, wanted, settings, out, told, False, placed)
+        best = tabulated(weighted_samples(measurement, settings.exponents[0], settings.fit.theta_max))
     if not rows:
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)
     console.print(table_of(rows))
-    console.print(verdict(rows))
+    console.print(f"{verdict(rows)} {beside_table(rows, best)}")

@@ -19,11 +19,13 @@ paper a little better. Where they have the lowest score, a dielectric is taken, 
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).
 
-**Sums.** A sum of lobes (``--model auto``) is tried where a single model leaves more than `ENOUGH` of the energy on the
-coarse grid. It takes that one's place only where J E^2 is at most `WORTH` times its own, and neither J nor E is more
-than `MARGIN` times its own: that is seen. Constants of no matter are never taken. Neither the score nor a criterion
-that counts numbers would do: N is small where a model errs, so that nothing would be preferred just where another lobe
-is missing.
+**Richer models.** A coat, another surface and a film (``--model auto``) are tried where a single model leaves more than
+`ENOUGH` of the energy on the coarse grid; where `MUCH` is left, the most promising of all is added to, twice at most.
+One takes the single model's place only where J E^2 is at most `WORTH` times its own, `WORTH_OF_POOR` where that leaves
+`MUCH`, and neither J nor E is more than `MARGIN` times its own: that is seen. Of those whose J E^2 is within a factor
+of `LITTLE` of the lowest the one with the fewest numbers is taken. Constants of no matter are never taken. Neither the
+score nor a criterion that counts numbers would do: N is small where a model errs, so that nothing would be preferred
+just where another lobe is missing.
 
 **Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
 do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.
@@ -35,13 +37,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ..results import schema
+
 ALIKE = 6.0
 MARGIN = 1.05
 BEYOND = 2.5  # times the J or E of what no matter has: so much worse may a dielectric be
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
 ENOUGH = 0.005  # of the weighted energy: a single model that leaves no more needs no other lobe
-MUCH = 0.03  # of the weighted energy: one that leaves more may need a third
-WORTH = 0.5  # times the J E^2 of a single model, or less: a sum that takes its place
+MUCH = 0.03  # of the weighted energy: one that leaves more may need several
+WORTH, WORTH_OF_POOR = 0.5, 0.7  # times the J E^2 of a single model, or less: a richer one that takes its place
+LITTLE = 0.8  # times the J E^2 of a model with fewer numbers, or more: not worth those that another one has more
 FACTOR = 2.0  # a highlight that is off by more is lost
 VISIBLE = 2.0  # CIELAB distance of lit pixels above which a fit does not look like its file
 SEEN = 1.0  # CIELAB distance of spheres, just noticeable: by less a picture is as good
@@ -127,27 +132,40 @@ def choose(
     return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
 
 
+def promising(compared: Sequence[schema.Candidate], single: int, first: int) -> int:
+    """Which model to add to: that with the lowest J E^2 of a single one and of those from ``first`` on."""
+
+    def error(k: int) -> float:
+        c = compared[k]
+        return (c.objective or np.inf) * (c.cube_root or np.inf) ** 2 if c.of_matter or k == single else np.inf
+
+    return min([single, *range(first, len(compared))], key=error)
+
+
 def choose_sum(
     single: int,
-    sums: Sequence[int],
+    beside: Sequence[int],
+    numbers: Sequence[int],
     objectives: Sequence[float],
     cube_roots: Sequence[float],
-    scores: Sequence[float],
+    poor: bool = False,
     excessive: Callable[[int], bool] = lambda _: False,
 ) -> int:
-    """Which of some sums to take in place of a single model, the first of those that are alike; or that one.
+    """Which of some richer models to take in place of a single one, or that one.
 
     Args:
-        single: its number. sums: theirs, in order of preference: those over its own kind first, the simplest first.
-        excessive: as for `choose`.
+        single: its number. beside: those of the others. numbers: how many of them every model has.
+        poor: whether the single model leaves more than `MUCH`. excessive: as for `choose`.
     """
     J, E = objectives, cube_roots
-    seen = [k for k in sums if J[k] * E[k] ** 2 <= WORTH * J[single] * E[single] ** 2]
-    worth = [k for k in seen if J[k] <= MARGIN * J[single] and E[k] <= MARGIN * E[single]]
-    if not worth:
+    errors = np.nan_to_num(np.multiply(J, np.square(E)), nan=np.inf)
+    worth = WORTH_OF_POOR if poor else WORTH
+    seen = [k for k in beside if errors[k] <= worth * errors[single]]
+    kept = [k for k in seen if J[k] <= MARGIN * J[single] and E[k] <= MARGIN * E[single]]
+    if not kept:
         return single
-    best = min(worth, key=lambda k: scores[k])
-    near = [k for k in worth if k == best or alike(k, best, objectives, cube_roots, scores)]
+    least = min(errors[k] for k in kept)
+    near = sorted((k for k in kept if errors[k] <= least / LITTLE), key=lambda k: (numbers[k], errors[k]))
     return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
 
 

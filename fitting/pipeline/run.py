@@ -17,7 +17,6 @@ from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.measured import Measured
 from ...model.reflectance import of_order
-from ...model.sum import lowest
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
@@ -27,7 +26,7 @@ from ..fit.problem import Problem, make_problem
 from ..fit.published_errors import assess_prediction
 from ..fit.residuals import Objective
 from ..fit.residuals import predict_samples as predicted_by
-from ..fit.selection import ENOUGH, MUCH, choose, choose_sum, nearest, score
+from ..fit.selection import ENOUGH, MUCH, choose, choose_sum, nearest, promising, score
 from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..fit.weights import found_error, weighted_samples
@@ -59,6 +58,7 @@ OFFSET_EARLY, OFFSET_LATE = 0.05, 0.01
 MARGINS = 1.6, 1.3  # times the lowest after the first and after the second round: who is so much behind gives up
 MOST_ROUNDS, SAME_ERROR = 4, 0.05  # of weights with what the model errs by, and a change of it that ends them
 APART = 0.3  # in standard deviations of the prior: points nearer to each other are on the way to the same minimum
+RICHER = (with_sums, ENOUGH), (with_more, MUCH), (with_more, MUCH)  # what `auto` tries where more than so much is left
 Finish = Callable[[Fitted, Input, AnySamples], tuple[Fitted, schema.Accuracy | None]]
 
 
@@ -170,11 +170,12 @@ def fit(
 
         tried = searched(candidates(config))
         compared, chosen = compare(tried, few)
-        for richer, left in ((with_sums, ENOUGH), (with_more, MUCH)) if config.model.name == AUTO else ():
+        single, kinds = chosen, len(tried)
+        for richer, left in RICHER if config.model.name == AUTO else ():
             if tried[chosen].solution.cost > left:
-                known, taken = [each.layout.model for each in tried], tried[chosen].layout.material
-                tried += searched([model for model in richer(config, taken) if model not in known])
-                compared, chosen = compare(tried, few, chosen, len(known))
+                known, base = [each.layout.model for each in tried], tried[promising(compared, single, kinds)]
+                tried += searched([m for m in richer(config, base.layout.material) if m not in known])
+                compared, chosen = compare(tried, few, single, kinds)
         layout, rough, solution = tried[chosen]
         z, last = solution.z, cheaper(layout, COARSE_ORDER)
         if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
@@ -292,10 +293,10 @@ def compare(
         return brightest is not None and brightest.excessive
 
     if taken is not None:
-        kind = lowest(materials[taken])
-        sums = [k for k in range(first, len(materials)) if matter[k]]
-        sums.sort(key=lambda k: lowest(materials[k]) != kind)
-        return candidates, choose_sum(taken, sums, objectives, roots, scores, excessive)
+        beside = [k for k in range(first, len(materials)) if matter[k]]
+        return candidates, choose_sum(
+            taken, beside, [layout.size for layout in layouts], objectives, roots, found[taken].cost > MUCH, excessive
+        )
     dielectric, explains = ["k" not in v for v in values], [s.cost <= UNEXPLAINED_COST for s in found]
     return candidates, choose(objectives, roots, scores, matter, dielectric, explains, excessive)
 

@@ -16,6 +16,7 @@ from ...merl_io.atomic import write_text
 from ...model.two_scale import TwoScale
 from ..fit.outcome import POOR
 from ..fit.selection import ALIKE, SEEN, VISIBLE, least, lost
+from ..fit.tabulated import Tabulated
 from ..pipeline.comparison import FIT, Row
 from ..support.numbers import distance, median, number
 from ..support.tables import as_csv, as_markdown, table
@@ -175,6 +176,16 @@ def verdict(rows: Sequence[Row]) -> str:
         said += f" Its highlight is {number(peak, 2)} times the file's: try "
         said += f"`merlfit fit --weights {'adaptive' if seen else 'none'}`."
     return said
+
+
+def beside_table(rows: Sequence[Row], table: Tabulated) -> str:
+    """How far the lowest cost of some fits of one file is from that of a table, in a sentence."""
+    lowest = min((row for row in rows if row.origin == FIT), key=lambda r: np.nan_to_num(r.cost, nan=np.inf))
+    more = "the difference is left" if lowest.cost > table.cost else "nothing is left"
+    return (
+        f"A table of theta_h and theta_d with {table.numbers:,} numbers leaves {number(100 * table.cost, 2)} % of the "
+        f"weighted energy, {named(lowest)} {number(100 * lowest.cost, 2)} %: {more} for another model to gain."
+    )
 
 
 def explains(row: Row) -> bool:

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from merlfit.fitting.fit import plausible
 from merlfit.fitting.fit.levenberg_marquardt import UNEXPLAINED_COST
-from merlfit.fitting.fit.selection import ALIKE, BEYOND, MARGIN, PATIENCE, choose, choose_sum, lost, nearest, score
+from merlfit.fitting.fit.selection import (
+    ALIKE,
+    BEYOND,
+    MARGIN,
+    PATIENCE,
+    choose,
+    choose_sum,
+    lost,
+    nearest,
+    promising,
+    score,
+)
 from merlfit.fitting.fit_object import Fit
 from merlfit.fitting.results.schema_fit import Candidate
 from merlfit.model.effects import KINDS
@@ -175,16 +186,23 @@ def test_why_another_kind_than_the_lowest_was_taken_is_said(lowest, said):
 
 
 @pytest.mark.parametrize(
-    ("J", "E", "chosen"),
+    ("J", "E", "poor", "chosen"),
     [
-        ((1.0, 0.9, 0.8), (1.0, 0.9, 0.9), 0),  # not worth another lobe
-        ((1.0, 0.9, 0.4), (1.0, 0.9, 0.9), 2),
-        ((1.0, 0.4, 0.39), (1.0, 0.9, 0.9), 1),  # alike: the simpler one
-        ((1.0, 0.2, 0.4), (1.0, 1.2, 0.9), 2),  # a lower J by a worse E is refused
-        ((1.0, 1.2, 1.2), (1.0, 0.3, 0.3), 0),
-        ((1.0, float("nan"), 0.4), (1.0, 0.1, 0.9), 2),
+        ((1.0, 0.9, 0.8), (1.0, 0.9, 0.9), False, 0),  # not worth another lobe
+        ((1.0, 0.9, 0.8), (1.0, 0.9, 0.9), True, 2),  # where much is left it is
+        ((1.0, 0.9, 0.4), (1.0, 0.9, 0.9), False, 2),
+        ((1.0, 0.4, 0.39), (1.0, 0.9, 0.9), False, 1),  # as good by fewer numbers
+        ((1.0, 0.4, 0.3), (1.0, 0.9, 0.9), False, 2),
+        ((1.0, 0.2, 0.4), (1.0, 1.2, 0.9), False, 2),  # a lower J by a worse E is refused
+        ((1.0, 1.2, 1.2), (1.0, 0.3, 0.3), False, 0),
+        ((1.0, float("nan"), 0.4), (1.0, 0.1, 0.9), False, 2),
     ],
 )
-def test_a_sum_is_taken_where_it_is_seen(J, E, chosen):
-    scores = [score(j, e, 50.0) for j, e in zip(J, E, strict=True)]
-    assert choose_sum(0, [1, 2], J, E, scores) == chosen
+def test_a_richer_model_is_taken_where_it_is_seen(J, E, poor, chosen):
+    assert choose_sum(0, [1, 2], [13, 16, 20], J, E, poor) == chosen
+
+
+def test_what_is_added_to_is_the_best_of_matter_or_the_single_model():
+    of = lambda J, matter=True: Candidate(model="m", variant="m", cost=J, objective=J, cube_root=1.0, of_matter=matter)  # noqa: E731
+    assert promising([of(1.0), of(2.0)], 1, 2) == 1  # not another kind, which was not taken
+    assert promising([of(1.0), of(2.0), of(0.5, matter=False), of(0.8)], 1, 2) == 3
