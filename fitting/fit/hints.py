@@ -315,11 +315,11 @@ def _grating(model: Any) -> Hints:  # noqa: ANN401
 
 
 def _he_starts(data: StartHints, middle_um: float) -> list[Start]:
-    """A rough surface reflects as facets of root mean square slope sqrt(2) sigma / tau; a smooth one diffracts.
+    """A rough surface reflects as facets of exp(-(tau tan(theta_h) / (2 sigma))^2); a smooth one diffracts.
 
     The latter's lobe, where sigma is a few hundredths of the wavelength, is exp(-(pi tau v_xy / lambda)^2).
     """
-    rough = {"autocorrelation": 10.0, "roughness": float(np.clip(10.0 * data.half_width / 1.18, 2e-3, 19.0))}
+    rough = {"autocorrelation": 10.0, "roughness": float(np.clip(10.0 * data.half_width / 1.665, 2e-3, 19.0))}
     width = middle_um * 0.833 / (2 * np.pi * data.half_width)
     return [rough, {"autocorrelation": float(np.clip(width, 0.6, 290.0)), "roughness": 0.05}]
 

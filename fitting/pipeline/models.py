@@ -27,26 +27,29 @@ def candidates(config: Config) -> list[Measured]:
     return sorted(named, key=_numbers)
 
 
-def with_sums(config: Config, single: Reflectance) -> list[Measured]:
+def with_sums(config: Config, *taken: Reflectance) -> list[Measured]:
     """What ``auto`` tries beside a single model: a clear coat over each kind, another surface beside it, and a film.
 
     Only kinds of its interface: with lobes enough a felt would pass for a metal.
     """
+    single = taken[0]
     assert isinstance(single, TwoScale)
     bases = [two_scale(config, kind).material for kind in _kinds(config) if kind[0] == single.index]
     sums = [each for base in bases for each in (Sum(EPD(), base, coated=True), Sum(EPD(), base))]
     return _beside(config, [*sums, *_filmed(config, single)])
 
 
-def with_more(config: Config, taken: Reflectance) -> list[Measured]:
-    """What ``auto`` tries beside what it has taken: a coat, a film under what there is, gratings, another surface."""
-    coat = taken if isinstance(taken, Sum) and taken.coated else None
-    below = coat.base if coat else taken
-    added = [] if isinstance(below, Sum) else [Sum(part, below) for part in (Grating(), EPD())]
-    every = [replace(coat, base=each) if coat else each for each in added]
-    if coat is None:
-        every.append(Sum(EPD(), taken, coated=True))
-    return _beside(config, [*every, *_filmed(config, taken)])
+def with_more(config: Config, *taken: Reflectance) -> list[Measured]:
+    """What ``auto`` tries beside models that it has tried: a coat, a film, gratings, another surface."""
+    every: dict[Reflectance, None] = {}
+    for model in taken:
+        coat = model if isinstance(model, Sum) and model.coated else None
+        below = coat.base if coat else model
+        added = [] if isinstance(below, Sum) else [Sum(part, below) for part in (Grating(), EPD())]
+        every |= dict.fromkeys(replace(coat, base=each) if coat else each for each in added)
+        every |= {} if coat else {Sum(EPD(), model, coated=True): None}
+        every |= dict.fromkeys(_filmed(config, model))
+    return _beside(config, [*every])
 
 
 def _filmed(config: Config, taken: Reflectance) -> list[Reflectance]:

@@ -172,9 +172,11 @@ def fit(
         compared, chosen = compare(tried, few)
         single, kinds = chosen, len(tried)
         for richer, left in RICHER if config.model.name == AUTO else ():
-            if tried[chosen].solution.cost > left:
-                known, base = [each.layout.model for each in tried], tried[promising(compared, single, kinds)]
-                tried += searched([m for m in richer(config, base.layout.material) if m not in known])
+            bases = [tried[k].layout.material for k in (single, promising(compared, single, kinds))]
+            known = [each.layout.model for each in tried]
+            more = [model for model in richer(config, *bases) if model not in known]
+            if tried[chosen].solution.cost > left and more:
+                tried += searched(more)
                 compared, chosen = compare(tried, few, single, kinds)
         layout, rough, solution = tried[chosen]
         z, last = solution.z, cheaper(layout, COARSE_ORDER)
