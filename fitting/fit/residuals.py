@@ -181,7 +181,7 @@ def _compact_of_many(model: Reflectance, values: Mapping[str, Array], part: Part
 
 
 # XLA's older CPU emitters compile these in half the time and run them as fast (CONTRIBUTING.md, compile times).
-OLDER_EMITTERS = {"xla_cpu_use_fusion_emitters": False}
+OLDER_EMITTERS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}  # JAX 0.11 has none
 compact_normal_equations = jax.jit(compact_equations, static_argnums=0, compiler_options=OLDER_EMITTERS)
 compact_normal_equations_of_many = jax.jit(_compact_of_many, static_argnums=0, compiler_options=OLDER_EMITTERS)
 
