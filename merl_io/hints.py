@@ -13,6 +13,7 @@ SPREAD = 0.15  # of cosines' logarithms: pairs of directions that tell a cosine
 LEAST = 8  # pairs, or samples of an incidence, to say anything by
 MOST = 400  # samples that are looked at for their partners
 DRAWN = 1500  # directions of a hemisphere
+DENSE = 3000  # samples of an incidence, at the most, that these are compared with
 PAIRS = 4_000_000  # of these and samples that are looked at together: 100 MB
 FEWEST_AZIMUTHS = 3  # of an incidence, at least: a plane says nothing of the hemisphere
 NEAR = np.radians(3.0)  # of two samples that count as one pair of directions
@@ -131,6 +132,7 @@ def _hemisphere(at: np.ndarray, f: np.ndarray) -> float:
     rows = np.unique(np.round([x, y], 3), axis=1, return_index=True)[1]  # one direction is one sample, if there twice
     if len(rows) < LEAST:
         return 0.0
+    rows = rows[:: -(-len(rows) // DENSE)]
     least = []
     for part in np.array_split(np.arange(DRAWN), -(-DRAWN * len(rows) // PAIRS)):
         across, along = ((radius * turned(turn))[part, None] for turned in (np.cos, np.sin))

@@ -43,19 +43,23 @@ def hot(measured: ScatteredMeasurement) -> np.ndarray:
     angles = np.stack(half_difference(measured.theta_i, measured.theta_o, measured.phi))
     cosines = np.cos(measured.theta_i) * np.cos(measured.theta_o)
     outlying = np.zeros(measured.values.shape, bool)
+    ranked = order(np.stack([np.sqrt(angles[0]), angles[1], angles[2]]))
     for plane, hot_ones in zip(measured.values, outlying, strict=True):
         there = np.isfinite(plane)
-        hot_ones[there] = _hot(np.abs(plane[there] * cosines[there]), *angles[:, there])
+        own = (np.cumsum(there) - 1)[ranked[there[ranked]]]  # the same order, of those that are there
+        hot_ones[there] = _hot(np.abs(plane[there] * cosines[there]), own, *angles[:, there])
     return outlying
 
 
-def _hot(size: np.ndarray, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+def _hot(
+    size: np.ndarray, ranked: np.ndarray, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
+) -> np.ndarray:
     outlying, least = np.zeros(size.shape, bool), float(np.median(size)) if size.size else 0.0
     if size.size <= NEIGHBOURS or least == 0:
         return outlying
     at = np.stack([np.sqrt(theta_h), theta_d, phi_d]) / (np.pi / 2)
     away_from_both = (theta_h > MISALIGNED) & (theta_d > MISALIGNED)
-    for k in np.flatnonzero(away_from_both & _suspects(size, order(at))):
+    for k in np.flatnonzero(away_from_both & _suspects(size, ranked)):
         away = np.sum((at - at[:, [k]]) ** 2, 0)
         away[k] = np.inf
         near = np.argpartition(away, NEIGHBOURS)[:NEIGHBOURS]

@@ -72,12 +72,16 @@ def _of_samples(measured: ScatteredMeasurement, theta_i: float) -> np.ndarray:
         return np.full(len(values), np.nan)
     if measured.solid_angle is not None:
         return np.nan_to_num(values) @ (np.cos(theta_o) * measured.solid_angle[rows])
-    return np.array([_of_list(theta_o[there], phi[there], plane[there])
-                     for plane, there in zip(values, np.isfinite(values), strict=True)])  # fmt: skip
+    masks, which = np.unique(np.isfinite(values), axis=0, return_inverse=True)  # of all channels mostly the same
+    cells = [_cells(theta_o[there], phi[there]) for there in masks]
+    return np.array([plane[masks[k]] @ cells[k] for plane, k in zip(values, which, strict=True)])
 
 
-def _of_list(theta_o: np.ndarray, phi: np.ndarray, value: np.ndarray) -> float:
-    return float(value @ (np.cos(theta_o) * solid_angles(theta_o, phi))) if cover_hemisphere(theta_o, phi) else np.nan
+def _cells(theta_o: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """What each of a list of directions counts for, (N,): its solid angle times its cosine; NaN where they are few."""
+    if not cover_hemisphere(theta_o, phi):
+        return np.full(len(phi), np.nan)
+    return np.cos(theta_o) * solid_angles(theta_o, phi)
 
 
 def solid_angles(theta_o: np.ndarray, phi: np.ndarray) -> np.ndarray:

@@ -15,7 +15,9 @@ from ...model import published
 from ...model.registry import made
 from ...model.two_scale import TwoScale
 from ..fit import error_metrics
+from ..fit.problem import energy
 from ..fit.published_errors import assess_published, sources_of
+from ..fit.residuals import predict_samples
 from ..fit.selection import bic
 from ..fit.weights import weighted_samples
 from ..results.schema import Result
@@ -115,7 +117,8 @@ def compare_file(
         own = settings[k]
         kept = valid_result(out / name / f"{measurement.name}.json", measurement.sha1, own)
         results[name] = fit(measurement, out / name, own) if kept is None else kept
-    rows = [row_of(result) for result in results.values() if result.model is not None]
+    alike = on_same_weights(results, measurement, config)
+    rows = [row_of(result) for result in alike.values() if result.model is not None]
     if with_published and (sources := sources_of(measurement.name)):
         report("published parameters")
         assert not isinstance(measurement, ScatteredMeasurement)
@@ -123,7 +126,7 @@ def compare_file(
         for source in sources:
             errors, cost = assess_published(source, measurement, samples, config.fit.theta_max)
             rows.append(published_row(measurement.name, source, measurement.genuine is not None, errors, cost))
-    return with_bic(rows, results), results
+    return with_bic(rows, alike), results
 
 
 def published_row(material: str, source: str, genuine: bool, errors: error_metrics.Errors, cost: float) -> Row:
@@ -140,14 +143,27 @@ def published_row(material: str, source: str, genuine: bool, errors: error_metri
     )  # fmt: skip
 
 
-def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:
-    """With the effective count of the fit of the lowest cost, which the others are compared by, too.
+def on_same_weights(results: dict[str, Result], measurement: Input, config: Config) -> dict[str, Result]:
+    """The same with costs that can be compared, where a file states uncertainties and each model found own weights.
 
-    Where a file states uncertainties, every model has weights of its own (`weights.found_error`), and no cost that
-    could be compared: there is no BIC.
+    They are those of the model that errs least (`weights.found_error`).
     """
-    if any(r.fit.model_error is not None for r in results.values()):
-        return rows
+    errors = [r.fit.model_error for r in results.values() if r.fit.model_error is not None]
+    if not errors:
+        return results
+    samples = weighted_samples(measurement, config.exponents[-1], config.fit.theta_max, min(errors))
+    found = {}
+    for name, result in results.items():
+        if result.model is not None:
+            predicted = predict_samples(result.model.measured, result.values(), samples)
+            cost = float(np.sum(samples.weight * (samples.value - predicted) ** 2)) / energy(samples)
+            result = result.model_copy(update={"fit": result.fit.model_copy(update={"cost": cost})})
+        found[name] = result
+    return found
+
+
+def with_bic(rows: list[Row], results: dict[str, Result]) -> list[Row]:
+    """With the effective count of the fit of the lowest cost, which the others are compared by, too."""
     known = [(r.fit.cost, r.fit.effective_bins) for r in results.values() if r.fit.cost and r.fit.effective_bins]
     count = min(known)[1] if known else 1.0
     return [row if row.origin != FIT else replace(row, bic=bic(row.cost, row.numbers, count)) for row in rows]

@@ -2,10 +2,12 @@
 
 import csv
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from merlfit.fitting.commands.fit import aims_of
 from merlfit.fitting.commands.metrics import samples_by_incidence
 from merlfit.fitting.cost.accuracy import distance, reference_problem, resume_fit
 from merlfit.fitting.fit import scattered_errors as assess
@@ -269,6 +271,16 @@ def test_a_time_that_nothing_is_calibrated_for_is_refused_in_one_line(file, tmp_
     assert said in " ".join(refused.stderr.split())
 
 
+def test_files_without_a_grid_have_an_aim_of_their_own():
+    """No calibration speaks of them: they begin with the cheapest last steps, and end with the reference's."""
+    aims = aims_of(load(posterior=False), 1e-2, None, [Path("a.binary"), Path("b.csv")])
+    assert aims[False].point is not None
+    assert aims[True].point is None
+    assert aims[True].choices == [*(q for q in POINTS if q.starts == REFERENCE.starts), REFERENCE]
+    assert aims[True].settings.acquisition.grazing_loss == "off"
+    assert aims_of(load(), None, None, [Path("b.csv")]) == {}
+
+
 @pytest.mark.slow
 def test_settings_are_found_on_the_samples_themselves(tmp_path):
     """The cheapest ones err by more than was asked for; those that were taken do not, measured from the reference."""
@@ -349,8 +361,6 @@ def _measured(brdf):
 
     theta_i, theta_o, phi = np.radians(spectral.directions())
     values = brdf(half_difference(theta_i, theta_o, phi)[0])[None]
-    from pathlib import Path
-
     return ScatteredMeasurement(
         Path("made"), "table", theta_i, theta_o, phi, values, np.ones(len(theta_i)), Bands(("500nm",), (0.5,)), "", ""
     )

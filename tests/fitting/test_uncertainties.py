@@ -8,6 +8,7 @@ import pytest
 from merlfit.fitting.fit import scattered_errors
 from merlfit.fitting.fit.residuals import predict_samples
 from merlfit.fitting.fit.weights import completed, found_error, weighted_samples
+from merlfit.fitting.pipeline.comparison import on_same_weights
 from merlfit.fitting.pipeline.result import overstated
 from merlfit.fitting.pipeline.run import fit
 from merlfit.fitting.results.storage import read_result
@@ -132,6 +133,10 @@ def test_a_table_with_uncertainties_is_fitted_and_told(tmp_path):
     samples = weighted_samples(inputs.read(path), result.fit.weights, THETA_MAX, result.fit.model_error)
     predicted = predict_samples(result.model.measured, result.values(), samples)
     assert scattered_errors.effective_count(samples, predicted) == pytest.approx(result.fit.effective_bins, rel=1e-3)
+    fit_part = {"model_error": 3 * result.fit.model_error, "cost": 0.5}  # as of another model, with weights of its own
+    other = result.model_copy(update={"fit": result.fit.model_copy(update=fit_part)})
+    same = on_same_weights({"one": result, "other": other}, inputs.read(path), CONFIG)
+    assert same["other"].fit.cost == same["one"].fit.cost == pytest.approx(result.fit.cost, rel=1e-3)
     expanded = inputs.read({**table, "uncertainty": 3 * table["uncertainty"]})
     doubtful = fit(expanded, weighted_samples(expanded), CONFIG)
     (line,) = overstated(doubtful, weighted_samples(expanded, model_error=doubtful.model_error))
