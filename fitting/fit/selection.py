@@ -23,9 +23,9 @@ files that it was chosen on (docs/fitting.md).
 `ENOUGH` of the energy on the coarse grid; where `MUCH` is left, the most promising of all is added to, twice at most.
 One takes the single model's place only where J E^2 is at most `WORTH` times its own, `WORTH_OF_POOR` where that leaves
 `MUCH`, and neither J nor E is more than `MARGIN` times its own: that is seen. Of those whose J E^2 is within a factor
-of `LITTLE` of the lowest the one with the fewest numbers is taken. Constants of no matter are never taken. Neither the
-score nor a criterion that counts numbers would do: N is small where a model errs, so that nothing would be preferred
-just where another lobe is missing.
+of `LITTLE` of the lowest the one with the fewest numbers is taken, if on all bins its picture is the nearer one, too.
+Constants of no matter are never taken. Neither the score nor a criterion that counts numbers would do: N is small where
+a model errs, so that nothing would be preferred just where another lobe is missing.
 
 **Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
 do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.

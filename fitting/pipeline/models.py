@@ -48,7 +48,8 @@ def with_more(config: Config, *taken: Reflectance) -> list[Measured]:
         added = [] if isinstance(below, Sum) else [Sum(part, below) for part in (Grating(), EPD())]
         every |= dict.fromkeys(replace(coat, base=each) if coat else each for each in added)
         every |= {} if coat else {Sum(EPD(), model, coated=True): None}
-        every |= dict.fromkeys(_filmed(config, model))
+        if (base := lowest(model)) and isinstance(base, TwoScale) and base.index == "complex":
+            every |= dict.fromkeys(_filmed(config, model))
     return _beside(config, [*every])
 
 

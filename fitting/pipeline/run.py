@@ -16,7 +16,9 @@ from ...merl_io.inputs import Input
 from ...merl_io.samples import Runs, Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredMeasurement, ScatteredSamples
 from ...model.measured import Measured
-from ...model.reflectance import of_order
+from ...model.reflectance import Reflectance, of_order
+from ...model.sum import lowest
+from ...model.two_scale import TwoScale
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.hints import StartHints, hints_of
 from ..fit.largest_albedo import largest_albedo
@@ -26,7 +28,7 @@ from ..fit.problem import Problem, make_problem
 from ..fit.published_errors import assess_prediction
 from ..fit.residuals import Objective
 from ..fit.residuals import predict_samples as predicted_by
-from ..fit.selection import ENOUGH, MUCH, choose, choose_sum, nearest, promising, score
+from ..fit.selection import ENOUGH, MUCH, WORTH, choose, choose_sum, nearest, promising, score
 from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..fit.weights import found_error, weighted_samples
@@ -178,13 +180,22 @@ def fit(
             if tried[chosen].solution.cost > left and more:
                 tried += searched(more)
                 compared, chosen = compare(tried, few, single, kinds)
-        layout, rough, solution = tried[chosen]
+
+    def whole(k: int) -> Fitted:
+        """One of them on the last grid."""
+        layout, rough, solution = tried[k]
         z, last = solution.z, cheaper(layout, COARSE_ORDER)
         if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
-            z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
-    report(f"{config.fit.grid} grid: {layout.model.variant}")
-    ends = descend(layout, z, measurement, samples, config, clock)
-    return replace(ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])], candidates=compared)
+            with clock.stage("coarse"):
+                z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
+        report(f"{config.fit.grid} grid: {layout.model.variant}")
+        ends = descend(layout, z, measurement, samples, config, clock)
+        return ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])]
+
+    fitted = whole(chosen)
+    if chosen != single and (simpler := whole(single)).errors.picture < fitted.errors.picture:
+        fitted = simpler  # what has more lobes has to look better, too
+    return replace(fitted, candidates=compared)
 
 
 @one_core_a_call
@@ -295,12 +306,22 @@ def compare(
         return brightest is not None and brightest.excessive
 
     if taken is not None:
-        beside = [k for k in range(first, len(materials)) if matter[k]]
+        beside = [k for k in range(first, len(materials)) if matter[k] and not _idle(k, materials, objectives, roots)]
         return candidates, choose_sum(
             taken, beside, [layout.size for layout in layouts], objectives, roots, found[taken].cost > MUCH, excessive
         )
     dielectric, explains = ["k" not in v for v in values], [s.cost <= UNEXPLAINED_COST for s in found]
     return candidates, choose(objectives, roots, scores, matter, dielectric, explains, excessive)
+
+
+def _idle(k: int, materials: Sequence[Reflectance], objectives: Sequence[float], roots: Sequence[float]) -> bool:
+    """Whether a film does little that its complex index alone would not do: with both a felt would pass for a film."""
+    film = lowest(materials[k])
+    if not (isinstance(film, TwoScale) and film.index == "film"):
+        return False
+    bare = (j for j, m in enumerate(materials) if isinstance(m, TwoScale) and m.kind == ("complex", film.body))
+    errors = np.multiply(objectives, np.square(roots))
+    return any(errors[k] > WORTH * errors[j] for j in bare)
 
 
 def valued(layout: Layout, z: np.ndarray) -> dict[str, np.ndarray]:

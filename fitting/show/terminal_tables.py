@@ -63,8 +63,8 @@ def _not_the_lowest(result: Result) -> str:
         return f"; taken: {taken}, as {lowest.variant} leaves too much of the file unexplained"
     if not lowest.of_matter:
         return f"; taken: {taken}, as no matter has the constants of {lowest.variant}"
-    if lowest.model != result.model.name:
-        return f"; taken: {taken}, as {lowest.variant} does not leave half as much"
+    if (lowest.model, "film" in lowest.variant) != (result.model.name, "film" in taken):
+        return f"; taken: {taken}, as {lowest.variant} is too little better in cost or picture for what it has more"
     return f"; taken: {taken}, the simplest of those that describe the file about as well as the lowest"
 
 

@@ -195,3 +195,11 @@ def test_data_are_not_resampled(files):
     assert np.all(samples.value[:, h, d, p] >= pair.min(1) * (1 - 1e-12))
     assert np.all(samples.value[:, h, d, p] <= pair.max(1) * (1 + 1e-12))
     assert Path(files["plastic"]).stat().st_size == 34992012
+
+
+def test_a_film_that_does_little_more_than_its_index_is_none():
+    compared = [TwoScale("lambert", index="complex"), TwoScale("lambert", index="film"), TwoScale("none", index="film")]
+    assert run._idle(1, compared, [1.0, 0.8, 0.8], [1.0, 0.9, 0.9])
+    assert not run._idle(1, compared, [1.0, 0.4, 0.4], [1.0, 0.9, 0.9])
+    assert not run._idle(2, compared, [1.0, 0.8, 0.8], [1.0, 0.9, 0.9])  # of another body nothing is known
+    assert not run._idle(0, compared, [1.0, 0.8, 0.8], [1.0, 0.9, 0.9])
