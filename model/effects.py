@@ -83,7 +83,7 @@ class Effects:
             object.__setattr__(self, "index", "complex" if self.body == "none" else "real")
         if self.index == "film":
             if self.fresnel != "exact":
-                raise ValueError(f"fresnel {self.fresnel!r} knows of no film: leave it out")
+                raise ValueError(f"fresnel {self.fresnel!r}, which preset 'preview' has, knows of no film")
             if self.diffraction != "off":
                 object.__setattr__(self, "colour", "fresnel")
         if self.index in ("complex", "film") and self.body in ("plastic", "subsurface"):

@@ -10,45 +10,36 @@ within [0, 1] at grazing angles, too, where the series hardly converges.
 """
 
 import math
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from .fresnel import refracted_cosine
 from .numerics import Real, safe_divide
+from .parameters import WAVELENGTHS_UM
 
 NODES, STEP = 15, 0.4  # of a band, and standard deviations between two of them
 FWHM = 2 * math.sqrt(2 * math.log(2))  # of a Gaussian, in standard deviations
+_AT = STEP * (np.arange(NODES) - NODES // 2)
+WEIGHTS = tuple((np.exp(-(_AT**2) / 2) / np.exp(-(_AT**2) / 2).sum()).tolist())  # of the nodes
+SAME = 1e-3  # relative distance of wavelengths
 
 
-class Band(NamedTuple):
-    """Wavenumbers (1/um) of a channel's band, (NODES, C, ...), and their weights (NODES, 1, ...), which sum to 1."""
+def between_nodes(wavelength_um: Real) -> Real:
+    """Wavenumbers (1/um) from one node of each channel's band to the next, (C, ...); 0 for a line.
 
-    wavenumbers: Real
-    weights: Real
-
-
-def band_of(wavelength_um: Real) -> Band:
-    """Bands of channels that lie side by side: Gaussians in the wavenumber, as wide at half maximum as they are apart.
-
-    Three wavelengths of a camera have bands of 100 nm about, 31 of a spectrometer 10 nm; one alone is a line.
-
-    Args:
-        wavelength_um: of the channels, (C, ...).
+    Red, green and blue have one wavelength each that stands for a band (``WAVELENGTHS_UM``). Nothing says how wide it
+    is; so the bands are taken as lying side by side, Gaussians in the wavenumber that are as wide at half maximum as
+    they are apart, 100 nm about. Any other wavelength is that of a laser or a spectrometer: a line.
     """
-    centre = 1 / jnp.asarray(wavelength_um)
-    apart = jnp.zeros_like(centre)
-    if centre.shape[0] > 1:
-        ranked = jnp.sort(centre, 0)
-        gaps = jnp.diff(ranked, axis=0)
-        each = (jnp.concatenate([gaps[:1], gaps]) + jnp.concatenate([gaps, gaps[-1:]])) / 2
-        apart = jnp.take_along_axis(each, jnp.argsort(jnp.argsort(centre, 0), 0), 0)
-    at = STEP * (np.arange(NODES) - NODES // 2)
-    weights = np.exp(-(at**2) / 2)
-    shape = (NODES,) + (1,) * centre.ndim
-    sampled = centre + jnp.asarray(at, centre.dtype).reshape(shape) * apart / FWHM
-    return Band(sampled, jnp.asarray(weights / weights.sum(), centre.dtype).reshape(shape))
+    wavelength_um = jnp.asarray(wavelength_um)
+    if wavelength_um.shape[0] != len(WAVELENGTHS_UM):
+        return jnp.zeros_like(wavelength_um)
+    standing = np.array(WAVELENGTHS_UM).reshape((-1,) + (1,) * (wavelength_um.ndim - 1))
+    apart = np.abs(np.gradient(1 / standing, axis=0)) * STEP / FWHM
+    of_colours = jnp.all(jnp.abs(wavelength_um / standing - 1) < SAME)
+    return jnp.where(of_colours, jnp.asarray(apart, wavelength_um.dtype), 0.0)
 
 
 def reflectance(cos_theta: Real, n: Real, k: Real, eta: Real, thickness_um: Real, wavelength_um: Real) -> Real:
@@ -59,30 +50,48 @@ def reflectance(cos_theta: Real, n: Real, k: Real, eta: Real, thickness_um: Real
     Args:
         cos_theta: cosine of the angle of incidence, outside. n, k: of the matter, (C, ...). eta: real, at least 1.
         thickness_um: of the film. wavelength_um: of the channels, (C, ...).
+
+    Accuracy: 1e-12 at a wavelength alone. Over the bands of three colours, up to 70 degrees, 3e-3 where eta times the
+    thickness is at most 1.3 um, and 3e-2 up to 3 um; beyond, 1.5e-2 and 4e-2 (``tests/model/test_film.py``).
     """
     sin2 = (1 - cos_theta) * (1 + cos_theta)
     cos_f = jnp.sqrt((eta**2 - sin2) / eta**2)
     inside = eta * cos_f
     c_real, c_imag = refracted_cosine(cos_theta, n, k)
     e_real, e_imag = (n - k) * (n + k), 2 * n * k
-    band = band_of(wavelength_um)
-    phase = 2 * jnp.pi * (2 * inside * thickness_um) * band.wavenumbers
-    cos_phase, sin_phase = jnp.cos(phase), jnp.sin(phase)
-
-    def reflected(outer: Real, real: tuple[Real, Real], imag: tuple[Real, Real]) -> Real:
-        """The mean of |r_12 + r_23 e^(i phi)|^2 / |1 + r_12 r_23 e^(i phi)|^2, with r_23 = (a - b) / (a + b)."""
-        (a, b), (a_imag, b_imag) = real, imag
-        below = (a + b) ** 2 + (a_imag + b_imag) ** 2
-        inner_real = safe_divide((a - b) * (a + b) + (a_imag - b_imag) * (a_imag + b_imag), below)
-        inner_imag = safe_divide((a_imag - b_imag) * (a + b) - (a - b) * (a_imag + b_imag), below)
-        turned_real = inner_real * cos_phase - inner_imag * sin_phase
-        turned_imag = inner_real * sin_phase + inner_imag * cos_phase
-        above = (outer + turned_real) ** 2 + turned_imag**2
-        around = (1 + outer * turned_real) ** 2 + (outer * turned_imag) ** 2
-        return jnp.sum(band.weights * safe_divide(above, around), 0)
-
     s = (cos_theta - inside) / (cos_theta + inside)
     p = (eta * cos_theta - cos_f) / (eta * cos_theta + cos_f)
-    reflected_s = reflected(s, (inside, c_real), (jnp.zeros_like(c_imag), c_imag))
-    reflected_p = reflected(p, (e_real * cos_f, eta * c_real), (e_imag * cos_f, eta * c_imag))
-    return (reflected_s + reflected_p) / 2
+    below_s = _amplitude((inside, c_real), (jnp.zeros_like(c_imag), c_imag))
+    below_p = _amplitude((e_real * cos_f, eta * c_real), (e_imag * cos_f, eta * c_imag))
+
+    turn, step = 4 * jnp.pi * inside * thickness_um, between_nodes(wavelength_um)
+    first = turn * (1 / wavelength_um - (NODES // 2) * step)
+    phase, by = (jnp.cos(first), jnp.sin(first)), (jnp.cos(turn * step), jnp.sin(turn * step))
+    total = jnp.zeros(())
+    for weight in WEIGHTS:  # nodes are evenly spaced: from one to the next the phase turns by the same angle
+        total = total + weight * (_reflected(s, below_s, phase) + _reflected(p, below_p, phase)) / 2
+        phase = _product(phase, by)
+    return total
+
+
+Complex = tuple[Array, Array]
+
+
+def _product(x: Complex, y: Complex) -> Complex:
+    return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
+
+
+def _amplitude(real: Complex, imag: Complex) -> Complex:
+    """(a - b) / (a + b) of two complex numbers, from their real and their imaginary parts."""
+    (a, b), (a_imag, b_imag) = real, imag
+    below = (a + b) ** 2 + (a_imag + b_imag) ** 2
+    return (
+        safe_divide((a - b) * (a + b) + (a_imag - b_imag) * (a_imag + b_imag), below),
+        safe_divide((a_imag - b_imag) * (a + b) - (a - b) * (a_imag + b_imag), below),
+    )
+
+
+def _reflected(outer: Array, inner: Complex, phase: Complex) -> Array:
+    """|r_12 + r_23 e^(i phi)|^2 / |1 + r_12 r_23 e^(i phi)|^2."""
+    real, imag = _product(inner, phase)
+    return safe_divide((outer + real) ** 2 + imag**2, (1 + outer * real) ** 2 + (outer * imag) ** 2)

@@ -73,7 +73,8 @@ def effects_of(model: Reflectance) -> tuple[Effect, ...]:
     if not isinstance(model, TwoScale):
         parts = tuple(Effect(f"{lobe} lobe", "none", lobe=lobe) for lobe in model.lobes)
         return (*parts, Effect("body", "none", body=True))
-    return tuple(effect for effect in TWO_SCALE if without(model, [effect]) != model)
+    known = [effect for effect in TWO_SCALE if model.index != "film" or ("fresnel", "schlick") not in effect.changes]
+    return tuple(effect for effect in known if without(model, [effect]) != model)
 
 
 def without(model: Reflectance, effects: Sequence[Effect]) -> Reflectance:
@@ -91,8 +92,9 @@ def without(model: Reflectance, effects: Sequence[Effect]) -> Reflectance:
     kept = tuple(lobe for lobe in found.lobes if lobe not in gone)
     if kept == (*found.lobes,):
         return found
+    cheapest = {} if model.index == "film" else {"fresnel": "schlick"}
     if not kept:
-        found = found.changed(diffraction="off", masking="none", fresnel="schlick", split=_split(found))
+        found = found.changed(diffraction="off", masking="none", split=_split(found), **cheapest)
     elif found.colour != "fresnel":
         found = replace(found, fresnel="schlick")  # of the specular term alone
     return Part(found, kept)

@@ -23,7 +23,17 @@ RIVALS = tuple(
 GROUPS: dict[str, tuple[str, ...]] = {
     "fits": tuple(
         f"tests/fitting/test_{name}.py"
-        for name in ["bands", "stacked", "coreset", "fit", "hard_fits", "likelihood", "objective", "projection", "starts"]
+        for name in [
+            "bands",
+            "stacked",
+            "coreset",
+            "fit",
+            "hard_fits",
+            "likelihood",
+            "objective",
+            "projection",
+            "starts",
+        ]
     ),
     "hard-cases": ("tests/test_hard_cases.py",),
     "models": ("tests/model", *RIVALS, "tests/test_oracles.py"),

@@ -153,7 +153,7 @@ def fit(
     ] = None,
     index: Annotated[
         str | None,
-        typer.Option(help="Two-scale model: index of refraction, auto, complex (metal) or real (plastic, coat)."),
+        typer.Option(help="Two-scale model: index of refraction, auto, complex (metal), real (plastic, coat) or film."),
     ] = None,
     body: Annotated[
         str | None,

@@ -138,9 +138,10 @@ def which_model(path: Path, names: str | None, out: Path, settings: Config) -> N
     with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
         measurement = inputs.read(path, dims=settings.input.allowed, quantity=settings.input.quantity)
         rows, _ = compare_file(measurement, wanted, settings, out, told, False, placed)
-        best = tabulated(weighted_samples(measurement, settings.exponents[0], settings.fit.theta_max))
+        samples = weighted_samples(measurement, settings.exponents[0], settings.fit.theta_max)
+        table = None if getattr(samples, "uncertainty", None) is not None else tabulated(samples)
     if not rows:
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)
     console.print(table_of(rows))
-    console.print(f"{verdict(rows)} {beside_table(rows, best)}")
+    console.print(verdict(rows) + (beside_table(rows, table) if table else ""))

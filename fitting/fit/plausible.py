@@ -30,6 +30,9 @@ def cautions(
         found.append(
             "sigma_s is more than half a wavelength: nearly all light is diffracted, and its value is uncertain"
         )
+    if "film_eta" in v:
+        said = "n, k, index and thickness of the film are effective values: the hue gives the optical path alone well"
+        return [*found, said]
     return found + (_of_no_metal(v, channels) if "k" in v else [])
 
 

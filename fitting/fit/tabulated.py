@@ -1,4 +1,4 @@
-"""The best table of theta_h and theta_d: what any isotropic model without masking could reach at the most.
+"""The best table of theta_h and theta_d, which no function of these two angles is better than.
 
 Microfacet and diffraction models are, but for masking and bodies, functions of theta_h and theta_d (HP17 Section 3).
 What a smooth table of these leaves of a file is noise, sparkle, and light that depends on the azimuth as well; what a
@@ -6,6 +6,7 @@ model leaves beyond that, another model of these two angles could gain. A table 
 nothing.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from ...merl_io.scattered import ScatteredSamples
 from .problem import energy
 
 SPLINES = 28, 8  # of scattered samples: along the rank of theta_h, along cos(theta_d)
+LEAST = 8  # samples for each number of a channel
 RIDGE = 1e-7  # of the mean square of a column: where directions are few
 
 
@@ -30,9 +32,14 @@ class Tabulated(NamedTuple):
     numbers: int
 
 
-def tabulated(samples: Samples | ScatteredSamples) -> Tabulated:
-    """Every theta_h and theta_d of a grid, or cubic splines through scattered samples, by weighted least squares."""
+def tabulated(samples: Samples | ScatteredSamples) -> Tabulated | None:
+    """Every theta_h and theta_d of a grid, or cubic splines through scattered samples, by weighted least squares.
+
+    None where there are fewer than `LEAST` samples a number: a table would pass through their noise.
+    """
     scattered = isinstance(samples, ScatteredSamples)
+    if scattered and len(samples.theta_h) < LEAST * math.prod(SPLINES):
+        return None
     left, numbers = _splines(samples) if scattered else _means(samples.weight, samples.value)
     return Tabulated(float(left / energy(samples)), numbers)
 

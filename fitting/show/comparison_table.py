@@ -181,10 +181,9 @@ def verdict(rows: Sequence[Row]) -> str:
 def beside_table(rows: Sequence[Row], table: Tabulated) -> str:
     """How far the lowest cost of some fits of one file is from that of a table, in a sentence."""
     lowest = min((row for row in rows if row.origin == FIT), key=lambda r: np.nan_to_num(r.cost, nan=np.inf))
-    more = "the difference is left" if lowest.cost > table.cost else "nothing is left"
     return (
-        f"A table of theta_h and theta_d with {table.numbers:,} numbers leaves {number(100 * table.cost, 2)} % of the "
-        f"weighted energy, {named(lowest)} {number(100 * lowest.cost, 2)} %: {more} for another model to gain."
+        f" A smooth table of theta_h and theta_d with {table.numbers:,} numbers leaves {number(100 * table.cost, 2)} % "
+        f"of the weighted energy, {named(lowest)} {number(100 * lowest.cost, 2)} %."
     )
 
 

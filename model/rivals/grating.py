@@ -24,18 +24,21 @@ from ..priors import LogNormal
 from ..reflectance import OneFormula, Profile, Setting, Values
 from .common import DIFFUSE
 
-ORDERS = 3  # rings: of a period below 1 um no further one is seen in visible light
+ORDERS = 3  # rings; of a period below 0.89 um no other one is above the horizon in visible light
 
 
 @dataclass(frozen=True)
 class Grating(OneFormula):
     """Rings of Gaussian profile in spatial frequency, whose light falls by a factor from order to order.
 
-        rho = sum_m E q^(m-1) (1 - q) g((f - m/d) / (m s/d)) / (lambda^2 2 pi (m/d)^2 s) + rho_d / pi,
+        rho = sum_m E q^(m-1) / (1 + q + q^2) g((f - m/d) / (m s/d)) / (lambda^2 2 pi (m/d)^2 s) + rho_d / pi,
         f = 2 sin(theta_h) cos(theta_d) / lambda,    g the density of a standard normal.
 
-    The relative width s is that of the periods, of the flakes' tilt and of the channel's band together. Reciprocal;
-    there is no masking. Accuracy: 1e-9 against an independent oracle (``tests/rivals/test_grating.py``).
+    The relative width s is that of the periods, of the flakes' tilt and of the channel's band together; it is at most
+    0.25, so that the first two rings stand apart. E is the light of all rings, whether they are above the horizon or
+    not; in a sum only its product with the surface's share is known. Reciprocal; there is no masking.
+
+    Accuracy: 1e-9 against an independent oracle (``tests/rivals/test_grating.py``).
     """
 
     name: ClassVar[str] = "grating"
@@ -44,11 +47,11 @@ class Grating(OneFormula):
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
         return (
-            Parameter("period", "d", "period of the gratings", "um", 0.8, 0.3, 20.0, source="grating equation",
-                      prior=LogNormal(1.0, 2.0)),
-            Parameter("spread", "s", "relative width of a ring", "1", 0.15, 0.02, 0.5, source="relative spread",
-                      prior=LogNormal(0.15, 1.5)),
-            Parameter("higher", "q", "light of an order over that of the one before it", "1", 0.1, 0.0, 0.9, "linear",
+            Parameter("period", "d", "period of the gratings", "um", 0.8, 0.3, 3.0, source="grating equation",
+                      prior=LogNormal(0.9, 1.5)),
+            Parameter("spread", "s", "relative width of a ring", "1", 0.12, 0.02, 0.25, source="relative spread",
+                      prior=LogNormal(0.12, 1.4)),
+            Parameter("higher", "q", "light of a ring over that of the one before it", "1", 0.1, 0.0, 0.9, "linear",
                       source="geometric fall"),
             Parameter("efficiency", "E", "share of the light that the gratings diffract", "1", 0.5, 0.0, 1.0, "linear",
                       per_channel=True, source="diffraction efficiency", quantity="odds"),
@@ -72,7 +75,7 @@ class Grating(OneFormula):
         for m in range(1, ORDERS + 1):
             profile = jnp.exp(-(((turns / m - 1) / v["spread"]) ** 2) / 2) / jnp.sqrt(2 * jnp.pi)
             rings = rings + v["higher"] ** (m - 1) * profile / m**2
-        light = v["efficiency"] * (1 - v["higher"]) / (2 * jnp.pi * v["spread"])
+        light = v["efficiency"] / ((1 + v["higher"] + v["higher"] ** 2) * 2 * jnp.pi * v["spread"])
         return light * (v["period"] / s.wavelength_um) ** 2 * rings
 
     def body(self, v: Values, s: Setting) -> Array:  # noqa: D102

@@ -25,7 +25,7 @@ class Retro(OneFormula):
     the less the more light slants, where the lobe of facets grows as 1/cos^2 (docs/rivals.md); 0 is the published
     model. Reciprocal, and of no larger albedo than the same facets have as mirrors.
 
-    Accuracy: 1e-10 against an independent oracle (``tests/rivals/test_principled.py``).
+    Accuracy: 1e-10 against an independent oracle (``tests/rivals/test_peers.py``).
     """
 
     name: ClassVar[str] = "retro"
