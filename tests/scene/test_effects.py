@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from merlfit.model.effects import FILMS, KINDS
 from merlfit.model.part import Part
 from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
@@ -98,3 +99,11 @@ def test_units_of_tolerances():
     np.testing.assert_allclose(off_by(one, other, Tolerance(radiance=0.1)), [0.1, 0.0])
     assert off_by(one, other, Tolerance(cielab=1.0))[0] > 1
     assert off_by(0 * one, 0 * one + 0.001, Tolerance(radiance=0.1))[0] == pytest.approx(0.1)  # of a hundredth of white
+
+
+@pytest.mark.parametrize(("index", "body"), [*KINDS, *FILMS])
+def test_every_effect_of_every_kind_can_be_left_out(index, body):
+    material = TwoScale(body, index=index)
+    for effect in effects_of(material):
+        assert without(material, [effect]) != material
+    assert without(material, effects_of(material)) != material
