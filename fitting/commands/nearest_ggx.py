@@ -131,10 +131,10 @@ def nearest(values: np.ndarray, to: str, metal: bool = False) -> dict[str, Any]:
     """
     draw, seen, target = FORMATS[to], *_pictures(values)
     kinds = [_search(seen, target, draw, kind) for kind in ((True,) if metal else (True, False))]
-    apart, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
+    distance, roughness, ior, base = min(kinds, key=lambda kind: kind[0])
     return {
         "base_color": base.tolist(), "metallic": float(ior is None), "roughness": roughness,
-        "ior": 1.5 if ior is None else ior, "error": {"cielab": apart},
+        "ior": 1.5 if ior is None else ior, "error": {"cielab": distance},
     }  # fmt: skip
 
 

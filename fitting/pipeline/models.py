@@ -15,7 +15,6 @@ from ...model.two_scale import TwoScale
 from ..fit.hints import hints_of
 from ..fit.transforms import Layout, layout_of, refuse_contradictions
 from ..settings.config import Config, ConfigError
-from ..settings.sections import AUTO
 
 
 def candidates(config: Config) -> list[Measured]:
@@ -64,7 +63,9 @@ def _filmed(config: Config, taken: Reflectance) -> list[Reflectance]:
 
 
 def _beside(config: Config, materials: Sequence[Reflectance]) -> list[Measured]:
-    return sorted(_constrained(config, AUTO, [measured(config, each) for each in materials]), key=_numbers)
+    """Those that have all parameters of which the settings say something; there may be none."""
+    models, wanted = [measured(config, each) for each in materials], config.parameters.keys()
+    return sorted((m for m in models if wanted <= {q.name for q in m.parameters}), key=_numbers)
 
 
 def _variants(config: Config, material: Reflectance) -> list[Measured]:

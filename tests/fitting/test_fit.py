@@ -11,13 +11,14 @@ from merlfit.fitting.fit import levenberg_marquardt
 from merlfit.fitting.fit.levenberg_marquardt import Status
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline import run
-from merlfit.fitting.pipeline.models import with_sums
+from merlfit.fitting.pipeline.models import with_more, with_sums
 from merlfit.fitting.results.storage import read_result
 from merlfit.fitting.settings.config import Config, load
 from merlfit.merl_io.binary import read, write
 from merlfit.model.effects import KINDS
 from merlfit.model.registry import made
-from merlfit.model.sum import lowest
+from merlfit.model.rivals.epd import EPD
+from merlfit.model.sum import Sum, lowest
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.known_materials import CONDUCTOR, EXPONENTS, PLASTIC, tabulate
@@ -203,3 +204,17 @@ def test_a_film_that_does_little_more_than_its_index_is_none():
     assert not run._idle(1, compared, [1.0, 0.4, 0.4], [1.0, 0.9, 0.9])
     assert not run._idle(2, compared, [1.0, 0.8, 0.8], [1.0, 0.9, 0.9])  # of another body nothing is known
     assert not run._idle(0, compared, [1.0, 0.8, 0.8], [1.0, 0.9, 0.9])
+
+
+def test_what_auto_adds_to_what_it_has_tried():
+    def names(*taken):
+        return {f"{m.material.name} {lowest(m.material).index}" for m in with_more(load(model="auto"), *taken)}
+
+    metal, plastic = TwoScale("lambert", index="complex"), TwoScale("plastic")
+    added = {f"{part}+two-scale" for part in ("grating", "epd", "coat(epd)")}
+    assert names(plastic) == {f"{name} real" for name in added}
+    assert names(metal) == {f"{name} complex" for name in added} | {"two-scale film"}
+    coated = Sum(EPD(), plastic, coated=True)
+    assert names(coated) == {"coat(epd)+grating+two-scale real", "coat(epd)+epd+two-scale real"}
+    assert names(coated, plastic) == names(coated) | names(plastic)
+    assert names(Sum(EPD(), Sum(EPD(), plastic), coated=True)) == set()
