@@ -21,7 +21,7 @@ from merlfit.fitting.commands import cli, fit as files
 from merlfit.fitting.batch import here, unit
 from merlfit.fitting.results.storage import write_result
 
-def fit(path, out, settings, report, finish):
+def fit(path, out, settings, report, finish, *_):
     report("reading")
     if path.stem == "slow":
         write_result(out / "slow.json", made("slow"))

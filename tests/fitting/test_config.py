@@ -168,7 +168,7 @@ def test_models_are_candidates_the_fewest_parameters_first():
     [
         ({"model": {"name": "gx"}}, "model: there is no 'gx'; the nearest is 'ggx'"),
         ({"model": {"name": "GGX"}}, "the nearest is 'ggx'"),
-        ({"model": {"name": "phong"}}, r"there is no 'phong' \(`merlfit models` lists"),
+        ({"model": {"name": "phong"}}, r"there is no 'phong'; the nearest is 'blinn-phong' \(`merlfit models` lists"),
         ({"model": {"name": []}}, "should be one model, or several different ones"),
         ({"model": {"name": ["ggx", "ggx"]}}, "should be one model, or several different ones"),
         ({"model": {"name": 3}}, "model.name: should be a model's name, or a list of them, not 3"),

@@ -92,6 +92,7 @@ def test_normal_equations_that_are_not_finite_are_no_fit():
     one = fitted()
     broken = replace(one.solution, normal=one.solution.normal * np.nan)
     file = SimpleNamespace(
+        fraction_uncertain=None,
         path="x.binary", name="x", sha1="0" * 40, blob_sha1="0" * 40, format="MERL", genuine=None, dims=DIMS,
         valid=np.ones(3, bool), outliers=0, quantity="brdf",
     )  # fmt: skip
