@@ -67,7 +67,7 @@ def reflectance(cos_theta: Real, n: Real, k: Real, eta: Real, thickness_um: Real
     turn, step = 4 * jnp.pi * inside * thickness_um, between_nodes(wavelength_um)
     first = turn * (1 / wavelength_um - (NODES // 2) * step)
     phase, by = (jnp.cos(first), jnp.sin(first)), (jnp.cos(turn * step), jnp.sin(turn * step))
-    total = jnp.zeros(())
+    total = jnp.zeros_like(sin2)
     for weight in WEIGHTS:  # nodes are evenly spaced: from one to the next the phase turns by the same angle
         total = total + weight * (_reflected(s, below_s, phase) + _reflected(p, below_p, phase)) / 2
         phase = _product(phase, by)

@@ -165,6 +165,8 @@ WRONG = {
     "two_scale_quadrature": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
     "two_scale_exact": lambda **at: precise.two_scale(**{**at, "diffraction": "lobe"}),
     "two_scale_free": lambda weight, **at: precise.two_scale(**{**at, "split": "printed"}),
+    "two_scale_film": lambda film_eta, film_thickness, **at: precise.two_scale(**{**at, "index": "complex"}),
+    "film": lambda cos_theta, n, k, eta, thickness_um, wavelength_um: precise.fresnel(cos_theta, n, k),
     "two_scale_conserving": lambda **at: precise.two_scale(**{**at, "split": "printed"}),
 }
 
