@@ -10,11 +10,11 @@ from jax.lax import stop_gradient
 
 from ..ndf import ggx, gtr
 from ..numerics import Real, safe_divide
-from ..parameters import Parameter, exponent_of
+from ..parameters import Parameter
 from ..priors import LogNormal
 from ..reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
+from .common import COAT_LOBE, LOST_OF_COAT, mix
 
-COAT = "specular_coat"  # the lobe of the clearcoat, beside that of the facets
 COAT_F0, COAT_ALPHA, COAT_SHARE = 0.04, 0.25, 0.25  # an index of 1.5; its masking; of a clearcoat of 1
 BRIGHTEST = 0.08  # reflectance at normal incidence of a specular of 1
 LUMINANCE = (0.3, 0.6, 0.1)  # of linear red, green and blue, as BRDF Explorer's disney.brdf has it
@@ -79,9 +79,9 @@ class Disney(Reflectance):
 
     @property
     def lobes(self) -> Mapping[str, Profile | None]:  # noqa: D102
-        return {"specular": None, COAT: None}
+        return {"specular": None, COAT_LOBE: None}
 
-    passed_over = Reflectance.passed_over | {exponent_of(COAT).name, f"{COAT}_exponent"}
+    passed_over = Reflectance.passed_over | LOST_OF_COAT
 
     def factors(self) -> Mapping[str, Factor]:  # noqa: D102
         return {
@@ -93,7 +93,9 @@ class Disney(Reflectance):
         }
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
-        return Lobes({"specular": at["facets"] * at["distribution"] * at["masked"], COAT: at["coat"]}, body=at["body"])
+        return Lobes(
+            {"specular": at["facets"] * at["distribution"] * at["masked"], COAT_LOBE: at["coat"]}, body=at["body"]
+        )
 
     def _masked(self, v: Values, s: Setting) -> Array:
         r = v["roughness"]
@@ -112,35 +114,31 @@ def _grazing(cos: Array) -> Array:
     return (1 - cos) ** 5
 
 
-def _mix(one: Array | float, other: Array | float, share: Array) -> Array:
-    return one + share * (other - one)
-
-
 def _tinted(base: Array, share: Array) -> Array:
     """mix(1, C/Y, share); 1 where the base is black."""
     weights = jnp.asarray(LUMINANCE, base.dtype) if len(base) == len(LUMINANCE) else jnp.full(len(base), 1 / len(base))
     Y = stop_gradient(jnp.tensordot(weights.astype(base.dtype), base, 1))
-    return _mix(1.0, jnp.where(Y > 0, safe_divide(base, Y), 1.0), share)
+    return mix(1.0, jnp.where(Y > 0, safe_divide(base, Y), 1.0), share)
 
 
 def _facets(v: Values, s: Setting) -> Array:
     base = v["baseColor"]
-    normal = _mix(BRIGHTEST * v["specular"] * _tinted(base, v["specularTint"]), base, v["metallic"])
-    return _mix(normal, 1.0, _grazing(s.geometry.cos_d))
+    normal = mix(BRIGHTEST * v["specular"] * _tinted(base, v["specularTint"]), base, v["metallic"])
+    return mix(normal, 1.0, _grazing(s.geometry.cos_d))
 
 
 def _coat(v: Values, s: Setting) -> Array:
     g = s.geometry
-    D = gtr.D(g.theta_h, _mix(0.1, 0.001, v["clearcoatGloss"]), 1.0)
-    F = _mix(COAT_F0, 1.0, _grazing(g.cos_d))
+    D = gtr.D(g.theta_h, mix(0.1, 0.001, v["clearcoatGloss"]), 1.0)
+    F = mix(COAT_F0, 1.0, _grazing(g.cos_d))
     return COAT_SHARE * v["clearcoat"] * D * F * _smith(s, COAT_ALPHA)
 
 
 def _body(v: Values, s: Setting) -> Array:
     g, base, rough = s.geometry, v["baseColor"], v["roughness"] * s.geometry.cos_d**2
     light, viewer = _grazing(g.cos_i), _grazing(g.cos_o)
-    diffuse = _mix(1.0, 0.5 + 2 * rough, light) * _mix(1.0, 0.5 + 2 * rough, viewer)
-    below = _mix(1.0, rough, light) * _mix(1.0, rough, viewer)
+    diffuse = mix(1.0, 0.5 + 2 * rough, light) * mix(1.0, 0.5 + 2 * rough, viewer)
+    below = mix(1.0, rough, light) * mix(1.0, rough, viewer)
     below = 1.25 * (below * (1 / (g.cos_i + g.cos_o) - 0.5) + 0.5)
     sheen = v["sheen"] * _grazing(g.cos_d) * _tinted(base, v["sheenTint"])
-    return (1 - v["metallic"]) * (base / jnp.pi * _mix(diffuse, below, v["subsurface"]) + sheen)
+    return (1 - v["metallic"]) * (base / jnp.pi * mix(diffuse, below, v["subsurface"]) + sheen)

@@ -14,12 +14,12 @@ from ..fresnel import fresnel_of_dielectric, schlick_of_F0
 from ..masking.smith import height_correlated
 from ..ndf import ggx
 from ..numerics import Real, Scalar, safe_sqrt
-from ..parameters import Parameter, exponent_of
+from ..parameters import Parameter
 from ..priors import LogNormal
 from ..quadrature import gauss_legendre
 from ..reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
+from .common import COAT_LOBE, LOST_OF_COAT, mix
 
-COAT = "specular_coat"
 EDGE = 1 / 7  # cosine of the angle, 82 degrees, at which specular_color tints a metal
 NODES = 24  # cosines at which an albedo is integrated
 CAP, TURNS = 20, 16  # Gauss nodes of visible facets
@@ -78,7 +78,7 @@ class OpenPBR(Reflectance):
         "OpenPBR Surface specification 1.1, https://academysoftwarefoundation.github.io/OpenPBR; Portsmouth, Kutz & "
         "Hill 2025, EON: a practical energy-preserving rough diffuse BRDF, JCGT 14(1), doi:10.48550/arXiv.2410.18026"
     )
-    passed_over = Reflectance.passed_over | {exponent_of(COAT).name, f"{COAT}_exponent"}
+    passed_over = Reflectance.passed_over | LOST_OF_COAT
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # noqa: D102 - as declared in `Reflectance`, like what follows
@@ -86,7 +86,7 @@ class OpenPBR(Reflectance):
 
     @property
     def lobes(self) -> Mapping[str, Profile | None]:  # noqa: D102
-        return {"specular": None, COAT: None}
+        return {"specular": None, COAT_LOBE: None}
 
     def tables(self, scattered: bool = False) -> Mapping[str, Factor]:  # noqa: D102
         return {
@@ -112,23 +112,19 @@ class OpenPBR(Reflectance):
         lobe = at["facets"] * at["distribution"] * at["masked"]
         through = (at["through_i"] + at["through_o"]) / 2
         to_diffuse = (at["through_i"] * at["left_i"] + at["through_o"] * at["left_o"]) / 2
-        return Lobes({"specular": through * lobe, COAT: at["coat"]}, body=to_diffuse * at["diffuse"])
-
-
-def _mix(one: Array | float, other: Array | float, share: Array) -> Array:
-    return one + share * (other - one)
+        return Lobes({"specular": through * lobe, COAT_LOBE: at["coat"]}, body=to_diffuse * at["diffuse"])
 
 
 def base_width(v: Values) -> Scalar:
     """Width alpha of the base's facets, those under a rough coat seen wider ("Roughening")."""
     own, coat = v["specular_roughness"] ** 4, v["coat_roughness"] ** 4
-    return _mix(v["specular_roughness"], jnp.minimum(1.0, own + 2 * coat) ** 0.25, v["coat_weight"]) ** 2
+    return mix(v["specular_roughness"], jnp.minimum(1.0, own + 2 * coat) ** 0.25, v["coat_weight"]) ** 2
 
 
 def base_ratio(v: Values) -> Scalar:
     """Index of the dielectric base over that around it; under a coat the larger over the smaller: none reflects all."""
     beside = v["specular_ior"] / v["coat_ior"]
-    return _mix(v["specular_ior"], jnp.maximum(beside, 1 / beside), v["coat_weight"])
+    return mix(v["specular_ior"], jnp.maximum(beside, 1 / beside), v["coat_weight"])
 
 
 def metal(cos: Real, F0: Real, tint: Real) -> Real:
@@ -171,7 +167,7 @@ def _coat_table(v: Values) -> Real:
 def _facets(v: Values, s: Setting) -> Array:
     cos_d = s.geometry.cos_d
     gloss = v["specular_color"] * fresnel_of_dielectric(cos_d, base_ratio(v))
-    return _mix(gloss, metal(cos_d, v["base_color"], v["specular_color"]), v["base_metalness"])
+    return mix(gloss, metal(cos_d, v["base_color"], v["specular_color"]), v["base_metalness"])
 
 
 def _correlated(s: Setting, alpha: Scalar) -> Array:
@@ -193,9 +189,9 @@ def _through(v: Values, s: Setting, cos: Array) -> Array:
     absorbed = jnp.exp(jnp.log(color) * (1 / refracted[0] + 1 / refracted[1]) / 2)
     base, rough = _base_albedo(v)
     turned_back = v["turned_back"] if "turned_back" in v else internal_diffuse_reflectance(n)
-    K = _mix(fresnel_of_dielectric(cos, n), turned_back, rough)
+    K = mix(fresnel_of_dielectric(cos, n), turned_back, rough)
     left = 1 - chebyshev.series(v["albedo_of_coat"] if "albedo_of_coat" in v else _coat_table(v), cos)
-    return _mix(1.0, left * absorbed, C) * _mix(1.0, (1 - K) / (1 - base * K), C)
+    return mix(1.0, left * absorbed, C) * mix(1.0, (1 - K) / (1 - base * K), C)
 
 
 def _left(v: Values, cos: Array) -> Array:
@@ -207,9 +203,9 @@ def _base_albedo(v: Values) -> tuple[Array, Array]:
     """Albedo of the base along the normal, about, and its effective roughness ("Darkening")."""
     ratio, M = base_ratio(v), v["base_metalness"]
     F = ((ratio - 1) / (ratio + 1)) ** 2
-    dielectric = _mix(v["base_color"], 1.0, F)
-    rough = _mix(_mix(1.0, v["specular_roughness"], F), v["specular_roughness"], M)
-    return _mix(dielectric, v["base_color"], M), rough
+    dielectric = mix(v["base_color"], 1.0, F)
+    rough = mix(mix(1.0, v["specular_roughness"], F), v["specular_roughness"], M)
+    return mix(dielectric, v["base_color"], M), rough
 
 
 def _diffuse(v: Values, s: Setting) -> Array:
