@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from .effects import ANY, BODIES, KINDS
+from .effects import ANY, BODIES, FILMS, KINDS
 from .reflectance import Reflectance
 from .sum import Sum, lowest, over
 from .two_scale import TwoScale
@@ -76,11 +76,11 @@ def _sum(name: str, settings: Mapping[str, Any]) -> Sum:
 
 
 def variants(name: str) -> tuple[Reflectance, ...]:
-    """Those variants of a model that a fit may compare, the simplest first."""
+    """Those variants of a model that a fit may compare, the simplest first, and then those with a film."""
     model = made(name, {})
     if not isinstance(lowest(model), TwoScale):
         return (model,)
-    kinds = [TwoScale(body, index=index) for index, body in KINDS]
+    kinds = [TwoScale(body, index=index) for index, body in (*KINDS, *FILMS)]
     return tuple(over(model, kind) if isinstance(model, Sum) else kind for kind in kinds)
 
 
