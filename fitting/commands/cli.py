@@ -248,8 +248,13 @@ def which(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder to keep the results in \\[default: they are not kept].")
     ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(help="Write tables that follow the file as nearly as may be to this MERL file.", metavar="FILE"),
+    ] = None,
     dims: Dims = None,
     weights: SameWeights = None,
+    force: Force = False,
 ) -> None:
     """Say which model is the least that explains a material, and how the others compare."""
     from tempfile import TemporaryDirectory
@@ -260,7 +265,7 @@ def which(
     from .compare import which_model
 
     with TemporaryDirectory(prefix="merlfit-") as scratch:
-        which_model(file, models, out or Path(scratch), settings)
+        which_model(file, models, out or Path(scratch), settings, table, force)
 
 
 @app.command(epilog="Example: merlfit metrics fits/nickel.json --against nickel.binary")

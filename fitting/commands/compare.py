@@ -9,9 +9,12 @@ import typer
 
 from ...merl_io import inputs
 from ...merl_io.atomic import WriteError, refused
-from ...merl_io.binary import MerlError
+from ...merl_io.binary import DIMS, Measurement, MerlError, write
+from ...merl_io.grid import merl_grid
 from ...merl_io.inputs import Input
 from ...model.registry import made, models
+from ...scene.colour import coloured
+from ..fit.published_errors import assess_prediction
 from ..fit.tabulated import tabulated
 from ..fit.weights import weighted_samples
 from ..pipeline.comparison import FIT, compare_file
@@ -22,7 +25,7 @@ from ..settings.config import Config, ConfigError
 from ..show.comparison_table import NAME, beside_table, by_label, compared_in, table_of, verdict, write_tables
 from ..support.compilation import programs_told, use_persistent_cache
 from ..support.numbers import counted
-from ..support.outputs import log, log_of, refuse_others
+from ..support.outputs import log, log_of, refuse_others, refuse_present
 from ..support.terminal import (
     BAD_INPUT,
     FAILED_FIT,
@@ -130,18 +133,37 @@ def compare_files(
         raise typer.Exit(code)
 
 
-def which_model(path: Path, names: str | None, out: Path, settings: Config) -> None:
-    """Print which model is the least that explains a file; exits with 2 after bad input, with 1 if none was fitted."""
+def which_model(
+    path: Path, names: str | None, out: Path, settings: Config, table_to: Path | None = None, force: bool = False
+) -> None:
+    """Print which model is the least that explains a file; exits with 2 after bad input, with 1 if none was fitted.
+
+    Args:
+        table_to: the MERL file to write of tables that follow the file as nearly as may be; None for none.
+    """
     use_persistent_cache()
     writable_folder(out)
+    if table_to is not None:
+        refuse_present(table_to, force)
     wanted = chosen_models(names)
     with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
         measurement = inputs.read(path, dims=settings.input.allowed, quantity=settings.input.quantity)
         rows, _ = compare_file(measurement, wanted, settings, out, told, False, placed)
         samples = weighted_samples(measurement, settings.exponents[0], settings.fit.theta_max)
-        table = None if getattr(samples, "uncertainty", None) is not None else tabulated(samples)
+        table = tabulated(samples)
+    if table_to is not None:
+        if table is None:
+            raise fail(f"{path}: has too few directions for a table; leave --table out")
+        grid = merl_grid(measurement.dims if isinstance(measurement, Measurement) else DIMS)
+        write(table_to, coloured(table.on(grid), samples.bands), grid.above, grid.above.shape)
     if not rows:
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)
     console.print(table_of(rows))
-    console.print(verdict(rows) + (beside_table(rows, table) if table else ""))
+    said = ""
+    if table is not None and getattr(samples, "uncertainty", None) is None:  # then all fits have these weights, too
+        errors, _ = assess_prediction(table.predicted, measurement, samples, settings.fit.theta_max)
+        said = beside_table(rows, table, errors)
+    console.print(verdict(rows) + said)
+    if table_to is not None:
+        console.print(f"{table_to}: the tables, as a MERL file")

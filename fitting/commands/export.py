@@ -25,7 +25,7 @@ from ..results.schema import EDITED, UNSAID, Model, Result, genuine_words
 from ..results.storage import ResultError, read_result
 from ..support.compilation import use_persistent_cache
 from ..support.numbers import number
-from ..support.outputs import refuse_others
+from ..support.outputs import refuse_others, refuse_present
 from ..support.terminal import console, fail, reporting, writable_folder
 from . import principled
 from .nearest_ggx import nearest
@@ -75,8 +75,8 @@ def export(path: Path, to: str, out: Path, force: bool = False) -> None:
     if to not in get_args(To):
         raise fail(f"--to {to!r} is none of {', '.join(get_args(To))}")
     target = out / f"{path.stem}.binary"
-    if to == "merl" and os.path.exists(target) and not force:
-        raise fail(f"{target}: is there already, and may be a measurement; --force overwrites it")
+    if to == "merl":
+        refuse_present(target, force)
     writable_folder(out)
     stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
     if to in ENDINGS:

@@ -1,68 +1,145 @@
-"""The best table of theta_h and theta_d, which no function of these two angles is better than.
+"""A file as two tables, of theta_h and theta_d and of theta_i and theta_o: the fit of last resort.
 
-Microfacet and diffraction models are, but for masking and bodies, functions of theta_h and theta_d (HP17 Section 3).
-What a smooth table of these leaves of a file is noise, sparkle, and light that depends on the azimuth as well; what a
-model leaves beyond that, another model of these two angles could gain. A table has hundreds of numbers, and explains
-nothing.
+Microfacet and diffraction models are functions of theta_h and theta_d (HP17 Section 3), but for masking, for what the
+apparatus loses at grazing angles, and for bodies, which are functions of theta_i and theta_o. The sum of a table of the
+first two angles, which is what a half-vector projection of the file keeps, and of a smooth one of the others, in which
+light and viewer may be exchanged, explains nothing, and has hundreds of numbers. What it leaves of a file is noise,
+sparkle and what depends on all angles at once; what a model leaves beyond that, another model could gain.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import BSpline
 
+from ...merl_io.grid import MerlGrid
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from .problem import energy
 
 SPLINES = 28, 8  # of scattered samples: along the rank of theta_h, along cos(theta_d)
+COSINES = 6  # splines along cos(theta_i) and cos(theta_o)
 LEAST = 8  # samples for each number of a channel
 RIDGE = 1e-7  # of the mean square of a column: where directions are few
+ROWS = 10  # of theta_h at a time
 
 
 class Tabulated(NamedTuple):
-    """A table fitted to samples.
+    """Tables fitted to samples.
 
     Attributes:
-        cost: what it leaves of the weighted energy. numbers: how many it has, of all channels.
+        cost: what they leave of the weighted energy. numbers: how many they have, of all channels.
+        predicted: of the samples, in the shape of their values (1/sr).
+        on: the same on a grid of MERL's bins, (C, H, D, P); of samples on a grid, on theirs alone.
     """
 
     cost: float
     numbers: int
+    predicted: np.ndarray
+    on: Callable[[MerlGrid], np.ndarray]
 
 
 def tabulated(samples: Samples | ScatteredSamples) -> Tabulated | None:
-    """Every theta_h and theta_d of a grid, or cubic splines through scattered samples, by weighted least squares.
+    """The tables by weighted least squares: of a grid every theta_h and theta_d, of scattered samples cubic splines.
 
     None where there are fewer than `LEAST` samples a number: a table would pass through their noise.
     """
-    scattered = isinstance(samples, ScatteredSamples)
-    if scattered and len(samples.theta_h) < LEAST * math.prod(SPLINES):
-        return None
-    left, numbers = _splines(samples) if scattered else _means(samples.weight, samples.value)
-    return Tabulated(float(left / energy(samples)), numbers)
+    if isinstance(samples, ScatteredSamples):
+        enough = len(samples.theta_h) >= LEAST * (math.prod(SPLINES) + _count(COSINES))
+        return _of_scattered(samples) if enough else None
+    return _of_grid(samples)
 
 
-def _means(weight: np.ndarray, value: np.ndarray) -> tuple[float, int]:
-    """What the weighted mean over azimuths leaves, (C, H, D, P), and how many means there are."""
-    total = weight.sum(-1)
-    mean = (weight * value).sum(-1) / np.where(total > 0, total, 1.0)
-    return float(np.sum(weight * (value - mean[..., None]) ** 2)), int((total > 0).sum())
+def _of_grid(samples: Samples) -> Tabulated:
+    """A table of every theta_h and theta_d, eliminated from the normal equations of the other (Frisch & Waugh 1933)."""
+    channels, rows = len(samples.value), [slice(k, k + ROWS) for k in range(0, len(samples.theta_h), ROWS)]
+    total = samples.weight.sum(-1)
+    safe = np.where(total > 0, total, 1.0)
+
+    def mean(x: np.ndarray, some: slice) -> np.ndarray:
+        """Over azimuths, (C, H, D, ...)."""
+        over = np.einsum("chdp,chdp...->chd...", samples.weight[:, some], x)
+        return over / safe[:, some].reshape(*over.shape[:3], *(1,) * (over.ndim - 3))
+
+    gram, projected = np.zeros((channels, _count(COSINES), _count(COSINES))), np.zeros((channels, _count(COSINES)))
+    for some in rows:
+        columns = _symmetric(samples.cos_i[some], samples.cos_o[some])
+        for c in range(channels):
+            own = samples.weight[c, some, :, :, None]
+            away = columns - (own * columns).sum(-2, keepdims=True) / safe[c, some, :, None, None]
+            flat = (own * away).reshape(-1, _count(COSINES))
+            gram[c] += flat.T @ away.reshape(-1, _count(COSINES))
+            projected[c] += flat.T @ samples.value[c, some].ravel()
+    body = np.stack([_solved(g, p) for g, p in zip(gram, projected, strict=True)])
+
+    def of_cosines(cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
+        return np.einsum("...j,cj->c...", _symmetric(cos_i, cos_o), body)
+
+    beside = np.concatenate([of_cosines(samples.cos_i[some], samples.cos_o[some]) for some in rows], 1)
+    lobe = mean(samples.value - beside, slice(None))
+    predicted = np.maximum(lobe[..., None] + beside, 0.0)
+
+    def on(grid: MerlGrid) -> np.ndarray:
+        parts = [of_cosines(grid.cos_i[some], grid.cos_o[some]) for some in rows]
+        return np.maximum(lobe[..., None] + np.concatenate(parts, 1), 0.0)
+
+    return _left(samples, predicted, int((total > 0).sum()) + body.size, on)
 
 
-def _splines(samples: ScatteredSamples) -> tuple[float, int]:
-    rank = (np.argsort(np.argsort(samples.theta_h)) + 0.5) / len(samples.theta_h)
-    along = [_basis(x, count) for x, count in zip((rank, np.cos(samples.theta_d)), SPLINES, strict=True)]
-    columns = (along[0][:, :, None] * along[1][:, None, :]).reshape(len(rank), -1)
-    left = 0.0
-    for weight, value in zip(samples.weight, samples.value, strict=True):
-        root = np.sqrt(weight)
-        weighed, target = columns * root[:, None], root * value
-        gram = weighed.T @ weighed
-        gram += RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-        left += float(np.sum((target - weighed @ np.linalg.solve(gram, weighed.T @ target)) ** 2))
-    return left, columns.shape[1] * len(samples.value)
+def _of_scattered(samples: ScatteredSamples) -> Tabulated:
+    """Tensors of cubic splines, along the rank of theta_h: as fine as the directions are."""
+    ordered = np.sort(samples.theta_h)
+    ranks = (np.arange(len(ordered)) + 0.5) / len(ordered)
+
+    def columns(theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
+        along = _basis(np.interp(theta_h, ordered, ranks), SPLINES[0]), _basis(np.cos(theta_d), SPLINES[1])
+        lobe = (along[0][:, :, None] * along[1][:, None, :]).reshape(len(theta_h), -1)
+        return np.concatenate([lobe, _symmetric(cos_i, cos_o)], 1)
+
+    own = columns(samples.theta_h, samples.theta_d, samples.cos_i, samples.cos_o)
+    weighed = (np.sqrt(weight)[:, None] * own for weight in samples.weight)
+    found = np.stack(
+        [
+            _solved(x.T @ x, x.T @ (np.sqrt(weight) * value))
+            for x, weight, value in zip(weighed, samples.weight, samples.value, strict=True)
+        ]
+    )
+
+    def on(grid: MerlGrid) -> np.ndarray:
+        parts = []
+        for k, theta_h in enumerate(grid.theta_h):
+            cos_i, cos_o = grid.cos_i[k], grid.cos_o[k]
+            theta_d = np.broadcast_to(grid.theta_d[:, None], cos_i.shape).ravel()
+            own = columns(np.full(theta_d.shape, theta_h), theta_d, cos_i.ravel(), cos_o.ravel())
+            parts.append((found @ own.T).reshape(-1, *cos_i.shape))
+        return np.maximum(np.stack(parts, 1), 0.0)
+
+    return _left(samples, np.maximum(found @ own.T, 0.0), found.size, on)
+
+
+def _left(
+    samples: Samples | ScatteredSamples, predicted: np.ndarray, numbers: int, on: Callable[[MerlGrid], np.ndarray]
+) -> Tabulated:
+    left = float(np.sum(samples.weight * (samples.value - predicted) ** 2))
+    return Tabulated(left / energy(samples), numbers, predicted, on)
+
+
+def _solved(gram: np.ndarray, projected: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(gram + RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), projected)
+
+
+def _count(splines: int) -> int:
+    """Of products that stay the same when both factors are exchanged."""
+    return splines * (splines + 1) // 2
+
+
+def _symmetric(cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
+    """Products of splines of both cosines (...), in which light and viewer may be exchanged, (..., J)."""
+    one, other = (_basis(x.ravel(), COSINES).reshape(*x.shape, COSINES) for x in (cos_i, cos_o))
+    j, k = np.triu_indices(COSINES)
+    return one[..., j] * other[..., k] + one[..., k] * other[..., j]
 
 
 def _basis(x: np.ndarray, count: int) -> np.ndarray:

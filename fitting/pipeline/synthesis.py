@@ -1,6 +1,5 @@
 """`merlfit synth`: MERL files without a measurement, tabulated from published parameter sets or from a fit."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from ...model.reflectance import evaluate
 from ...scene.colour import coloured
 from ..results.storage import ResultError, read_result
 from ..support.compilation import use_persistent_cache
+from ..support.outputs import refuse_present
 from ..support.terminal import console, fail
 
 ROWS = 10  # of theta_h evaluated at a time
@@ -29,8 +29,7 @@ def synthesise(material: str, out: Path, source: str | None, loss: bool, force: 
         raise fail(f"--source names a published table; {material} is a fit: leave it out")
     if loss and not fitted:
         raise fail(f"--with-grazing-loss is for the RESULT.json of a fit; {material} is none: leave it out")
-    if os.path.exists(out) and not force:
-        raise fail(f"{out}: is there already, and may be a measurement; --force overwrites it")
+    refuse_present(out, force)
     use_persistent_cache()
     try:
         values, said = from_result(Path(material), loss) if fitted else from_published(material, source or "sgd")

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from ...merl_io.atomic import write_text
 from ...model.two_scale import TwoScale
+from ..fit.error_metrics import Errors
 from ..fit.outcome import POOR
 from ..fit.selection import ALIKE, SEEN, VISIBLE, least, lost
 from ..fit.tabulated import Tabulated
@@ -178,12 +179,19 @@ def verdict(rows: Sequence[Row]) -> str:
     return said
 
 
-def beside_table(rows: Sequence[Row], table: Tabulated) -> str:
-    """How far the lowest cost of some fits of one file is from that of a table, in a sentence."""
+def beside_table(rows: Sequence[Row], table: Tabulated, errors: Errors) -> str:
+    """How far the lowest cost of some fits of one file is from that of tables, and their pictures, in a sentence."""
     lowest = min((row for row in rows if row.origin == FIT), key=lambda r: np.nan_to_num(r.cost, nan=np.inf))
+
+    def left(cost: float, picture: float) -> str:
+        return f"{number(100 * cost, 2)} % of the weighted energy" + (
+            f" (spheres {distance(picture)} off)" if np.isfinite(picture) else ""
+        )
+
     return (
-        f" A smooth table of theta_h and theta_d with {table.numbers:,} numbers leaves {number(100 * table.cost, 2)} % "
-        f"of the weighted energy, {named(lowest)} {number(100 * lowest.cost, 2)} %."
+        f" Smooth tables of theta_h and theta_d and of theta_i and theta_o, {table.numbers:,} numbers that explain "
+        f"nothing, leave {left(table.cost, errors.picture)}, {named(lowest)} "
+        f"{left(lowest.cost, lowest.errors.picture)}."
     )
 
 

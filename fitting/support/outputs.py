@@ -88,6 +88,16 @@ def refuse_others(paths: Iterable[Path], force: bool = False, kind: str | None =
             )
 
 
+def refuse_present(path: Path, force: bool = False) -> None:
+    """Leave a MERL file alone, which has no mark: whether it was measured cannot be told.
+
+    Raises:
+        WriteError: it is there.
+    """
+    if os.path.exists(path) and not force:
+        raise WriteError(f"{path}: is there already, and may be a measurement; --force overwrites it")
+
+
 def is_ours(path: Path, kind: str | None = None) -> bool:
     """Whether a regular file has the mark of an output; an empty one has nothing to lose.
 
