@@ -73,7 +73,7 @@ class TwoScale(Effects, Reflectance):
 
     @property
     def variant(self) -> str:  # noqa: D102
-        return " ".join(self.kind)
+        return " ".join(self.kind) + (", no diffraction" if self.diffraction == "off" else "")
 
     def factors(self) -> dict[str, Factor]:  # noqa: D102
         chosen: dict[str, Term] = {} if self.masking == "none" else {"masking": terms.masking_G}

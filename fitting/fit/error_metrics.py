@@ -4,8 +4,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ...merl_io.grid import MerlGrid
+from ...merl_io.grid import MerlGrid, merl_grid
 from ...merl_io.samples import Samples
+from ...scene.gridded import GRID
 from ...scene.spheres import distances
 from ..support.choices import THETA_MAX
 from ..support.threads import side_by_side
@@ -115,7 +116,27 @@ def cube_root_error(samples: Samples, predicted: np.ndarray) -> float:
     return float(np.sqrt(np.sum(pairs * turns * np.where(used, squares, 0.0)) / max(np.sum(pairs), 1e-300)))
 
 
-def highlight(measured: np.ndarray, predicted: np.ndarray, inside: np.ndarray, grid: MerlGrid) -> float:
+def picture_of_few(samples: Samples, predicted: np.ndarray) -> float:
+    """`Errors.picture` of folded samples of which each stands for its neighbours, as on a coarse grid.
+
+    No number of what has other channels than a picture.
+    """
+    if len(samples.value) != COLOURS:
+        return float("nan")
+    grid, half = merl_grid(GRID), GRID[2] // 2
+    asked = np.sqrt(grid.theta_h), grid.theta_d, grid.phi_d[:half]
+    axes = np.sqrt(samples.theta_h), samples.theta_d, samples.phi_d
+    near = np.ix_(*(np.argmin(np.abs(x[:, None] - y), 1) for x, y in zip(asked, axes, strict=True)))
+    used = within(grid, THETA_MAX)[..., :half] & np.all(samples.weight > 0, 0)[near]
+    return distances(samples.value[:, *near], predicted[:, *near], used)[0]
+
+
+def highlight_of_few(samples: Samples, predicted: np.ndarray) -> float:
+    """`Errors.highlight` of the same."""
+    return highlight(samples.value, predicted, np.all(samples.weight > 0, 0), samples)
+
+
+def highlight(measured: np.ndarray, predicted: np.ndarray, inside: np.ndarray, grid: MerlGrid | Samples) -> float:
     """Predicted over measured brightest value at theta_h = 0, theta_d < 60 degrees; NaN where nothing is measured."""
     rows = np.flatnonzero(inside.any((1, 2)))[:1]
     narrow = inside[rows] & (grid.theta_d < HIGHLIGHT_THETA_D)[:, None]

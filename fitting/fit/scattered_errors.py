@@ -36,7 +36,7 @@ def errors(samples: ScatteredSamples, predicted: np.ndarray) -> Errors:
         smape=_mean(np.abs(m - predicted) / np.where(total > 0, total, 1.0), used.astype(float)),
         cube_root=np.sqrt(_mean((np.cbrt(seen) - np.cbrt(drawn)) ** 2, share)),
         log=np.sqrt(_mean((np.log1p(seen) - np.log1p(drawn)) ** 2, share)),
-        highlight=_highlight(samples, predicted),
+        highlight=highlight(samples, predicted),
         picture=picture,
         lamp=lamp,
         environment=environment,
@@ -80,7 +80,8 @@ def _mean(x: np.ndarray, weight: np.ndarray) -> float:
     return float(np.sum(weight * x) / max(np.sum(weight), 1e-300))
 
 
-def _highlight(samples: ScatteredSamples, predicted: np.ndarray) -> float:
+def highlight(samples: ScatteredSamples, predicted: np.ndarray) -> float:
+    """That of `errors` alone."""
     whole = np.all(samples.weight > 0, axis=0) & (samples.theta_d < HIGHLIGHT_THETA_D)
     if not whole.any():
         return float("nan")

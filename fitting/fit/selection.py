@@ -19,13 +19,17 @@ paper a little better. Where they have the lowest score, a dielectric is taken, 
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
 files that it was chosen on (docs/fitting.md).
 
-**Richer models.** A coat, another surface and a film (``--model auto``) are tried where a single model leaves more than
-`ENOUGH` of the energy on the coarse grid; where `MUCH` is left, the most promising of all is added to, twice at most.
-One takes the single model's place only where J E^2 is at most `WORTH` times its own, `WORTH_OF_POOR` where that leaves
-`MUCH`, and neither J nor E is more than `MARGIN` times its own: that is seen. Of those whose J E^2 is within a factor
-of `LITTLE` of the lowest the one with the fewest numbers is taken, if on all bins its picture is the nearer one, too.
-Constants of no matter are never taken. Neither the score nor a criterion that counts numbers would do: N is small where
-a model errs, so that nothing would be preferred just where another lobe is missing.
+**Richer models.** Sums (``--model auto``) are judged by what is seen: J times the square of the picture's error P, on
+the coarse grid, and twice that where the highlight is lost; without a picture by J E^2. A clear coat and another
+surface, with diffraction and without, are tried where a single model leaves more than `ENOUGH` of the energy or its
+picture is off by more than `NEAR`; where `MUCH` is left or the picture is off by more than `VISIBLE`, the most
+promising of all is added to, twice at most. One takes the single model's place only where its error
+is at most `WORTH` times that of the single one, J is no more than `MARGIN` times its J, and the picture is the nearer
+one. Of all whose error is within a factor of `LITTLE` of the lowest the one with the fewest numbers is taken. Constants
+of no matter are never taken. Neither the score nor a criterion that counts numbers would do: N is small where a model
+errs, so that nothing would be preferred just where another lobe is missing. The cube-root error would not do, either:
+of silver-metallic-paint it is larger for flakes under a coat, whose spheres are off by 1.0, than for a single surface,
+whose spheres are off by 4.1.
 
 **Failures.** A fit that leaves too much of the file's energy fails (`Status.UNEXPLAINED`). It is taken only where all
 do: in the cube roots the mirror of a coloured film counts for little, and a body without its mirror has a lower score.
@@ -43,10 +47,12 @@ ALIKE = 6.0
 MARGIN = 1.05
 BEYOND = 2.5  # times the J or E of what no matter has: so much worse may a dielectric be
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
-ENOUGH = 0.005  # of the weighted energy: a single model that leaves no more needs no other lobe
+ENOUGH = 0.005  # of the weighted energy: a single model that leaves no more needs no other lobe, if its picture is near
+NEAR = 0.5  # CIELAB distance of spheres, half of what is just noticeable
 MUCH = 0.03  # of the weighted energy: one that leaves more may need several
-WORTH, WORTH_OF_POOR = 0.5, 0.7  # times the J E^2 of a single model, or less: a richer one that takes its place
-LITTLE = 0.8  # times the J E^2 of a model with fewer numbers, or more: not worth those that another one has more
+WORTH = 0.6  # times the error of a single model, or less: a richer one that takes its place
+LITTLE = 0.75  # times the error of a model with fewer numbers, or more: not worth those that another one has more
+LOST = 2.0  # times the error, where the highlight is lost
 FACTOR = 2.0  # a highlight that is off by more is lost
 VISIBLE = 2.0  # CIELAB distance of lit pixels above which a fit does not look like its file
 SEEN = 1.0  # CIELAB distance of spheres, just noticeable: by less a picture is as good
@@ -132,40 +138,55 @@ def choose(
     return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
 
 
+def errors_of(compared: Sequence[schema.Candidate]) -> list[float]:
+    """What richer models are judged by, of each; infinite for what has none."""
+    seen = all(c.picture is not None for c in compared)
+    looks = [_looks(c, seen) for c in compared]
+    lose = [c.highlight is not None and lost(c.highlight) for c in compared]
+    return [
+        np.inf if c.objective is None else c.objective * look**2 * (LOST if off else 1.0)
+        for c, look, off in zip(compared, looks, lose, strict=True)
+    ]
+
+
+def _looks(one: schema.Candidate, seen: bool = True) -> float:
+    """The error of its picture, or that of its cube roots where nothing is to be seen."""
+    error = one.picture if seen and one.picture is not None else one.cube_root
+    return np.inf if error is None else error
+
+
 def promising(compared: Sequence[schema.Candidate], single: int, first: int) -> int:
-    """Which model to add to: that with the lowest J E^2 of a single one and of those from ``first`` on."""
-
-    def error(k: int) -> float:
-        c = compared[k]
-        return (c.objective or np.inf) * (c.cube_root or np.inf) ** 2 if c.of_matter or k == single else np.inf
-
-    return min([single, *range(first, len(compared))], key=error)
+    """Which model to add to: that with the lowest error of a single one and of those from ``first`` on."""
+    errors = errors_of(compared)
+    return min([single, *(k for k in range(first, len(compared)) if compared[k].of_matter)], key=lambda k: errors[k])
 
 
 def choose_sum(
     single: int,
     beside: Sequence[int],
+    compared: Sequence[schema.Candidate],
     numbers: Sequence[int],
-    objectives: Sequence[float],
-    cube_roots: Sequence[float],
-    poor: bool = False,
     excessive: Callable[[int], bool] = lambda _: False,
 ) -> int:
     """Which of some richer models to take in place of a single one, or that one.
 
     Args:
         single: its number. beside: those of the others. numbers: how many of them every model has.
-        poor: whether the single model leaves more than `MUCH`. excessive: as for `choose`.
+        excessive: as for `choose`.
     """
-    J, E = objectives, cube_roots
-    errors = np.nan_to_num(np.multiply(J, np.square(E)), nan=np.inf)
-    worth = WORTH_OF_POOR if poor else WORTH
-    seen = [k for k in beside if errors[k] <= worth * errors[single]]
-    kept = [k for k in seen if J[k] <= MARGIN * J[single] and E[k] <= MARGIN * E[single]]
-    if not kept:
+    errors, alone = errors_of(compared), compared[single]
+
+    def nearer(k: int) -> bool:
+        J, alone_J = compared[k].objective, alone.objective
+        if J is None or alone_J is None or not errors[k] < np.inf:
+            return False
+        return MARGIN * alone_J >= J and _looks(compared[k]) < _looks(alone)
+
+    kept = [k for k in beside if nearer(k)]
+    lowest = min((errors[k] for k in kept), default=np.inf)
+    if lowest > WORTH * errors[single]:
         return single
-    least = min(errors[k] for k in kept)
-    near = sorted((k for k in kept if errors[k] <= least / LITTLE), key=lambda k: (numbers[k], errors[k]))
+    near = sorted((k for k in kept if errors[k] <= lowest / LITTLE), key=lambda k: (numbers[k], errors[k]))
     return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
 
 

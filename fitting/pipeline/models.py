@@ -29,13 +29,15 @@ def candidates(config: Config) -> list[Measured]:
 def with_sums(config: Config, *taken: Reflectance) -> list[Measured]:
     """What ``auto`` tries beside a single model: a clear coat over each kind, another surface beside it, and a film.
 
-    Only kinds of its interface: with lobes enough a felt would pass for a metal.
+    With diffraction and without, of which two lobes have less need. Only kinds of its interface: with lobes enough a
+    felt would pass for a metal, and with a film a paint for one.
     """
     single = taken[0]
     assert isinstance(single, TwoScale)
-    bases = [two_scale(config, kind).material for kind in _kinds(config) if kind[0] == single.index]
+    kinds = [_two_scale(config, kind) for kind in _kinds(config) if kind[0] == single.index]
+    bases = dict.fromkeys([*kinds, *(base.changed(diffraction="off") for base in kinds)])
     sums = [each for base in bases for each in (Sum(EPD(), base, coated=True), Sum(EPD(), base))]
-    return _beside(config, [*sums, *_filmed(config, single)])
+    return _beside(config, [*sums, *(_filmed(config, single) if single.index == "complex" else [])])
 
 
 def with_more(config: Config, *taken: Reflectance) -> list[Measured]:
@@ -47,8 +49,7 @@ def with_more(config: Config, *taken: Reflectance) -> list[Measured]:
         added = [] if isinstance(below, Sum) else [Sum(part, below) for part in (Grating(), EPD())]
         every |= dict.fromkeys(replace(coat, base=each) if coat else each for each in added)
         every |= {} if coat else {Sum(EPD(), model, coated=True): None}
-        if (base := lowest(model)) and isinstance(base, TwoScale) and base.index == "complex":
-            every |= dict.fromkeys(_filmed(config, model))
+        every |= dict.fromkeys(_filmed(config, model))
     return _beside(config, [*every])
 
 
@@ -116,9 +117,13 @@ def _numbers(model: Measured) -> int:
 
 def two_scale(config: Config, kind: Kind) -> Measured:
     """The two-scale model to fit with one interface and body."""
+    return measured(config, _two_scale(config, kind))
+
+
+def _two_scale(config: Config, kind: Kind) -> TwoScale:
     own: dict[str, Any] = asdict(config.effects) | dict(zip(("index", "body"), kind, strict=True))
     del own["preset"]
-    return measured(config, TwoScale(**own))
+    return TwoScale(**own)
 
 
 def measured(config: Config, material: Reflectance) -> Measured:

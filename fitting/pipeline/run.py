@@ -28,7 +28,19 @@ from ..fit.problem import Problem, make_problem
 from ..fit.published_errors import assess_prediction
 from ..fit.residuals import Objective
 from ..fit.residuals import predict_samples as predicted_by
-from ..fit.selection import ENOUGH, MUCH, WORTH, choose, choose_sum, nearest, promising, score
+from ..fit.selection import (
+    ENOUGH,
+    MUCH,
+    NEAR,
+    VISIBLE,
+    WORTH,
+    choose,
+    choose_sum,
+    errors_of,
+    nearest,
+    promising,
+    score,
+)
 from ..fit.starts import start_hints, starting_points
 from ..fit.transforms import Layout
 from ..fit.weights import found_error, weighted_samples
@@ -60,7 +72,8 @@ OFFSET_EARLY, OFFSET_LATE = 0.05, 0.01
 MARGINS = 1.6, 1.3  # times the lowest after the first and after the second round: who is so much behind gives up
 MOST_ROUNDS, SAME_ERROR = 4, 0.05  # of weights with what the model errs by, and a change of it that ends them
 APART = 0.3  # in standard deviations of the prior: points nearer to each other are on the way to the same minimum
-RICHER = (with_sums, ENOUGH), (with_more, MUCH), (with_more, MUCH)  # what `auto` tries where more than so much is left
+# What `auto` tries where more than so much is left, or spheres are further off than that
+RICHER = (with_sums, ENOUGH, NEAR), (with_more, MUCH, VISIBLE), (with_more, MUCH, VISIBLE)
 Finish = Callable[[Fitted, Input, AnySamples], tuple[Fitted, schema.Accuracy | None]]
 
 
@@ -170,31 +183,24 @@ def fit(
             found = fit_coarse(rough, data, problem, roughly, config, first)
             return [*map(Searched, layouts, rough, found)]
 
-        tried = searched(candidates(config))
-        compared, chosen = compare(tried, few)
+        tried, auto = searched(candidates(config)), config.model.name == AUTO
+        compared, chosen = compare(tried, few, seen=auto)
         single, kinds = chosen, len(tried)
-        for richer, left in RICHER if config.model.name == AUTO else ():
+        for richer, left, off in RICHER if auto else ():
+            if (compared[chosen].cost or 0.0) <= left and (compared[chosen].picture or 0.0) <= off:
+                break
             bases = [tried[k].layout.material for k in (single, promising(compared, single, kinds))]
             known = [each.layout.model for each in tried]
-            more = [model for model in richer(config, *bases) if model not in known]
-            if tried[chosen].solution.cost > left and more:
+            if more := [model for model in richer(config, *bases) if model not in known]:
                 tried += searched(more)
-                compared, chosen = compare(tried, few, single, kinds)
-
-    def whole(k: int) -> Fitted:
-        """One of them on the last grid."""
-        layout, rough, solution = tried[k]
+                compared, chosen = compare(tried, few, single, kinds, seen=True)
+        layout, rough, solution = tried[chosen]
         z, last = solution.z, cheaper(layout, COARSE_ORDER)
         if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
-            with clock.stage("coarse"):
-                z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
-        report(f"{config.fit.grid} grid: {layout.model.variant}")
-        ends = descend(layout, z, measurement, samples, config, clock)
-        return ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])]
-
-    fitted = whole(chosen)
-    if chosen != single and (simpler := whole(single)).errors.picture < fitted.errors.picture:
-        fitted = simpler  # what has more lobes has to look better, too
+            z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
+    report(f"{config.fit.grid} grid: {layout.model.variant}")
+    ends = descend(layout, z, measurement, samples, config, clock)
+    fitted = ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])]
     return replace(fitted, candidates=compared)
 
 
@@ -271,16 +277,17 @@ class Searched(NamedTuple):
 
 
 def compare(
-    tried: Sequence[Searched], samples: AnySamples, taken: int | None = None, first: int = 0
+    tried: Sequence[Searched], samples: AnySamples, taken: int | None = None, first: int = 0, seen: bool = False
 ) -> tuple[list[schema.Candidate], int]:
     """Fits of the same samples, the simplest model first, and which of them to take (`selection`).
 
     Args:
         taken: which of those before ``first`` was taken, if the others are richer models to take in its place.
+        seen: whether to compare pictures and highlights, too.
     """
     layouts, found = [each.rough for each in tried], [each.solution for each in tried]
     materials = [layout.material for layout in layouts]
-    if len(found) == 1:
+    if len(found) == 1 and not seen:
         only = materials[0]
         return [schema.Candidate(model=only.name, variant=only.variant, cost=storage.finite(found[0].cost))], 0
     predicted = [predict_samples(layout, s.z, samples) for layout, s in zip(layouts, found, strict=True)]
@@ -290,15 +297,19 @@ def compare(
         scattered_errors.cube_root_error if isinstance(samples, ScatteredSamples) else error_metrics.cube_root_error
     )
     roots = [cube_root(samples, p) for p in predicted]  # pyright: ignore[reportArgumentType] - each of its own kind
+    looks = [_seen(samples, p) if seen else (None, None) for p in predicted]
     scores = [score(j, e, count) for j, e in zip(objectives, roots, strict=True)]
     values = [valued(layout, s.z) for layout, s in zip(layouts, found, strict=True)]
     matter = [plausible.of_matter(material, v) for material, v in zip(materials, values, strict=True)]
     candidates = [
         schema.Candidate(
             model=material.name, variant=material.variant, cost=storage.finite(s.cost), objective=storage.finite(j),
-            cube_root=storage.finite(e), score=storage.finite(each), of_matter=own, converged=s.converged,
+            cube_root=storage.finite(e), picture=picture, highlight=highlight, score=storage.finite(each),
+            of_matter=own, converged=s.converged,
         )
-        for material, s, j, e, each, own in zip(materials, found, objectives, roots, scores, matter, strict=True)
+        for material, s, j, e, (picture, highlight), each, own in zip(
+            materials, found, objectives, roots, looks, scores, matter, strict=True
+        )
     ]  # fmt: skip
 
     def excessive(k: int) -> bool:
@@ -306,21 +317,28 @@ def compare(
         return brightest is not None and brightest.excessive
 
     if taken is not None:
-        beside = [k for k in range(first, len(materials)) if matter[k] and not _idle(k, materials, objectives, roots)]
-        return candidates, choose_sum(
-            taken, beside, [layout.size for layout in layouts], objectives, roots, found[taken].cost > MUCH, excessive
-        )
+        errors = errors_of(candidates)
+        beside = [k for k in range(first, len(materials)) if matter[k] and not _idle(k, materials, errors)]
+        return candidates, choose_sum(taken, beside, candidates, [layout.size for layout in layouts], excessive)
     dielectric, explains = ["k" not in v for v in values], [s.cost <= UNEXPLAINED_COST for s in found]
     return candidates, choose(objectives, roots, scores, matter, dielectric, explains, excessive)
 
 
-def _idle(k: int, materials: Sequence[Reflectance], objectives: Sequence[float], roots: Sequence[float]) -> bool:
+def _seen(samples: AnySamples, predicted: np.ndarray) -> tuple[float | None, float | None]:
+    """Picture and highlight on the coarse grid; None where there is none."""
+    if isinstance(samples, ScatteredSamples):
+        found = scattered_errors.pictures(samples, predicted)[0], scattered_errors.highlight(samples, predicted)
+    else:
+        found = error_metrics.picture_of_few(samples, predicted), error_metrics.highlight_of_few(samples, predicted)
+    return storage.finite(found[0]), storage.finite(found[1])
+
+
+def _idle(k: int, materials: Sequence[Reflectance], errors: Sequence[float]) -> bool:
     """Whether a film does little that its complex index alone would not do: with both a felt would pass for a film."""
     film = lowest(materials[k])
     if not (isinstance(film, TwoScale) and film.index == "film"):
         return False
     bare = (j for j, m in enumerate(materials) if isinstance(m, TwoScale) and m.kind == ("complex", film.body))
-    errors = np.multiply(objectives, np.square(roots))
     return any(errors[k] > WORTH * errors[j] for j in bare)
 
 

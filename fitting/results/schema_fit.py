@@ -20,6 +20,10 @@ class Candidate(Strict):
     """Cost with the prior."""
     cube_root: float | None = None
     """Error of cube roots on the coarse grid."""
+    picture: float | None = None
+    """Mean CIELAB distance of spheres on the coarse grid, by which `auto` chooses among richer models."""
+    highlight: float | None = None
+    """Fitted over measured highlight on the coarse grid, there as well."""
     score: float | None = None
     """What the choice goes by, lower is better; of kinds that are about as good the simplest is taken
     (``fitting/fit/selection.py``)."""

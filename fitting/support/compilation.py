@@ -1,5 +1,6 @@
 """Where compiled programs are kept between runs."""
 
+import gc
 import glob
 import os
 import re
@@ -15,6 +16,7 @@ import jax
 import platformdirs
 
 from .affinity import begun_on, spread
+from .allocation import give_freed_memory_back
 from .clock import Report, Stage
 from .terminal import note
 
@@ -184,17 +186,22 @@ def _tell_unkept(folder: Path, say: Callable[[str], None]) -> None:
 
 
 MAPPINGS = 30_000  # of memory, of the 65 530 that Linux allows a process; a compiled program takes up to some hundreds
+RESIDENT = 1 / 3  # of the machine's memory: programs of the models that `auto` tries for one interface take 5 GiB
 
 
 def make_room() -> None:
-    """Forget compiled programs where they take so many mappings that LLVM would soon find no memory for more.
+    """Forget compiled programs where LLVM would soon find no mappings for more, or the process has grown too large.
 
-    They come back from the cache on disk. Where mappings cannot be counted, nothing is done.
+    They come back from the cache on disk, in some seconds. Where neither can be counted, nothing is done.
     """
     try:
         with open("/proc/self/maps", "rb") as file:
             many = sum(1 for _ in file) > MAPPINGS
+        with open("/proc/self/statm", "rb") as file:
+            much = int(file.read().split()[1]) > RESIDENT * os.sysconf("SC_PHYS_PAGES")
     except OSError:
         return
-    if many:
+    if many or much:
         jax.clear_caches()
+        gc.collect()
+        give_freed_memory_back()

@@ -1,10 +1,13 @@
-"""Memory that is freed is kept where Dask's workers are told to give it back."""
+"""Memory that is freed is kept where Dask's workers are told to give it back; programs are forgotten in good time."""
 
 import platform
 import subprocess
 import sys
 
+import jax
+import numpy as np
 import pytest
+from merlfit.fitting.support import compilation
 
 PAGES = 250  # of 4 KiB, in an array
 PROGRAM = f"""
@@ -35,3 +38,14 @@ def test_arrays_of_a_dask_worker_come_from_pages_that_it_has():
     given_back = faults("given back")
     assert given_back > 9 * PAGES
     assert faults("kept") < given_back / 4
+
+
+def test_programs_are_forgotten_where_a_process_has_grown_too_large(monkeypatch):
+    doubled = jax.jit(lambda x: 2 * x)
+    doubled(np.ones(3))
+    compilation.make_room()
+    assert doubled._cache_size() == 1
+    monkeypatch.setattr(compilation, "RESIDENT", 0.0)
+    compilation.make_room()
+    assert doubled._cache_size() == 0
+    assert doubled(np.ones(3))[0] == 2

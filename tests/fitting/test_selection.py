@@ -13,6 +13,7 @@ from merlfit.fitting.fit.selection import (
     PATIENCE,
     choose,
     choose_sum,
+    errors_of,
     lost,
     nearest,
     promising,
@@ -185,21 +186,46 @@ def test_why_another_kind_than_the_lowest_was_taken_is_said(lowest, said):
     assert said in " ".join(str(Fit(result, Path("nickel.json"))).split())
 
 
+def richer(J, look, highlight=(1.0,) * 3, **others):
+    """A single model and two richer ones, as they were compared."""
+    none = lambda x: None if np.isnan(x) else x  # noqa: E731
+    return [
+        Candidate(
+            model="m", variant="m", cost=none(j), objective=none(j), cube_root=1.0, picture=p, highlight=h, **others
+        )
+        for j, p, h in zip(J, look, highlight, strict=True)
+    ]
+
+
 @pytest.mark.parametrize(
-    ("J", "E", "poor", "chosen"),
+    ("J", "look", "highlight", "chosen"),
     [
-        ((1.0, 0.9, 0.8), (1.0, 0.9, 0.9), False, 0),  # not worth another lobe
-        ((1.0, 0.9, 0.8), (1.0, 0.9, 0.9), True, 2),  # where much is left it is
-        ((1.0, 0.9, 0.4), (1.0, 0.9, 0.9), False, 2),
-        ((1.0, 0.4, 0.39), (1.0, 0.9, 0.9), False, 1),  # as good by fewer numbers
-        ((1.0, 0.4, 0.3), (1.0, 0.9, 0.9), False, 2),
-        ((1.0, 0.2, 0.4), (1.0, 1.2, 0.9), False, 2),  # a lower J by a worse E is refused
-        ((1.0, 1.2, 1.2), (1.0, 0.3, 0.3), False, 0),
-        ((1.0, float("nan"), 0.4), (1.0, 0.1, 0.9), False, 2),
+        ((1.0, 0.9, 0.9), (1.0, 0.9, 0.85), (1.0, 1.0, 1.0), 0),  # not worth another lobe
+        ((1.0, 0.9, 0.8), (1.0, 0.9, 0.8), (1.0, 1.0, 1.0), 2),
+        ((1.0, 1.04, 0.8), (4.0, 1.0, 3.6), (1.0, 1.0, 1.0), 1),  # hardly a lower cost, but it looks like the file
+        ((1.0, 0.4, 0.39), (1.0, 0.9, 0.9), (1.0, 1.0, 1.0), 1),  # as good by fewer numbers
+        ((1.0, 0.8, 0.65), (1.0, 0.9, 0.9), (1.0, 1.0, 1.0), 1),  # of which the other one alone would not be worth it
+        ((1.0, 0.4, 0.25), (1.0, 0.9, 0.9), (1.0, 1.0, 1.0), 2),
+        ((1.0, 0.2, 0.4), (1.0, 1.2, 0.9), (1.0, 1.0, 1.0), 2),  # a lower cost by a picture that is further off
+        ((1.0, 1.2, 1.2), (1.0, 0.3, 0.3), (1.0, 1.0, 1.0), 0),  # a nearer picture by a higher cost
+        ((1.0, float("nan"), 0.4), (1.0, 0.1, 0.9), (1.0, 1.0, 1.0), 2),
+        ((1.0, 0.4, 0.4), (1.0, 0.9, 0.9), (1.0, 2.5, 1.0), 2),  # that which keeps the highlight
+        ((1.0, 0.9, 0.9), (1.0, 0.9, 0.9), (0.3, 1.0, 1.0), 1),  # that the single one has lost
     ],
 )
-def test_a_richer_model_is_taken_where_it_is_seen(J, E, poor, chosen):
-    assert choose_sum(0, [1, 2], [13, 16, 20], J, E, poor) == chosen
+def test_a_richer_model_is_taken_where_it_is_seen(J, look, highlight, chosen):
+    assert choose_sum(0, [1, 2], richer(J, look, highlight), [13, 16, 20]) == chosen
+
+
+def test_what_gives_back_more_than_it_receives_comes_after_what_is_as_good():
+    compared = richer((1.0, 0.4, 0.4), (1.0, 0.9, 0.9))
+    assert choose_sum(0, [1, 2], compared, [13, 16, 20], excessive=lambda k: k == 1) == 2
+
+
+def test_richer_models_are_judged_by_cube_roots_where_nothing_is_to_be_seen():
+    compared = richer((1.0, 0.9, 0.4), (None,) * 3, (None,) * 3)
+    assert errors_of(compared) == [1.0, 0.9, 0.4]
+    assert choose_sum(0, [1, 2], [*compared[:2], compared[2].model_copy(update={"cube_root": 0.9})], [13, 16, 20]) == 2
 
 
 def test_what_is_added_to_is_the_best_of_matter_or_the_single_model():
