@@ -66,12 +66,12 @@ def programs(request):
     """
     here = [item for item in request.session.items if item.path == request.path]
     hasty = any("compiled_quickly" in item.fixturenames for item in here)
+    from merlfit.fitting.support.compilation import forget_programs, make_room  # not before the import hook
+
     if hasty != jax.config.read(HASTY):
         jax.config.update(HASTY, hasty)
-        jax.clear_caches()
+        forget_programs()
     yield
-    from merlfit.fitting.support.compilation import make_room  # not before the import hook
-
     make_room()
 
 

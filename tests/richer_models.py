@@ -36,10 +36,11 @@ KEYS = (
 HEAD = """# Richer models beside the default
 
 `python -m tests.richer_models`, commit {at}: the default of `merlfit fit`, `--model auto` (coats, surfaces, films and
-gratings over the two-scale model, where that looks better for it), `--preset free` (a weight of the diffracted light per channel) and
-`--model hp15`. Cost is relative to the weighted energy of the file; picture: mean CIELAB distance over all pixels of
-spheres under a lamp and in a room, lamp and room: of lit pixels alone; highlight: fitted over measured peak; numbers:
-what was free. Seconds are of fits side by side on two cores; some compile. [All rows](richer_models.csv).
+gratings over the two-scale model, where that looks better for it), `--preset free` (a weight of the diffracted light
+per channel) and `--model hp15`. Cost is relative to the weighted energy of the file; picture: mean CIELAB distance over
+all pixels of spheres under a lamp and in a room, lamp and room: of lit pixels alone; highlight: fitted over measured
+peak; numbers: what was free. Seconds are of fits side by side on two cores; some compile. [All
+rows](richer_models.csv).
 """
 
 

@@ -1,10 +1,8 @@
 """The largest share of the light that a material gives back: above one it makes light, which a renderer shows."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -14,6 +12,7 @@ from ...merl_io.bands import Bands
 from ...model.albedo import directional_albedo
 from ...model.reflectance import Reflectance
 from ...model.two_scale import TwoScale
+from ..support.kept import kept
 from .hints import general_of
 
 INCIDENCES_DEG = (0.0, 20.0, 40.0, 60.0, 70.0, 80.0)  # up to where data are fitted (`choices.THETA_MAX`)
@@ -47,6 +46,6 @@ def largest_albedo(material: Reflectance, values: Mapping[str, ArrayLike], bands
     return Brightest(float(found[channel, k]), INCIDENCES_DEG[k], bands.names[channel])
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _albedos(model: Reflectance, values: Mapping[str, Array], wavelengths_um: Array) -> Array:
     return directional_albedo(model, values, jnp.radians(jnp.asarray(INCIDENCES_DEG)), wavelengths_um)

@@ -12,7 +12,6 @@ channels, as a dielectric's index nearly is, is taken alike: a channel that star
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -21,6 +20,7 @@ import numpy as np
 from jax import Array
 
 from ...model.reflectance import Reflectance
+from ..support.kept import kept
 from .hints import LinearParameters, hints_of
 from .problem import Part, Problem
 from .residuals import evaluate_block, weigh, with_tables
@@ -173,12 +173,12 @@ def reflectances(
     return np.asarray(_of_constants(parted.reflectance, cos_d, constants))[None, None]
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _of_constants(reflectance: Callable[..., Array], cos_d: Array, constants: Mapping[str, Array]) -> Array:
     return reflectance(cos_d, **constants)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _of_candidates(
     reflectance: Callable[..., Array],
     cos_d: Array,
@@ -191,7 +191,7 @@ def _of_candidates(
     )
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _bodies(tried: tuple[BodyTried, ...], part: Part) -> tuple[list[Array], list[Array]]:
     """RB of bodies, (N, C, h, D, K, constants, albedos) by blocks, and |RB|^2 - 2 q.RB, (C, constants, albedos)."""
 
@@ -215,7 +215,7 @@ def _bodies(tried: tuple[BodyTried, ...], part: Part) -> tuple[list[Array], list
     return weighed, [jnp.sum(x, 0) for x in alone]
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@kept(2)
 def _sums(
     model: Reflectance,
     fixed: tuple[tuple[str, float], ...],

@@ -6,7 +6,7 @@ loop over blocks on one core, so every core is given its share of them by a thre
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial, reduce
+from functools import cache, reduce
 from operator import add
 from typing import Any
 
@@ -23,6 +23,7 @@ from ...model.materialised import materialised, true_of
 from ...model.parameters import WHICH_BODY
 from ...model.reads import reads
 from ...model.reflectance import Factor, Reflectance, Setting
+from ..support.kept import Kept, kept
 from ..support.threads import side_by_side
 from .hints import General, general_of
 from .problem import LEAST_SHARE, Directions, Part, Problem, directions_of, shares
@@ -46,7 +47,7 @@ def predict_samples(model: Reflectance, values: Mapping[str, Array], samples: Sa
     return found[:, : samples.value.shape[1], 0, 0] if isinstance(samples, ScatteredSamples) else found
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _predict(model: Reflectance, values: Mapping[str, Array], part: Directions) -> Array:
     values = with_tables(model, values, part)
 
@@ -97,17 +98,17 @@ class Objective:
         general = general_of(self.layout.model)
         given = general.values(values)
         found = side_by_side(lambda part: np.asarray(compute(general.model, given, part)), self.problem.parts)
-        kept = rows_of(general)
-        compact = reduce(add, found)[..., kept[:, None], kept]
+        rows = rows_of(general)
+        compact = reduce(add, found)[..., rows[:, None], rows]
         return spread_out(self.layout, np.asarray(slopes), compact, np.asarray(self.problem.rest))
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _costs_of_many(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     return jax.lax.map(lambda v: _cost(model, v, part), values)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _cost(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     values = with_tables(model, values, part.directions)
 
@@ -180,10 +181,8 @@ def _compact_of_many(model: Reflectance, values: Mapping[str, Array], part: Part
     return jax.lax.map(lambda v: compact_equations(model, {**v, **fixed}, part), moving)
 
 
-# XLA's older CPU emitters compile these in half the time and run them as fast (CONTRIBUTING.md, compile times).
-OLDER_EMITTERS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}  # JAX 0.11 has none
-compact_normal_equations = jax.jit(compact_equations, static_argnums=0, compiler_options=OLDER_EMITTERS)
-compact_normal_equations_of_many = jax.jit(_compact_of_many, static_argnums=0, compiler_options=OLDER_EMITTERS)
+compact_normal_equations = Kept(compact_equations)
+compact_normal_equations_of_many = Kept(_compact_of_many)
 
 
 def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers) -> Any:  # noqa: ANN401 - as they come

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
@@ -14,6 +13,7 @@ from jax import Array
 from ...model.measured import material_of, with_material
 from ...model.reflectance import Reflectance, factor_values, shaped
 from ...model.sum import THROUGH, Sum
+from ..support.kept import kept
 from .hints import LinearParameters, hints_of
 from .problem import Part, Problem
 from .projection import ALBEDOS, BATCH, reflectances
@@ -110,7 +110,7 @@ def _perfect(model: Reflectance) -> Reflectance:
     return replace(model, base=_perfect(model.base), top=model.top if model.coated else _perfect(model.top))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+@kept(4)
 def _grams(
     model: Reflectance,
     fixed: tuple[tuple[str, float], ...],

@@ -4,7 +4,6 @@ It is the directional-hemispherical reflectance, the integral of the BRDF times 
 """
 
 from collections.abc import Mapping
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +21,7 @@ from ...merl_io.scattered import ScatteredMeasurement
 from ...model.albedo import directional_albedo
 from ...model.reflectance import Reflectance
 from ..support.choices import THETA_MAX
+from ..support.kept import kept
 from ..support.threads import SHARES, side_by_side
 from .hints import general_of
 from .transforms import Layout
@@ -123,13 +123,13 @@ def of_draws(layout: Layout, draws: np.ndarray, theta_i: np.ndarray) -> np.ndarr
     return np.concatenate(shares)[: len(draws), :, : len(theta_i)]
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _of_many(layout: Layout, draws: Array, theta_i: Array) -> Array:
     material, wavelengths = layout.material, layout.bands.wavelengths_um
     return jax.lax.map(lambda z: directional_albedo(material, layout.values(z), theta_i, wavelengths), draws)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _with_slopes(
     model: Reflectance, values: Mapping[str, Array], wavelengths_um: Array, theta_i: Array
 ) -> tuple[Array, dict[str, Array]]:

@@ -17,7 +17,7 @@ compiled programs (:class:`Table`): other bounds, priors and fixed values are no
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from typing import Literal, NamedTuple
 
 import jax
@@ -32,6 +32,7 @@ from ...model.measured import material_of, with_material
 from ...model.parameters import Parameter, Shift
 from ...model.priors import PRIORS, Constraint, LogNormal, Priors
 from ...model.reflectance import Reflectance
+from ..support.kept import Kept, kept
 
 INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved
 LEAST = 1e-300
@@ -409,32 +410,32 @@ def _flat_and_slopes(s: Structure, t: Table, z: Array) -> tuple[Array, Array]:
     return found[t.leader], slopes
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _values(s: Structure, t: Table, z: Array) -> dict[str, Array]:
     return s.named(_flat(s, t, z))
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _values_of_many(s: Structure, t: Table, z: Array) -> dict[str, Array]:
     return jax.vmap(lambda z: s.named(_flat(s, t, z)))(z)
 
 
-_flat_jitted = jax.jit(_flat, static_argnums=0)
+_flat_jitted = Kept(_flat)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _values_and_slopes(s: Structure, t: Table, z: Array) -> tuple[dict[str, Array], Array]:
     found, slopes = _flat_and_slopes(s, t, z)
     return s.named(found), slopes
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def values_and_slopes_of_many(s: Structure, t: Table, points: Array) -> tuple[dict[str, Array], Array]:
     """Physical values by name and their slopes at many points (M, F), with a leading axis M."""
     return jax.vmap(lambda z: _values_and_slopes(s, t, z))(points)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _free(s: Structure, t: Table, values: Array) -> Array:
     """The coordinate that every entry would have by itself, (P,); inverse of :func:`_flat`."""
     kept = jnp.clip(values, TINY_ODDS, 1 - INSIDE)
@@ -446,7 +447,7 @@ def _free(s: Structure, t: Table, values: Array) -> Array:
     return jnp.where(t.odds | t.logarithmic, _standard_normal(logarithm, t, median), linear)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _free_of_many(s: Structure, t: Table, values: Array) -> Array:
     return jax.vmap(lambda flat: _free(s, t, flat))(values)
 

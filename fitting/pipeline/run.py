@@ -49,6 +49,7 @@ from ..settings.config import Config
 from ..settings.sections import AUTO, FitSection
 from ..support.choices import THETA_MAX
 from ..support.clock import Clock, Report, silent
+from ..support.kept import loaded_ahead
 from ..support.threads import CORES, one_core_a_call
 from .draws import chain_of
 from .models import candidates, layout_for, with_more, with_sums
@@ -108,6 +109,20 @@ def fit_file(
     clock, out = Clock(), Path(out)
     with refused(out, "made"):
         out.mkdir(parents=True, exist_ok=True)
+    kind = Path(path).suffix if isinstance(path, str | os.PathLike) else path.path.suffix
+    with loaded_ahead("+".join(config.model.names) + kind, config.model.name != AUTO):
+        return _fit_file(path, out, config, report, finish, found, clock)
+
+
+def _fit_file(
+    path: str | os.PathLike[str] | Input,
+    out: Path,
+    config: Config,
+    report: Report,
+    finish: Finish | None,
+    found: Found | None,
+    clock: Clock,
+) -> schema.Result:
     with clock.stage("read"):
         report("reading")
         measurement = (

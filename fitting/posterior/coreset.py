@@ -7,7 +7,6 @@ near the edge, of a matt material rows all over. Scattered samples are rows of o
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import numpy as np
@@ -19,6 +18,7 @@ from ...merl_io.scattered import ScatteredSamples
 from ..fit.problem import Part, energy, make_problem
 from ..fit.residuals import weighted_prediction
 from ..fit.transforms import Layout
+from ..support.kept import kept
 from ..support.threads import side_by_side
 
 ROWS = 18  # of theta_h that are kept
@@ -29,7 +29,7 @@ BATCH = 16  # points of one call
 STEP = 0.02  # of the differences that make a Jacobian, in standard deviations of the prior
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _predicted(layout: Layout, points: Array, part: Part) -> Array:
     """Weighted predictions (W, M) at points (W, P), in the precision of ``part``.
 

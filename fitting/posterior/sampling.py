@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from ..fit.outcome import Fitted
 from ..fit.problem import make_problem
 from ..fit.transforms import Layout
 from ..support.clock import Report, Stage, silent
+from ..support.kept import kept
 from ..support.threads import SHARES, one_core_a_call, side_by_side
 from .chain import Chain, ChainError, begin, extend, read_chain, write_chain
 from .diagnosis import diagnose
@@ -47,7 +47,7 @@ class Sampled:
     at_fit: Mapping[str, np.ndarray]
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _physical(layout: Layout, draws: Array) -> tuple[Array, dict[str, Array]]:
     material, wavelengths = layout.material, layout.bands.wavelengths_um
     return jax.vmap(layout.flat)(draws), jax.lax.map(lambda z: derived(layout.values(z), material, wavelengths), draws)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import jax
 import numpy as np
@@ -18,6 +18,7 @@ from ...model.parameters import WHICH_BODY
 from ...model.reflectance import Reflectance, contributions, evaluate, prepared
 from ..fit.hints import general_of
 from ..results.schema import Model, Result
+from ..support.kept import kept
 from ..support.weighted import resampled
 
 WIDEST_DEG = 89.0  # of the viewers of a lobe
@@ -89,7 +90,7 @@ class Fitted:
     def tabled(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
         """Tables do for all directions, 99 in 100 to 1e-5 of what they would compute (`reflectance.prepared`)."""
         general = general_of(model.measured)
-        return cls(model, _prepared(general.model, general.values(values), tuple(model.wavelengths_um)))
+        return cls(model, _prepared(general.model, tuple(model.wavelengths_um), general.values(values)))
 
     def seen_as(self, seen: Reflectance) -> tuple[Reflectance, dict[str, ArrayLike], np.ndarray]:
         """The general model of it, seen by the apparatus or not, and what it takes."""
@@ -130,7 +131,7 @@ def draws_of(result: Result, chain: Mapping[str, np.ndarray]) -> Fitted:
     every = [general.values(result.values(chain["values"][k])) for k in resampled(chain["weights"].ravel(), BAND_DRAWS)]
     stacked = {name: np.asarray([each[name] for each in every]) for name in every[0]}
     wavelengths = tuple(result.model.wavelengths_um)
-    return Fitted(result.model, _prepared_of_many(general.model, stacked, wavelengths))
+    return Fitted(result.model, _prepared_of_many(general.model, wavelengths, stacked))
 
 
 def band(draws: Fitted, geometry: Geometry) -> np.ndarray:
@@ -167,24 +168,26 @@ def _at_bins(nodes: Nodes, values: np.ndarray, dims: Dims) -> np.ndarray:
     return np.where(merl_grid(dims).above[..., : dims[2] // 2], np.maximum(nodes.at_bins(values), 0.0), 0.0)
 
 
-_prepared = jax.jit(prepared, static_argnums=(0, 2))
+@kept(2)
+def _prepared(model: Reflectance, wavelengths_um: tuple[float, ...], values: dict) -> dict[str, Array]:
+    return prepared(model, values, wavelengths_um)
 
 
-@partial(jax.jit, static_argnums=(0, 2))
-def _prepared_of_many(model: Reflectance, values: dict, wavelengths_um: tuple[float, ...]) -> dict[str, Array]:
+@kept(2)
+def _prepared_of_many(model: Reflectance, wavelengths_um: tuple[float, ...], values: dict) -> dict[str, Array]:
     return jax.lax.map(lambda v: prepared(model, v, wavelengths_um), values)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _compiled(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
     return evaluate(model, values, geometry, wavelengths_um)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _compiled_of_many(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> Array:
     return jax.lax.map(lambda v: evaluate(model, v, geometry, wavelengths_um), values)
 
 
-@partial(jax.jit, static_argnums=0)
+@kept()
 def _parts(model: Reflectance, values: dict, geometry: Geometry, wavelengths_um: Array) -> dict[str, Array]:
     return contributions(model, values, geometry, wavelengths_um)

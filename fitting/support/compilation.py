@@ -186,6 +186,7 @@ def _tell_unkept(folder: Path, say: Callable[[str], None]) -> None:
 
 
 MAPPINGS = 30_000  # of memory, of the 65 530 that Linux allows a process; a compiled program takes up to some hundreds
+forgetting: list[Callable[[], None]] = []  # by whom else programs are held
 RESIDENT = 1 / 3  # of the machine's memory: programs of the models that `auto` tries for one interface take 5 GiB
 
 
@@ -202,6 +203,13 @@ def make_room() -> None:
     except OSError:
         return
     if many or much:
-        jax.clear_caches()
+        forget_programs()
         gc.collect()
         give_freed_memory_back()
+
+
+def forget_programs() -> None:
+    """Forget what is compiled in this process."""
+    for forget in forgetting:
+        forget()
+    jax.clear_caches()
