@@ -27,8 +27,13 @@ def told(fitted: Fitted):
 
 
 def measure(path, body, starts):
+    """Runs of a material with one body."""
+    return measure_of(path, starts, body=body)
+
+
+def measure_of(path, starts, **settings):
     """The runs from random points, the one from the data, and one of a longer search."""
-    config = load(body=body, posterior=False)
+    config = load(**settings, posterior=False)
     measurement = read(path)
     (model,) = candidates(config)
     samples, layout = (
