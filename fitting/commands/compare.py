@@ -148,14 +148,14 @@ def which_model(
     wanted = chosen_models(names)
     with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
         measurement = inputs.read(path, dims=settings.input.allowed, quantity=settings.input.quantity)
-        rows, _ = compare_file(measurement, wanted, settings, out, told, False, placed)
         samples = weighted_samples(measurement, settings.exponents[0], settings.fit.theta_max)
         table = tabulated(samples)
-    if table_to is not None:
-        if table is None:
-            raise fail(f"{path}: has too few directions for a table; leave --table out")
-        grid = merl_grid(measurement.dims if isinstance(measurement, Measurement) else DIMS)
-        write(table_to, coloured(table.on(grid), samples.bands), grid.above, grid.above.shape)
+        if table_to is not None:
+            if table is None:
+                raise fail(f"{path}: has too few directions, or no light in a channel, for tables; leave --table out")
+            grid = merl_grid(measurement.dims if isinstance(measurement, Measurement) else DIMS)
+            write(table_to, coloured(table.on(grid), samples.bands), grid.above, grid.above.shape)
+        rows, _ = compare_file(measurement, wanted, settings, out, told, False, placed)
     if not rows:
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)

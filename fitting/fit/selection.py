@@ -54,7 +54,7 @@ WORTH = 0.6  # times the error of a single model, or less: a richer one that tak
 LITTLE = 0.75  # times the error of a model with fewer numbers, or more: not worth those that another one has more
 LOST = 2.0  # times the error, where the highlight is lost
 FACTOR = 2.0  # a highlight that is off by more is lost
-VISIBLE = 2.0  # CIELAB distance of lit pixels above which a fit does not look like its file
+VISIBLE = 2.0  # CIELAB distance of spheres above which a fit does not look like its file
 SEEN = 1.0  # CIELAB distance of spheres, just noticeable: by less a picture is as good
 
 
@@ -140,18 +140,23 @@ def choose(
 
 def errors_of(compared: Sequence[schema.Candidate]) -> list[float]:
     """What richer models are judged by, of each; infinite for what has none."""
-    seen = all(c.picture is not None for c in compared)
-    looks = [_looks(c, seen) for c in compared]
-    lose = [c.highlight is not None and lost(c.highlight) for c in compared]
+    seen = _seen(compared)
     return [
-        np.inf if c.objective is None else c.objective * look**2 * (LOST if off else 1.0)
-        for c, look, off in zip(compared, looks, lose, strict=True)
+        np.inf
+        if c.objective is None
+        else c.objective * _look(c, seen) ** 2 * (LOST if c.highlight is not None and lost(c.highlight) else 1.0)
+        for c in compared
     ]
 
 
-def _looks(one: schema.Candidate, seen: bool = True) -> float:
+def _seen(compared: Sequence[schema.Candidate]) -> bool:
+    """Whether there are pictures; of one that ran away there may be none even so."""
+    return any(c.picture is not None for c in compared)
+
+
+def _look(one: schema.Candidate, seen: bool) -> float:
     """The error of its picture, or that of its cube roots where nothing is to be seen."""
-    error = one.picture if seen and one.picture is not None else one.cube_root
+    error = one.picture if seen else one.cube_root
     return np.inf if error is None else error
 
 
@@ -174,17 +179,11 @@ def choose_sum(
         single: its number. beside: those of the others. numbers: how many of them every model has.
         excessive: as for `choose`.
     """
-    errors, alone = errors_of(compared), compared[single]
-
-    def nearer(k: int) -> bool:
-        J, alone_J = compared[k].objective, alone.objective
-        if J is None or alone_J is None or not errors[k] < np.inf:
-            return False
-        return MARGIN * alone_J >= J and _looks(compared[k]) < _looks(alone)
-
-    kept = [k for k in beside if nearer(k)]
+    errors, seen = errors_of(compared), _seen(compared)
+    most, nearest_look = MARGIN * (compared[single].objective or np.inf), _look(compared[single], seen)
+    kept = [k for k in beside if (compared[k].objective or 0.0) <= most and _look(compared[k], seen) < nearest_look]
     lowest = min((errors[k] for k in kept), default=np.inf)
-    if lowest > WORTH * errors[single]:
+    if not lowest <= WORTH * errors[single] or not np.isfinite(lowest):
         return single
     near = sorted((k for k in kept if errors[k] <= lowest / LITTLE), key=lambda k: (numbers[k], errors[k]))
     return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])

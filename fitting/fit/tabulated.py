@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.spatial import KDTree
 
 from ...merl_io.grid import MerlGrid
 from ...merl_io.samples import Samples
@@ -22,6 +23,7 @@ from .problem import energy
 SPLINES = 28, 8  # of scattered samples: along the rank of theta_h, along cos(theta_d)
 COSINES = 6  # splines along cos(theta_i) and cos(theta_o)
 LEAST = 8  # samples for each number of a channel
+FAR = 0.1  # from the nearest sample, in shares of the ranks of theta_h and of a right angle: nothing is known there
 RIDGE = 1e-7  # of the mean square of a column: where directions are few
 ROWS = 10  # of theta_h at a time
 
@@ -32,7 +34,8 @@ class Tabulated(NamedTuple):
     Attributes:
         cost: what they leave of the weighted energy. numbers: how many they have, of all channels.
         predicted: of the samples, in the shape of their values (1/sr).
-        on: the same on a grid of MERL's bins, (C, H, D, P); of samples on a grid, on theirs alone.
+        on: the same on a grid of MERL's bins, (C, H, D, P); of samples on a grid, on theirs alone. NaN where nothing
+            near was measured.
     """
 
     cost: float
@@ -44,12 +47,15 @@ class Tabulated(NamedTuple):
 def tabulated(samples: Samples | ScatteredSamples) -> Tabulated | None:
     """The tables by weighted least squares: of a grid every theta_h and theta_d, of scattered samples cubic splines.
 
-    None where there are fewer than `LEAST` samples a number: a table would pass through their noise.
+    None where there is no light in a channel, or fewer than `LEAST` samples for each of its numbers: a table would pass
+    through their noise.
     """
+    lit = np.sum(samples.weight * samples.value**2, tuple(range(1, samples.weight.ndim))) > 0
     if isinstance(samples, ScatteredSamples):
         enough = len(samples.theta_h) >= LEAST * (math.prod(SPLINES) + _count(COSINES))
-        return _of_scattered(samples) if enough else None
-    return _of_grid(samples)
+        return _of_scattered(samples) if enough and lit.all() else None
+    enough = samples.value.shape[-1] >= LEAST
+    return _of_grid(samples) if enough and lit.all() else None
 
 
 def _of_grid(samples: Samples) -> Tabulated:
@@ -83,7 +89,8 @@ def _of_grid(samples: Samples) -> Tabulated:
 
     def on(grid: MerlGrid) -> np.ndarray:
         parts = [of_cosines(grid.cos_i[some], grid.cos_o[some]) for some in rows]
-        return np.maximum(lobe[..., None] + np.concatenate(parts, 1), 0.0)
+        drawn = np.maximum(lobe[..., None] + np.concatenate(parts, 1), 0.0)
+        return np.where((total > 0)[..., None], drawn, np.nan)
 
     return _left(samples, predicted, int((total > 0).sum()) + body.size, on)
 
@@ -93,8 +100,11 @@ def _of_scattered(samples: ScatteredSamples) -> Tabulated:
     ordered = np.sort(samples.theta_h)
     ranks = (np.arange(len(ordered)) + 0.5) / len(ordered)
 
+    def ranks_of(theta_h: np.ndarray) -> np.ndarray:
+        return np.interp(theta_h, ordered, ranks)
+
     def columns(theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
-        along = _basis(np.interp(theta_h, ordered, ranks), SPLINES[0]), _basis(np.cos(theta_d), SPLINES[1])
+        along = _basis(ranks_of(theta_h), SPLINES[0]), _basis(np.cos(theta_d), SPLINES[1])
         lobe = (along[0][:, :, None] * along[1][:, None, :]).reshape(len(theta_h), -1)
         return np.concatenate([lobe, _symmetric(cos_i, cos_o)], 1)
 
@@ -107,14 +117,20 @@ def _of_scattered(samples: ScatteredSamples) -> Tabulated:
         ]
     )
 
+    used = np.all(samples.weight > 0, 0)
+    measured = KDTree(np.stack([ranks_of(samples.theta_h), samples.theta_d / np.pi * 2], -1)[used])
+
     def on(grid: MerlGrid) -> np.ndarray:
         parts = []
         for k, theta_h in enumerate(grid.theta_h):
             cos_i, cos_o = grid.cos_i[k], grid.cos_o[k]
             theta_d = np.broadcast_to(grid.theta_d[:, None], cos_i.shape).ravel()
+            rank = np.full(len(grid.theta_d), ranks_of(np.array(theta_h)))
+            near = measured.query(np.stack([rank, grid.theta_d / np.pi * 2], -1))[0] < FAR
             own = columns(np.full(theta_d.shape, theta_h), theta_d, cos_i.ravel(), cos_o.ravel())
-            parts.append((found @ own.T).reshape(-1, *cos_i.shape))
-        return np.maximum(np.stack(parts, 1), 0.0)
+            drawn = np.maximum((found @ own.T).reshape(-1, *cos_i.shape), 0.0)
+            parts.append(np.where(near[:, None], drawn, np.nan))
+        return np.stack(parts, 1)
 
     return _left(samples, np.maximum(found @ own.T, 0.0), found.size, on)
 

@@ -41,7 +41,10 @@ def with_sums(config: Config, *taken: Reflectance) -> list[Measured]:
 
 
 def with_more(config: Config, *taken: Reflectance) -> list[Measured]:
-    """What ``auto`` tries beside models that it has tried: a coat, a film, gratings, another surface."""
+    """What ``auto`` tries beside models that it has tried: a coat, a film, gratings, another surface.
+
+    Much is left by these, so that a film is tried over any interface; it has to do more than a complex index does.
+    """
     every: dict[Reflectance, None] = {}
     for model in taken:
         coat = model if isinstance(model, Sum) and model.coated else None

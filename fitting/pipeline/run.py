@@ -110,7 +110,8 @@ def fit_file(
     with refused(out, "made"):
         out.mkdir(parents=True, exist_ok=True)
     kind = Path(path).suffix if isinstance(path, str | os.PathLike) else path.path.suffix
-    with loaded_ahead("+".join(config.model.names) + kind, config.model.name != AUTO):
+    occasion = repr((kind, config.model, config.effects, config.posterior.enabled, config.fit))
+    with loaded_ahead(occasion, remember=config.model.name != AUTO and found is None):
         return _fit_file(path, out, config, report, finish, found, clock)
 
 

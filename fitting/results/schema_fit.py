@@ -25,8 +25,8 @@ class Candidate(Strict):
     highlight: float | None = None
     """Fitted over measured highlight on the coarse grid, there as well."""
     score: float | None = None
-    """What the choice goes by, lower is better; of kinds that are about as good the simplest is taken
-    (``fitting/fit/selection.py``)."""
+    """What the choice of interface and body goes by, lower is better; of kinds that are about as good the simplest is
+    taken, and richer models are chosen by their pictures (``fitting/fit/selection.py``)."""
     of_matter: bool = True
     """False of constants that no matter has, such as those of a metal over a bright body: it is taken only if it is far
     better than all others."""

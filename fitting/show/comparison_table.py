@@ -189,7 +189,7 @@ def beside_table(rows: Sequence[Row], table: Tabulated, errors: Errors) -> str:
         )
 
     return (
-        f" Smooth tables of theta_h and theta_d and of theta_i and theta_o, {table.numbers:,} numbers that explain "
+        f" Tables of theta_h and theta_d and of theta_i and theta_o, {table.numbers:,} numbers that explain "
         f"nothing, leave {left(table.cost, errors.picture)}, {named(lowest)} "
         f"{left(lowest.cost, lowest.errors.picture)}."
     )

@@ -54,6 +54,12 @@ def _not_the_lowest(result: Result) -> str:
     if result.model is None:
         return ""
     taken = result.model.material.variant
+    own = next((c for c in result.fit.candidates if (c.model, c.variant) == (result.model.name, taken)), None)
+    if own is not None and own.picture is not None and own.model != TwoScale.name:
+        simple = [c.picture for c in result.fit.candidates if c.model == TwoScale.name and c.picture is not None]
+        return f"; taken: {taken}, whose spheres are {distance(own.picture)} off, a single surface's " + (
+            f"{distance(min(simple))} at the least" if simple else "-"
+        )
     compared = {c.variant: c for c in result.fit.candidates if c.score is not None}
     scores = {variant: c.score or 0.0 for variant, c in compared.items()}
     if taken not in scores or scores[taken] == min(scores.values()):

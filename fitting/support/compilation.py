@@ -14,10 +14,12 @@ from typing import TextIO
 
 import jax
 import platformdirs
+import psutil
 
 from .affinity import begun_on, spread
 from .allocation import give_freed_memory_back
 from .clock import Report, Stage
+from .processes import NEED
 from .terminal import note
 
 NEW = "/jax/compilation_cache/cache_misses"  # JAX's event when it has compiled a program that is kept
@@ -187,22 +189,19 @@ def _tell_unkept(folder: Path, say: Callable[[str], None]) -> None:
 
 MAPPINGS = 30_000  # of memory, of the 65 530 that Linux allows a process; a compiled program takes up to some hundreds
 forgetting: list[Callable[[], None]] = []  # by whom else programs are held
-RESIDENT = 1 / 3  # of the machine's memory: programs of the models that `auto` tries for one interface take 5 GiB
 
 
 def make_room() -> None:
-    """Forget compiled programs where LLVM would soon find no mappings for more, or the process has grown too large.
+    """Forget compiled programs where LLVM would soon find no mappings for more, or the machine's memory is short.
 
-    They come back from the cache on disk, in some seconds. Where neither can be counted, nothing is done.
+    They come back from the cache on disk, in some seconds.
     """
     try:
         with open("/proc/self/maps", "rb") as file:
             many = sum(1 for _ in file) > MAPPINGS
-        with open("/proc/self/statm", "rb") as file:
-            much = int(file.read().split()[1]) > RESIDENT * os.sysconf("SC_PHYS_PAGES")
     except OSError:
-        return
-    if many or much:
+        many = False
+    if many or psutil.virtual_memory().available < NEED:
         forget_programs()
         gc.collect()
         give_freed_memory_back()

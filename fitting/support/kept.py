@@ -8,6 +8,7 @@ that another version has written, is made anew.
 
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -50,7 +51,7 @@ class Kept:
 
     def __init__(self, function: Callable, static: int = 1) -> None:
         self._function, self._static = function, static
-        self._jitted = jax.jit(function, static_argnums=tuple(range(static)))
+        self._jitted = jax.jit(function, static_argnums=tuple(range(static)))  # nested, it takes no options of XLA
         self._programs: dict[Any, Callable] = {}
         self._one: dict[Any, Lock] = {}
         forgetting.append(self._programs.clear)
@@ -80,22 +81,19 @@ class Kept:
             name = _digest(_said(self._function), _said(static), _without_addresses(str(structure)), repr(shapes))
         except Unnamed:
             return plain
-        if _path(name).is_file():
+        loading = _ahead.loading.get(name)
+        with suppress(Exception):  # there is none, or it is damaged in any way
+            program = loading.result() if loading is not None else _read(name)
             _ahead.used.append(name)
-            loading = _ahead.loading.get(name)
-            with suppress(Exception):  # damaged in any way
-                return loading.result() if loading is not None else _read(name)
+            return program
         begun = perf_counter()
         try:
             exported = export.export(plain)(*leaves)
-        except ValueError:  # it holds what JAX does not export
+            if perf_counter() - begun > LEAST:
+                _write(name, bytes(exported.serialize()))
+            return _compiled(exported)
+        except ValueError:  # it holds or returns what JAX does not export
             return plain
-        if perf_counter() - begun > LEAST:
-            with suppress(OSError, WriteError):
-                _make_folder()
-                write_bytes(_path(name), bytes(exported.serialize()))
-                _ahead.used.append(name)
-        return _compiled(exported)
 
 
 def _compiled(exported: export.Exported) -> Callable:
@@ -108,7 +106,26 @@ def _compiled(exported: export.Exported) -> Callable:
 
 
 def _read(name: str) -> Callable:
-    return _compiled(export.deserialize(bytearray(_path(name).read_bytes())))
+    """A program, compiled; its file begins with the digest of what follows.
+
+    Raises:
+        Exception: of any kind; the file is not there, or damaged.
+    """
+    held = _path(name).read_bytes()
+    digest, program = held[: len(_digest())], held[len(_digest()) :]
+    if digest != hashlib.sha1(program).hexdigest().encode():
+        raise ValueError(f"{_path(name)} is damaged")
+    return _compiled(export.deserialize(bytearray(program)))
+
+
+def _write(name: str, program: bytes) -> None:
+    """Keep a program, if it is that of the source which is there; where it cannot be written it is not kept."""
+    with suppress(OSError, WriteError):
+        if _source() != SOURCE:  # was changed since it was imported
+            return
+        _make_folder()
+        write_bytes(_path(name), hashlib.sha1(program).hexdigest().encode() + program)
+        _ahead.used.append(name)
 
 
 class _Ahead:
@@ -136,15 +153,14 @@ def loaded_ahead(occasion: str, remember: bool = True) -> Iterator[None]:
     if jax.default_backend() != "cpu" or _ahead.used:  # a process that has begun has its programs
         yield
         return
-    listed = _folder() / f"{_digest(occasion)}.json"
-    names: list[str] = []
-    with suppress(OSError, ValueError):
-        names = json.loads(listed.read_text())
+    listed, names = _folder() / f"{_digest(occasion)}.json", []
+    with suppress(OSError, ValueError, TypeError):
+        names = [str(name) for name in json.loads(listed.read_text())]
     pool = ThreadPoolExecutor(CORES, "merlfit-programs")
     _ahead.loading = {name: pool.submit(_read, name) for name in names}
     try:
         yield
-        if remember and _ahead.used != names:
+        if remember and set(_ahead.used) != set(names):
             with suppress(OSError, WriteError):
                 write_text(listed, json.dumps(_ahead.used))
     finally:
@@ -167,19 +183,30 @@ def _path(name: str) -> Path:
     return _folder() / f"{name}.bin"
 
 
-@cache
-def _folder() -> Path:
-    """Where programs of this source and version of JAX are."""
+def _source() -> str:
+    """Digest of our source as it is on disk, and of the version of JAX."""
     digest = hashlib.sha1(f"{jax.__version__} {jax.config.jax_enable_x64}".encode())  # pyright: ignore[reportAttributeAccessIssue] - made when it runs
     for path in sorted(path for part in PARTS for path in (Path(__file__).parents[2] / part).rglob("*.py")):
         digest.update(path.read_bytes())
-    return cache_folder() / "programs" / digest.hexdigest()[:16]
+    return digest.hexdigest()[:16]
+
+
+SOURCE = _source()  # of what this process has imported, or soon will
+
+
+@cache
+def _folder() -> Path:
+    """Where programs of this source are."""
+    folder = cache_folder() / "programs" / SOURCE
+    with suppress(OSError):
+        os.utime(folder)  # in use
+    return folder
 
 
 def _make_folder() -> None:
-    """The folder, and no more than `SOURCES` of them."""
+    """The folder, and no more than `SOURCES` of them, those that were in use last."""
     if not _folder().is_dir():
-        _folder().mkdir(parents=True)
+        _folder().mkdir(parents=True, exist_ok=True)
         for old in sorted(_folder().parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-SOURCES]:
             shutil.rmtree(old, ignore_errors=True)
 

@@ -40,12 +40,14 @@ def test_arrays_of_a_dask_worker_come_from_pages_that_it_has():
     assert faults("kept") < given_back / 4
 
 
-def test_programs_are_forgotten_where_a_process_has_grown_too_large(monkeypatch):
+def test_programs_are_forgotten_where_memory_is_short(monkeypatch):
     doubled = jax.jit(lambda x: 2 * x)
     doubled(np.ones(3))
+    monkeypatch.setattr(compilation, "MAPPINGS", 10**9)
+    monkeypatch.setattr(compilation, "NEED", 0)
     compilation.make_room()
     assert doubled._cache_size() == 1
-    monkeypatch.setattr(compilation, "RESIDENT", 0.0)
+    monkeypatch.setattr(compilation, "NEED", 2**60)
     compilation.make_room()
     assert doubled._cache_size() == 0
     assert doubled(np.ones(3))[0] == 2

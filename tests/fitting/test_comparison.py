@@ -303,6 +303,36 @@ def test_bad_input_is_told(words, said, file, tmp_path, monkeypatch):
     assert said in " ".join(shown.output.split())
 
 
+def test_which_says_what_tables_leave_and_writes_them(file, tmp_path, monkeypatch):
+    monkeypatch.setattr(comparisons, "use_persistent_cache", lambda: None)
+    monkeypatch.setattr(comparisons, "compare_file", lambda *_: ([row()], None))
+    target = tmp_path / "table.binary"
+
+    def which(path=file, *more):
+        words = ["which", path, "--models", "ggx", "-o", tmp_path, "--table", target, *more]
+        shown = CliRunner().invoke(cli.app, [*map(str, words)])
+        return shown.exit_code, " ".join(shown.output.split())
+
+    code, said = which()
+    assert code == 0
+    assert "Tables of theta_h and theta_d and of theta_i and theta_o" in said
+    assert said.endswith(f"{target}: the tables, as a MERL file".split("/")[-1])
+    measured, drawn = read(file), read(target)
+    known = measured.valid & drawn.valid & (merl_grid().theta_d < 1.2)[:, None]
+    assert known.sum() > 0.5 * measured.valid.sum()
+    far = np.abs(np.log(np.maximum(drawn.values, 1e-9) / np.maximum(measured.values, 1e-9)))[:, known]
+    assert np.median(far) < 0.05
+    dark = drawn.valid & ~measured.valid
+    assert not dark.any()
+    code, said = which()
+    assert (code, "may be a measurement; --force overwrites it" in said) == (2, True)
+    assert which(file, "--force")[0] == 0
+    black = tmp_path / "black.binary"
+    write(black, np.zeros((3, *DIMS)))
+    code, said = which(black, "--force")
+    assert (code, "no light in a channel" in said) == (2, True)
+
+
 def test_a_failed_fit_has_no_errors(file, tmp_path):
     path = tmp_path / "failed.json"
     write_result(path, made().model_copy(update={"model": None, "parameters": []}))

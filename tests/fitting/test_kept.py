@@ -1,6 +1,8 @@
 """Programs that are kept between processes: the same values, from the same file, whatever happens to it."""
 
+import hashlib
 import json
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -27,7 +29,11 @@ def combined(model, values, pair):
     return {"scaled": factor * values["x"] * both, "norm": jnp.linalg.cholesky(jnp.outer(both, both) + jnp.eye(3))}
 
 
-combined.__module__ = "merlfit.tests"
+def paired(model, x):
+    return Pair(x, 2 * x)
+
+
+combined.__module__ = paired.__module__ = "merlfit.tests"
 PAIR = Pair(np.arange(3.0), np.ones(3))
 
 
@@ -82,10 +88,12 @@ def test_a_damaged_file_is_made_anew(folder):
     expected = Kept(combined)(*arguments())
     (path,) = folder.glob("*.bin")
     whole = path.read_bytes()
-    for damaged in (b"", b"nothing", whole[: len(whole) // 2]):
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 1
+    for damaged in (b"", b"nothing", whole[: len(whole) // 2], bytes(flipped)):
         path.write_bytes(damaged)
         np.testing.assert_array_equal(Kept(combined)(*arguments())["scaled"], expected["scaled"])
-        assert len(path.read_bytes()) == len(whole)
+        assert path.read_bytes()[:40] == hashlib.sha1(path.read_bytes()[40:]).hexdigest().encode()
 
 
 def test_traced_by_another_function_it_is_a_part_of_that(folder):
@@ -134,6 +142,16 @@ def test_a_cache_that_cannot_be_written_is_done_without(folder):
     np.testing.assert_allclose(found["scaled"], 4.0 * (PAIR.one + PAIR.other))
 
 
+def test_a_cache_of_somebody_else_is_done_without(folder, monkeypatch):
+    def refused(*_):
+        raise PermissionError("of somebody else")
+
+    for name in ("_read", "_make_folder"):
+        monkeypatch.setattr(kept, name, refused)
+    found = Kept(combined)(*arguments(body="lambert"))
+    np.testing.assert_allclose(found["scaled"], 4.0 * (PAIR.one + PAIR.other))
+
+
 def test_no_more_than_some_versions_are_kept(folder):
     for k in range(5):
         folder.parent.joinpath(f"version{k}").mkdir(parents=True)
@@ -145,6 +163,58 @@ def test_no_more_than_some_versions_are_kept(folder):
 def test_programs_are_forgotten_with_those_of_jax(folder, monkeypatch):
     function = Kept(combined)
     function(*arguments())
-    monkeypatch.setattr(compilation, "RESIDENT", 0.0)
+    monkeypatch.setattr(compilation, "MAPPINGS", 0)
     compilation.make_room()
     assert not function._programs
+
+
+def test_what_was_changed_since_it_was_imported_is_not_kept(folder, monkeypatch):
+    monkeypatch.setattr(kept, "_source", lambda: "another")
+    Kept(combined)(*arguments())
+    assert not folder.exists()
+
+
+def test_several_threads_trace_it_once(folder, monkeypatch):
+    traced, real = [], export.export
+    monkeypatch.setattr(export, "export", lambda function: traced.append(1) or real(function))
+    function = Kept(combined)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: function(*arguments())["scaled"], range(8)))
+    assert len(traced) == 1
+    for x in found:
+        np.testing.assert_array_equal(x, found[0])
+
+
+class Stop(BaseException):
+    pass
+
+
+def test_a_stop_ends_what_is_loaded_ahead_and_remembers_nothing(folder):
+    @loaded_ahead("fits")
+    def stopped():
+        Kept(combined)(*arguments())
+        raise Stop
+
+    with pytest.raises(Stop):
+        stopped()
+    assert not list(folder.glob("*.json"))
+    assert not kept._ahead.loading
+
+
+@pytest.mark.parametrize("listed", ["", "3", "[3]", '["gone"]', "{}"])
+def test_a_list_that_says_nothing_is_passed_over(folder, listed, monkeypatch):
+    with loaded_ahead("fits"):
+        Kept(combined)(*arguments())
+    (path,) = folder.glob("*.json")
+    whole = path.read_text()
+    path.write_text(listed)
+    monkeypatch.setattr(kept, "_ahead", kept._Ahead())
+    with loaded_ahead("fits"):
+        Kept(combined)(*arguments())
+    assert path.read_text() == whole
+
+
+def test_what_returns_what_cannot_be_kept_is_compiled_as_ever(folder):
+    found = Kept(paired)(TwoScale(), np.arange(3.0))
+    assert isinstance(found, Pair)
+    assert not list(folder.glob("*.bin"))

@@ -217,6 +217,13 @@ def test_a_richer_model_is_taken_where_it_is_seen(J, look, highlight, chosen):
     assert choose_sum(0, [1, 2], richer(J, look, highlight), [13, 16, 20]) == chosen
 
 
+def test_one_that_ran_away_changes_nothing_for_the_others():
+    compared = [*richer((0.02, 0.012, 0.5), (4.1, 1.0, None)), Candidate(model="m", variant="m", cost=None)]
+    assert choose_sum(0, [1, 2, 3], compared, [13, 16, 20, 20]) == 1
+    nothing = [Candidate(model="m", variant="m", cost=None)] * 2
+    assert choose_sum(0, [1], nothing, [13, 16]) == 0
+
+
 def test_what_gives_back_more_than_it_receives_comes_after_what_is_as_good():
     compared = richer((1.0, 0.4, 0.4), (1.0, 0.9, 0.9))
     assert choose_sum(0, [1, 2], compared, [13, 16, 20], excessive=lambda k: k == 1) == 2

@@ -77,3 +77,20 @@ def test_smooth_tables_pass_through_scattered_samples_and_not_through_noise():
     found = tabulated(dataclasses.replace(samples, value=value * (1 + noise)))
     assert 0.85 * expected < found.cost < expected
     assert tabulated(samples.taken(np.arange(500))) is None
+
+
+def test_nothing_is_known_far_from_what_was_measured(grid):
+    some = grid.theta_d < np.radians(45)
+    weight = np.where(some[:, None], grid.weight, 0.0)
+    found = tabulated(dataclasses.replace(grid, value=both(grid) * np.ones_like(grid.value), weight=weight))
+    drawn = found.on(dataclasses.replace(merl_grid(), cos_i=grid.cos_i, cos_o=grid.cos_o))
+    known = np.any(weight[0] > 0, -1)
+    assert np.isfinite(drawn[:, known]).all()
+    assert np.isnan(drawn[:, ~known]).all()
+
+
+def test_there_is_no_table_of_few_azimuths_or_of_the_dark(grid):
+    few = fold(merl_grid((30, 30, 8)), np.ones((3, 30, 30, 8)), np.ones((3, 30, 30, 8)))
+    assert tabulated(few) is None
+    value = np.ones_like(grid.value) * np.array([1.0, 0.0, 1.0])[:, None, None, None]
+    assert tabulated(dataclasses.replace(grid, value=value)) is None
