@@ -76,7 +76,11 @@ def row(path, way, out):
 
 
 def summary(rows):
-    """Lines that compare the ways of which all files have a fit."""
+    """Lines that compare the ways that all files are fitted in, on those that have a fit in each."""
+    fitted = [{r["file"] for r in rows if r["way"] == way} for way in FOR_ALL]
+    rows = [r for r in rows if all(r["file"] in some for some in fitted)]
+    if not rows:
+        return ["No file has a fit in each way."]
     lines = ["| | " + " | ".join(FOR_ALL) + " |", "|---|" + "---|" * len(FOR_ALL)]
 
     def line(what, of):
