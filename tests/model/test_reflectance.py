@@ -17,7 +17,7 @@ def shape(effects, **params):
 
 
 def test_a_parameter_of_no_effects_is_refused():
-    with pytest.raises(KeyError, match=r"two-scale \(complex none\) has no parameter albdeo, sigma"):
+    with pytest.raises(KeyError, match=r"two-scale \(complex none, no diffraction\) has no parameter albdeo, sigma"):
         shape(TwoScale("none", "off"), albdeo=[0.1] * 3, sigma=0.1)
 
 
