@@ -67,8 +67,8 @@ def test_auto_finds_the_coat_that_a_file_has_and_no_other(files, tmp_path):
     compared = [(c.model, c.variant) for c in result.fit.candidates]
     assert compared == [
         ("two-scale", "real lambert"),
-        *((f"{name}+two-scale", f"real lambert{less} + {name}") for less in (", no diffraction", "")
-          for name in ("coat(epd)", "epd")),
+        *((f"{name}+two-scale", f"real lambert{less} + {name}") for name in ("coat(epd)", "epd")
+          for less in (", no diffraction", "")),
     ]  # fmt: skip
     assert all(c.picture is not None and c.highlight is not None for c in result.fit.candidates)
     assert result.fit.cost < 1e-4
