@@ -31,9 +31,9 @@ def measure(path, body, starts):
     return measure_of(path, starts, body=body)
 
 
-def measure_of(path, starts, **settings):
+def measure_of(path, starts, effects=None, **settings):
     """The runs from random points, the one from the data, and one of a longer search."""
-    config = load(**settings, posterior=False)
+    config = load({"effects": effects or {}}, **settings, posterior=False)
     measurement = read(path)
     (model,) = candidates(config)
     samples, layout = (

@@ -20,7 +20,7 @@ SUMS = {  # by the model, index, body and diffraction that `auto` finds
 
 def measure(path, model, index, body, diffraction, starts):
     """Runs of one sum."""
-    return measure_of(path, starts, model=model, index=index, body=body, diffraction=diffraction)
+    return measure_of(path, starts, {"diffraction": diffraction}, model=model, index=index, body=body)
 
 
 def run(folder, out, every):
