@@ -52,6 +52,25 @@ def measure_of(path, starts, effects=None, **settings):
     return {"random": found, "data": run(config), "longer": run(longer)}
 
 
+def compared(seen, within=()):
+    """Columns of a table: how many runs arrived, and how far they and the others are from the best.
+
+    Args:
+        within: also count the runs whose excess is at most this, as pairs of a column's name and the excess.
+    """
+    ends = np.array([r["objective"] for r in seen["random"]])
+    data, longer = seen["data"]["objective"], seen["longer"]["objective"]
+    best = min(ends.min(), data, longer)
+    shares = {
+        name: 100 * float(np.mean(ends <= best * (1 + excess))) for name, excess in (("arrived %", SAME), *within)
+    }
+    return {
+        **shares, "best cost": seen["longer"]["cost"], "median excess": float(np.median(ends)) / best - 1,
+        "worst excess": float(ends.max()) / best - 1, "from the data": data / best - 1,
+        "longer search": longer / best - 1,
+    }  # fmt: skip
+
+
 def run(folder, out, every):
     """Twelve materials, or four from fewer points."""
     starts = STARTS if every else FEW_STARTS
@@ -68,15 +87,7 @@ def run(folder, out, every):
         folder=out,
     )  # fmt: skip
     for material, seen in measured(record, TWELVE if every else FOUR, folder, starts):
-        ends = np.array([r["objective"] for r in seen["random"]])
-        data, longer = seen["data"]["objective"], seen["longer"]["objective"]
-        best = min(ends.min(), data, longer)
-        record.add({
-            "material": material, "body": TWELVE[material],
-            "arrived %": 100 * float(np.mean(ends <= best * (1 + SAME))), "best cost": seen["longer"]["cost"],
-            "median excess": float(np.median(ends)) / best - 1, "worst excess": float(ends.max()) / best - 1,
-            "from the data": data / best - 1, "longer search": longer / best - 1,
-        }, seen)  # fmt: skip
+        record.add({"material": material, "body": TWELVE[material], **compared(seen)}, seen)
         record.set("all", np.mean(record.column("arrived %")))
         record.set("each", np.min(record.column("arrived %")))
     record.finish()

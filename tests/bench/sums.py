@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .convergence import LONGER, SAME, STARTS, measure_of
+from .convergence import LONGER, SAME, STARTS, compared, measure_of
 from .materials import file
 from .processes import worker
 from .record import RECONSTRUCTIONS, Record, Target
@@ -41,16 +41,10 @@ def run(folder, out, every):
         if material in record.column("material"):
             continue
         seen = worker(record.section, file(folder, material), *SUMS[material], STARTS)[0]
-        ends = np.array([r["objective"] for r in seen["random"]])
-        data, longer = seen["data"]["objective"], seen["longer"]["objective"]
-        best = min(ends.min(), data, longer)
         model, index, body, diffraction = SUMS[material]
         record.add({
             "material": material, "model": model, "index, body": f"{index} {body}", "diffraction": diffraction,
-            "arrived %": 100 * float(np.mean(ends <= best * (1 + SAME))),
-            "within 5 %": 100 * float(np.mean(ends <= best * 1.05)), "best cost": seen["longer"]["cost"],
-            "median excess": float(np.median(ends)) / best - 1, "worst excess": float(ends.max()) / best - 1,
-            "from the data": data / best - 1, "longer search": longer / best - 1,
+            **compared(seen, [("within 5 %", 0.05)]),
         }, seen)  # fmt: skip
         record.set("all", np.mean(record.column("arrived %")))
         record.set("near", np.mean(record.column("within 5 %")))
