@@ -17,6 +17,7 @@ from ..merl_io.inputs import Input
 from ..merl_io.scattered import vectors_of
 from ..merl_io.source import PLAIN
 from .pipeline.draws import chain_file, chain_of, own_chain, states
+from .pipeline.editing import edited, edited_file
 from .pipeline.place import claimed, place_of
 from .pipeline.resampling import resample
 from .results.schema import Metrics, Model, Quantiles, Result
@@ -82,12 +83,12 @@ class Fit:
 
     @property
     def status(self) -> str:
-        """How the fit ended: CONVERGED, AT_BOUND, STEP_LIMIT, UNEXPLAINED, NON_FINITE or NO_DATA (docs/result.md)."""
+        """How the fit ended: CONVERGED, AT_BOUND, STEP_LIMIT, UNEXPLAINED, NON_FINITE, NO_DATA, or EDITED since."""
         return self.result.fit.status
 
     @property
     def cost(self) -> float | None:
-        """What is left of the weighted energy of the measurement (HP17 Eq. 56); None if the fit failed."""
+        """What is left of the weighted energy of the measurement (HP17 Eq. 56); None of a failed or edited one."""
         return self.result.fit.cost
 
     @property
@@ -99,10 +100,29 @@ class Fit:
     def parameters(self) -> dict[str, Any]:
         """Values by name, arrays (C,) for those per channel, as :func:`merlfit.evaluate` takes them.
 
-        What was found is not changed here: ``{**fit.parameters, "beta": 0.2}`` is a copy to change. :meth:`table` has
-        their intervals, bounds and units.
+        What was found is not changed here: :meth:`edited` makes a material with other values, and
+        ``{**fit.parameters, "beta": 0.2}`` is a copy to change. :meth:`table` has their intervals, bounds and units.
         """
         return Values(self.result.values())
+
+    def edited(self, **values: ArrayLike) -> "Fit":
+        """The same material with some parameters set to other values, which says that it is no fit.
+
+        It has no errors, no posterior, and no intervals of what was changed; ``result.edited_from`` names the fit and
+        what that had. It can be drawn, exported and saved (as ``NAME.edited.json``).
+
+        Args:
+            values: by name, as `parameters` has them (``n=[0.2, 0.9, 1.1]``, or one number for all channels), or as the
+                JSON has them (``n_R=0.2``).
+
+        Raises:
+            merlfit.ConfigError: there is no such parameter, all channels share it, or its value is out of bounds.
+            merlfit.ResultError: the fit failed, there is no material.
+        """
+        result = edited(self.path, self.result, values)
+        found = Fit(result, edited_file(self.path), self._measured)
+        found._folder = self._folder
+        return found
 
     def table(self) -> "pandas.DataFrame | list[dict[str, Any]]":
         """One row a number of the model: a frame where pandas is installed, else a list of dictionaries.
@@ -312,6 +332,8 @@ class Fit:
     def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write result and chain into a folder, as `merlfit fit` does; the path of the result, which is the fit's then.
 
+        It is named after the material, ``NAME.json``; ``NAME.edited.json`` of an edited one.
+
         Where a result stands there that is of another file or model, or more complete, it stays, and a warning says
         in which folder beside it this one is; also where that was this fit's, and somebody sampled it since.
 
@@ -319,6 +341,8 @@ class Fit:
             merlfit.WriteError: it cannot be written, or a command is writing there.
         """
         folder, name = Path(folder), self.result.source.material
+        if self.result.edited_from is not None:
+            name = f"{name}.edited"
         with refused(folder, "made"):
             folder.mkdir(parents=True, exist_ok=True)
         with claimed(folder, alone=False), place_of(folder, name, alone=False) as place:

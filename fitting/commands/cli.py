@@ -57,6 +57,15 @@ Dims = Annotated[
 Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", min=0, max=2**31 - 1)]
 
 
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Edit the fit first: a parameter and its value, or one for each channel: beta=0.05, n_R=0.2, "
+        "n=0.2,0.9,1.1.",
+    ),
+]
 Force = Annotated[
     bool, typer.Option("--force", help="Write over files that are no earlier output of this command, too.")
 ]
@@ -312,12 +321,14 @@ def synth(
             help="Of a fit: with the light missing that MERL's apparatus loses at grazing angles.",
         ),
     ] = False,
+    edit: Set = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
 ) -> None:
     """Write a MERL file from a published parameter set, or from a fit (of the material, without the apparatus)."""
     from ..pipeline.synthesis import synthesise
+    from .settings import values_given
 
-    synthesise(material, out, source, loss, force)
+    synthesise(material, out, source, loss, values_given(edit), force)
 
 
 @app.command(epilog="Example: merlfit materials")
@@ -422,6 +433,7 @@ def render(
         list[str] | None,
         typer.Option(help="Of one fit: a parameter and factors of its value, as in b=0.5,1,2; given twice, a grid."),
     ] = None,
+    edit: Set = None,
     force: Force = False,
 ) -> None:
     """Render a scene with the effects that it calls for, or fits as spheres beside what was measured.
@@ -430,14 +442,15 @@ def render(
     beside it, and render.json says what took how long. Exit code: 1 if they differ by more than the tolerance.
     """
     from .scenes import render_scene
+    from .settings import values_given
     from .sphere_sheets import render_results
 
     if what[0].suffix == ".toml":
-        if len(what) > 1 or vary:
-            raise fail("one scene at a time; --vary is for the RESULT.json of a fit")
+        if len(what) > 1 or vary or edit:
+            raise fail("one scene at a time; --vary and --set are for the RESULT.json of a fit")
         render_scene(what[0], out, every, check, samples, seed, force)
     else:
-        render_results(what, out, vary or [], samples, seed, force)
+        render_results(what, out, vary or [], values_given(edit), samples, seed, force)
 
 
 @app.command(epilog="Example: merlfit export fits/nickel.json --to mitsuba -o exported")
@@ -454,6 +467,7 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),
+    edit: Set = None,
     force: Force = False,
 ) -> None:
     """Write a fitted material for another program.
@@ -461,8 +475,9 @@ def export(
     A scene for Mitsuba 3 renders at once: python -m merlfit.scene.mitsuba OUT/NAME.xml (it needs the extra "mitsuba").
     """
     from .export import export as write_export
+    from .settings import values_given
 
-    write_export(result, to, out, force)
+    write_export(result, to, out, values_given(edit), force)
 
 
 @app.command(epilog="Example: merlfit cost -o cost")

@@ -4,12 +4,13 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, get_args
 from xml.sax.saxutils import quoteattr
 
+from numpy.typing import ArrayLike
 from rich.table import Table
 
 from ...merl_io.atomic import write_text
@@ -20,8 +21,9 @@ from ...merl_io.source import PLAIN
 from ...scene.description import SceneError
 from ...scene.surface import Material, measurement
 from ...scene.tables import write_tables
+from ..pipeline.editing import edited, edited_file
 from ..pipeline.synthesis import from_result
-from ..results.schema import EDITED, UNSAID, Model, Result, genuine_words
+from ..results.schema import UNSAID, Model, Result, genuine_words
 from ..results.storage import ResultError, read_result
 from ..support.compilation import use_persistent_cache
 from ..support.numbers import number
@@ -69,43 +71,52 @@ MATERIALX = """<?xml version="1.0"?>
 """
 
 
-def export(path: Path, to: str, out: Path, force: bool = False) -> None:
-    """`merlfit export`: write what another program reads; exits with 2 after bad input."""
+def export(path: Path, to: str, out: Path, changes: Mapping[str, ArrayLike], force: bool = False) -> None:
+    """`merlfit export`: write what another program reads; exits with 2 after bad input.
+
+    Args:
+        changes: values of the result's parameters to set; files are of its name, and ``.edited``. force: write over
+            any file.
+    """
     use_persistent_cache()
     if to not in get_args(To):
         raise fail(f"--to {to!r} is none of {', '.join(get_args(To))}")
-    target = out / f"{path.stem}.binary"
+    result = None if path.suffix == ".binary" else read_result(path)
+    if changes and result is None:
+        raise fail(f"--set is for the RESULT.json of a fit; {path} is a measured file")
+    if changes and result is not None:
+        result, path = edited(path, result, changes), edited_file(path)
     if to == "merl":
-        refuse_present(target, force)
+        refuse_present(out / f"{path.stem}.binary", force)
     writable_folder(out)
     stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
     if to in ENDINGS:
         names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
         refuse_others([out / f"{name}.{ending}" for ending, name in names.items()], force)
-    if to in ("zemax", *FORMULAS) and path.suffix != ".binary":
-        refuse_others(targets_of(path, read_result(path), to, out), force)
+    if to in ("zemax", *FORMULAS) and result is not None:
+        refuse_others(targets_of(path, result, to, out), force)
     with reporting(path.name, path.stem) as say:
-        written, lines = _exported(path, to, out, say)
+        written, lines = _exported(path, result, to, out, say)
     for line in lines:
         console.print(line)
     console.print("wrote " + ", ".join(map(str, written)))
 
 
-def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> tuple[list[Path], Sequence[str | Table]]:
+def _exported(
+    path: Path, result: Result | None, to: str, out: Path, say: Callable[[str], None]
+) -> tuple[list[Path], Sequence[str | Table]]:
     """Files that were written, and what else to print: how near they are to the fit."""
-    if path.suffix == ".binary":
+    if result is None:
         if to != "mitsuba":
             raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
         file = read(path)
         said = f"{path.name}, {genuine_words(file.genuine) if file.genuine else UNSAID}"
         return to_mitsuba(f"{path.stem}.measured", measurement(*folded(file)), said, out), []
-    result = read_result(path)
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
-    error = EDITED if result.edited else f"RMSE {number(result.metrics.rmse, 3)}/sr"
     fit = (
         f"{result.model.name} fit of {result.source.material} ({result.data_words}) by merlfit "
-        f"{result.versions.get('merlfit', '')}, {error}"
+        f"{result.versions.get('merlfit', '')}, {result.error_words}"
     )
     said = f"{fit}, {_colours(result.model)}"
     match to:
@@ -116,7 +127,7 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> tup
             return to_mitsuba(path.stem, given.of(given.model), said, out), []
         case "merl":
             say("bins")
-            write(out / f"{path.stem}.binary", from_result(path)[0])
+            write(out / f"{path.stem}.binary", from_result(path, result)[0])
             return [out / f"{path.stem}.binary"], []
         case "principled":
             principled.is_own(result, to)
@@ -133,7 +144,7 @@ def _exported(path: Path, to: str, out: Path, say: Callable[[str], None]) -> tup
             return targets, [to_formulas(path, targets[0], result, to, fit)]
         case "gltf" if principled.is_own(result, to):
             say("spheres")
-            found = principled.metallic_roughness(result, from_result(path)[0])
+            found = principled.metallic_roughness(result, from_result(path, result)[0])
             off = f"{found['error']['cielab']:.2f}"
             left = ", ".join(f"{name} {number(x)}" for name, x in found["left_out"].items())
             what = (
@@ -185,7 +196,8 @@ def parameters_of(result: Result) -> dict[str, Any]:
     return {
         "format": "merlfit-material 1", "material": result.source.material, "data": result.data_words,
         "source_sha1": result.source.sha1, "versions": result.versions,
-        "rmse_per_sr": None if result.edited else result.metrics.rmse,
+        "rmse_per_sr": None if result.changed_by_hand else result.metrics.rmse,
+        "edited_from": result.edited_from and result.edited_from.model_dump(),
         "model": m.name,
         "citation": m.material.citation, "settings": asdict(m.material),  # pyright: ignore[reportArgumentType]
         "channels": m.channels, "wavelengths_um": m.wavelengths_um,
@@ -206,7 +218,7 @@ def nearest_of(path: Path, result: Result, to: str) -> dict[str, Any]:
     A fit with a conductor's index is a metal there, too; of the others it is whichever is nearer.
     """
     assert result.model is not None
-    return nearest(from_result(path)[0], to, metal=result.model.settings.get("index") == "complex")
+    return nearest(from_result(path, result)[0], to, metal=result.model.settings.get("index") == "complex")
 
 
 def in_words(found: dict[str, Any], to: str) -> str:

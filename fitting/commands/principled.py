@@ -60,10 +60,11 @@ def intervals_of(result: Result) -> dict[str, list[float] | None]:
 
 def in_words(result: Result) -> str:
     """The parameters with their intervals, in a line."""
-    known, said = intervals_of(result), []
+    known, edits, said = intervals_of(result), result.edited_from.fitted if result.edited_from else {}, []
     for q in (q for q in result.parameters if q.name in known):
         ends = known[q.name]
-        between = "not decided by the data" if ends is None else f"{number(ends[0])} .. {number(ends[1])}"
+        none = "edited" if q.name in edits else "not decided by the data"
+        between = none if ends is None else f"{number(ends[0])} .. {number(ends[1])}"
         said.append(f"{q.name} {number(q.value)} ({between})")
     return "the fitted parameters themselves, with 90 % intervals: " + ", ".join(said)
 

@@ -28,6 +28,11 @@ def parameters_given(fix: Options, bounds: Options, start: Options, tie: Options
     return parameters_of(single, bounded, started, [name.strip() for name in tie or ()])
 
 
+def values_given(given: Options) -> dict[str, list[float]]:
+    """What --set says of parameters: numbers by name."""
+    return {name: _numbers("--set", said, said.split(",")) for name, said in _named("--set", given)}
+
+
 def _named(option: str, given: Options) -> list[tuple[str, str]]:
     """Name and what follows the equals sign, of every time that the option is given."""
     found = [said.partition("=") for said in given or ()]

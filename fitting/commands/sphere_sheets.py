@@ -1,11 +1,12 @@
 """Results as spheres: each beside its file, or a grid of them with parameters changed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import typer
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from ...merl_io.binary import Measurement
 from ...merl_io.samples import folded
@@ -18,6 +19,7 @@ from ...scene.effects import Given
 from ...scene.render import Film, pictures, stage
 from ...scene.surface import drawn, measurement
 from ..fit.scattered_errors import LEAST_SHOWN, shown_by
+from ..pipeline.editing import edited, edited_file
 from ..results.schema import Result
 from ..results.storage import read_result
 from ..show.inspection import file_of
@@ -55,18 +57,18 @@ def sphere_of(given: Given, scene: Scene) -> np.ndarray:
     return found
 
 
-def beside(measured: np.ndarray, fitted: np.ndarray, data: str) -> Figure:
+def beside(measured: np.ndarray, fitted: np.ndarray, data: str, what: str = "fit") -> Figure:
     """Measured, fitted, and their CIELAB distance (white: 10), side by side: HP17 Fig. 12 and 13.
 
     The fit is shown as the apparatus would have seen it, which loses light at grazing angles; else the rim would show
     what the file lacks, and not what the fit misses.
 
     Args:
-        data: of which material the file is, and what it is.
+        data: of which material the file is, and what it is. what: is beside it.
     """
     away = grey(difference(measured, fitted) / LARGEST_SHOWN)
     pixels = np.concatenate([displayed(measured), displayed(fitted), away], 1)
-    return labelled(pixels, ("file", "fit", f"CIELAB distance, white: {LARGEST_SHOWN:g}"), across=data)
+    return labelled(pixels, ("file", what, f"CIELAB distance, white: {LARGEST_SHOWN:g}"), across=data)
 
 
 def factors_of(text: str) -> tuple[str, list[float]]:
@@ -123,7 +125,9 @@ def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: S
         unit = declared[name].unit
         return f"{name}: {declared[name].meaning}" + ("" if unit == "1" else f" ({unit})")
 
-    title = f"fit of {result.source.material} ({result.data_words}), without the grazing loss. Across: {axis(across)}"
+    edit = f", {result.edited_words}" if result.edited_from else ""
+    of = f"fit of {result.source.material} ({result.data_words}){edit}"
+    title = f"{of}, without the grazing loss. Across: {axis(across)}"
     return labelled(
         np.concatenate(made_of), [words(across, factor) for factor in columns],
         [words(down, factor) for factor in rows] if down else (), title, axis(down) if down else "",
@@ -141,13 +145,14 @@ def _tell_if_outside(kind: Parameter, value: np.ndarray, factor: float) -> None:
 
 
 def render_results(
-    paths: Sequence[Path], out: Path, vary: Sequence[str], samples: int | None, seed: int | None,
-    force: bool = False,
+    paths: Sequence[Path], out: Path, vary: Sequence[str], changes: Mapping[str, ArrayLike], samples: int | None,
+    seed: int | None, force: bool = False,
 ) -> None:  # fmt: skip
     """`merlfit render RESULT...`: each beside its file, or varied; exits with 2 after bad input.
 
     Args:
-        force: write over any file.
+        changes: values of parameters to set; pictures are of the result's name, and ``.edited``. force: write over any
+            file.
     """
     use_persistent_cache()
     writable_folder(out)
@@ -160,11 +165,12 @@ def render_results(
         for path in paths:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             try:
-                target = out / f"{path.stem}.{varied_by}png"
+                stem = edited_file(path).stem if changes else path.stem
+                target = out / f"{stem}.{varied_by}png"
                 if target in written:
                     raise SceneError(f"{path}: {target} is of another result of this command: render them one by one")
                 refuse_others([target], force)
-                _render_result(path, target, vary, scene, say)
+                _render_result(path, target, vary, changes, scene, say)
                 written.add(target)
                 console.print(f"wrote {target}")
             except Exception as error:  # of any kind: the next result has its turn
@@ -174,10 +180,12 @@ def render_results(
         raise typer.Exit(code)
 
 
-def _render_result(path: Path, target: Path, vary: Sequence[str], scene: Scene, say: Say) -> None:
+def _render_result(
+    path: Path, target: Path, vary: Sequence[str], changes: Mapping[str, ArrayLike], scene: Scene, say: Say
+) -> None:
     if path.suffix == ".toml":
         raise SceneError(f"{path}: one scene at a time, and no result beside it")
-    result = read_result(path)
+    result = edited(path, read_result(path), changes)
     if vary:
         save(varied(result, path, vary, scene, say), target)
         return
@@ -199,4 +207,6 @@ def _render_result(path: Path, target: Path, vary: Sequence[str], scene: Scene, 
             return
     values, valid = folded(read_again)
     measured = Given(path.stem, None, {}, measured=measurement(coloured(values, read_again.bands), valid))
-    save(beside(sphere_of(measured, scene), fitted, words), target)
+    if result.edited_from is not None:
+        words += f"; {result.edited_words}"
+    save(beside(sphere_of(measured, scene), fitted, words, "edited" if result.edited_from else "fit"), target)

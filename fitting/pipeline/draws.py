@@ -89,6 +89,6 @@ def states(result: Result, path: Path) -> np.ndarray | None:
 
 def _place(result: Result, path: Path) -> Path:
     if result.posterior is None:
-        raise NoPicture("the posterior was not sampled")
+        raise NoPicture("an edited material has none" if result.edited_from else "the posterior was not sampled")
     named = path.parent / Path(result.posterior.chain_file).name
     return named if named.is_file() or not chain_of(path).is_file() else chain_of(path)

@@ -210,20 +210,25 @@ def results_beside(path: Path) -> Iterator[Path]:
         yield folder / path.name
 
 
-def _of(path: Path) -> tuple[str, str] | None:
-    """What a result is of: SHA-1 of the file, and name of the model; None if there is none."""
+def _of(path: Path) -> tuple[str, str, str] | None:
+    """What a result is of: SHA-1 of the file, name of the model, and what was edited; None if there is none."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         found = json.loads(whole(path))
-        return str(found["source"]["sha1"]), str(found["model"]["name"])
+        edited = found.get("edited_from") and [[q["name"], q["value"]] for q in found["parameters"]]
+        return str(found["source"]["sha1"]), str(found["model"]["name"]), str(edited or "")
     return None
 
 
-def _apart(old: tuple[str, str] | None, new: tuple[str, str] | None) -> list[str]:
+def _apart(old: tuple[str, str, str] | None, new: tuple[str, str, str] | None) -> list[str]:
     """In words for each of two what it is of that the other is not."""
-    (sha1, model), (sha1_new, model_new) = old or ("", ""), new or ("", "")
+    (sha1, model, edited), (sha1_new, model_new, edited_new) = old or ("", "", ""), new or ("", "", "")
     files = [f" of another file (SHA-1 {sha1[:8]})", f" of the file with SHA-1 {sha1_new[:8]}"]
     models = [f" of the {model} model", f" of the {model_new} model"]
-    return [(models[k] if model != model_new else "") + (files[k] if sha1 != sha1_new else "") for k in range(2)]
+    values = [" edited to other values" if each else "" for each in (edited, edited_new)]
+    return [
+        (models[k] if model != model_new else "") + (files[k] if sha1 != sha1_new else "")
+        + (values[k] if edited != edited_new else "") for k in range(2)
+    ]  # fmt: skip
 
 
 def _came_first(target: Path, new: Path) -> bool:

@@ -31,6 +31,8 @@ def resample(
         merlfit.fitting.posterior.chain.ChainError: the chain is not one of this fit.
         RuntimeError: the sampler failed; the result is as it was.
     """
+    if result.edited_from is not None:
+        raise storage.ResultError(f"{path}: was {result.edited_words}; it has no posterior: sample that fit")
     if result.model is None or result.fit.weights is None or not result.fit.succeeded:
         raise storage.ResultError(f"{path}: there is no posterior of a fit that ended {result.fit.status}")
     if result.posterior is not None and not chain_of(path).is_file():

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from pathlib import PurePath
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -21,16 +22,16 @@ from .schema_parameters import (
     TotalScatter,
 )  # fmt: skip
 from .schema_posterior import PosteriorResult
-from .schema_run import Run, this_run
+from .schema_run import EditedFrom, Run, this_run
 from .strict import Many, Strict
 
 __all__ = [
-    "EDITED", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
-    "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior", "Quantiles", "Result",
-    "Run", "Source", "TotalScatter", "Tried", "genuine_words", "this_run",
+    "BY_HAND", "SCHEMA_VERSION", "UNSAID", "Accuracy", "Acquisition", "Candidate", "DerivedResult", "Direction",
+    "EditedFrom", "Fit", "Identifiability", "Metrics", "Model", "ParameterResult", "PosteriorResult", "Prior",
+    "Quantiles", "Result", "Run", "Source", "TotalScatter", "Tried", "genuine_words", "this_run",
 ]  # fmt: skip
 SCHEMA_VERSION = "2.5"
-EDITED = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
+BY_HAND = "its numbers were changed by hand since the fit: errors and intervals are not of these values"
 UNSAID = "not a genuine MERL measurement, by its SHA-1"
 UNSAID_SCATTERED = "a file of scattered directions, whose origin is not stated"
 
@@ -73,6 +74,8 @@ class Result(Strict):
     numbers_sha1: str | None = None
     """SHA-1 of the parameters' values, of what they are the parameters of, and of what they were fitted to, by which a
     change by hand is told; null without a fit."""
+    edited_from: EditedFrom | None = None
+    """The fit that the values were edited from, by ``--set``, `Fit.edited` or the live view; null of a fit's own."""
 
     @model_validator(mode="after")
     def _parameters_are_the_models(self) -> Self:
@@ -94,6 +97,15 @@ class Result(Strict):
             least, most = (kind.offset, math.inf) if kind.scale == "log" else (kind.lower - slack, kind.upper + slack)
             if not least <= q.value <= most or (kind.scale == "log" and q.value == least):
                 raise ValueError(f"{q.name} {q.value:g} is impossible, whatever its bounds")
+        return self
+
+    @model_validator(mode="after")
+    def _edited_are_parameters(self) -> Self:
+        """Nobody takes an edited material for a fit, or the other way round."""
+        if (self.edited_from is not None) != (self.fit.status == "EDITED"):
+            raise ValueError("edited_from and the fit's status EDITED should stand together")
+        if unknown := (self.edited_from.fitted if self.edited_from else {}).keys() - {q.name for q in self.parameters}:
+            raise ValueError(f"edited_from.fitted: {min(unknown)} is no parameter")
         return self
 
     @model_validator(mode="after")
@@ -121,9 +133,27 @@ class Result(Strict):
         return hashlib.sha1(json.dumps([self.source.sha1, self.metrics.rmse, numbers, fitted]).encode()).hexdigest()
 
     @property
-    def edited(self) -> bool:
-        """Whether numbers were changed since the fit, as far as that is known: then its errors are not theirs."""
+    def changed_by_hand(self) -> bool:
+        """Whether numbers were changed in the file, as far as that is known: then its errors are not theirs."""
         return self.numbers_sha1 not in (None, self.digest)
+
+    @property
+    def edited_words(self) -> str:
+        """What was edited, from which fit, in words; empty of a fit."""
+        if (origin := self.edited_from) is None:
+            return ""
+        own = {q.name: q.value for q in self.parameters}
+        changes = [f"{name} {was:.4g} -> {own[name]:.4g}" for name, was in origin.fitted.items()]
+        said = ", ".join(changes) or "all values are those of the fit again"
+        return f"edited from the fit {PurePath(origin.result).name}: {said}"
+
+    @property
+    def error_words(self) -> str:
+        """How near the material is to the file, in words."""
+        if self.edited_from is not None:
+            return f"{self.edited_words}; without an error, as nothing was fitted to these values"
+        rmse = self.metrics.rmse
+        return BY_HAND if self.changed_by_hand else "without an error" if rmse is None else f"RMSE {rmse:.3g}/sr"
 
     @property
     def data_words(self) -> str:

@@ -37,8 +37,8 @@ class Candidate(Strict):
 class Fit(Strict):
     """How the fit ended."""
 
-    status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "UNEXPLAINED", "NON_FINITE", "NO_DATA"]
-    """How it ended, as a word for programs."""
+    status: Literal["CONVERGED", "AT_BOUND", "STEP_LIMIT", "UNEXPLAINED", "NON_FINITE", "NO_DATA", "EDITED"]
+    """How it ended, as a word for programs; EDITED where the values are no fit's (`edited_from`)."""
     message: str
     """The same in a sentence, with what is wrong with the file."""
     succeeded: bool

@@ -1,4 +1,4 @@
-"""When and how a result was computed."""
+"""When and how a result was computed, and what it was edited from."""
 
 import os
 import sys
@@ -17,6 +17,17 @@ class Run(Strict):
     """Command line; empty where Python called merlfit as a library."""
     folder: Text | None = None
     """Folder that it ran in, from which a relative `source.path` is seen; null if it was gone."""
+
+
+class EditedFrom(Strict):
+    """The fit that a material was edited from."""
+
+    result: Text
+    """Its result, as it was named."""
+    numbers_sha1: str | None
+    """`numbers_sha1` of that result."""
+    fitted: dict[str, float]
+    """What the fit had, of each number that was changed; what it is now is in `parameters`."""
 
 
 def this_run() -> Run:

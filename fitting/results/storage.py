@@ -15,7 +15,7 @@ from ...merl_io.atomic import write_text
 from ...merl_io.inputs import SCATTERED
 from ...merl_io.source import MerlError, whole
 from ..settings.config import Config
-from .schema import EDITED, SCHEMA_VERSION, Result
+from .schema import BY_HAND, SCHEMA_VERSION, Result
 
 PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
 
@@ -54,7 +54,8 @@ def valid_result(path: Path, sha1: str, config: Config) -> Result | None:
     except ResultError:
         return None
     same = found.source.sha1, found.config, found.versions
-    return found if not found.edited and same == (sha1, config.plain(), versions()) else None
+    ours = found.edited_from is None and not found.changed_by_hand
+    return found if ours and same == (sha1, config.plain(), versions()) else None
 
 
 class _Versioned(BaseModel):
@@ -77,8 +78,8 @@ def read_result(path: str | os.PathLike[str]) -> Result:
         if path.suffix.lower() in MEASURED:
             raise ResultError(f"{path}: is a measured file, not a result: fit it first, merlfit fit {path}") from None
         raise ResultError(f"{path}: is not a merlfit result: {_in_words(error)}") from None
-    if result.edited and EDITED not in result.fit.cautions:
-        result.fit.cautions.append(EDITED)
+    if result.changed_by_hand and BY_HAND not in result.fit.cautions:
+        result.fit.cautions.append(BY_HAND)
     return result
 
 

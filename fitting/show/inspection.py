@@ -89,7 +89,8 @@ def show(
 
 def draw(subject: Subject, out: Path, kind: str, names: Sequence[str], force: bool = False) -> dict[Path, str]:
     """Write pictures; what each written one shows. What cannot be drawn is named."""
-    stem = f"{subject.result.source.material}.{subject.model.name}"  # of two models in one folder both have theirs
+    edited = ".edited" if subject.result.edited_from else ""  # in one folder each model and material has its own
+    stem = f"{subject.result.source.material}{edited}.{subject.model.name}"
     targets, written, missing = {name: out / f"{stem}.{name}.{kind}" for name in names}, {}, {}
     refuse_others(targets.values(), force)
     for name, target in targets.items():

@@ -114,13 +114,14 @@ def _row(path: Path, folder: Path, last: Line | None) -> Row:
 def _found(result: Result) -> Row:
     """What a result says."""
     material, posterior = result.model.material if result.model else None, result.posterior
+    cautions = [*([result.edited_words] if result.edited_from else []), *result.fit.cautions]
     return {
         "material": result.source.material, "status": result.fit.status, "model": material and material.name,
         "variant": material and material.variant, "genuine_merl": result.source.genuine_merl or "no",
         "data": result.data_words, "cost": result.fit.cost, **result.metrics.model_dump(),
         "seconds": result.seconds["total"],
         "posterior": posterior and ("ok" if posterior.sufficient else posterior.message),
-        "cautions": "; ".join(result.fit.cautions), "file": result.source.path, "sha1": result.source.sha1,
+        "cautions": "; ".join(cautions), "file": result.source.path, "sha1": result.source.sha1,
         **_parameters(result),
     }  # fmt: skip
 

@@ -1,5 +1,7 @@
 """What a fit simulated and what it left out, in words, and the command that makes it again."""
 
+import shlex
+
 import numpy as np
 
 from ...merl_io.inputs import SCATTERED
@@ -80,6 +82,14 @@ def left_out(result: Result) -> list[str]:
     if (limit := result.theta_max) is not None:
         said.append(f"directions past {np.degrees(limit):.0f} degrees from the normal: neither fitted nor assessed")
     return [*said, *NEVER]
+
+
+def again(result: Result) -> str:
+    """What makes an edited material again, in Python; or the command that fitted the file; empty without one."""
+    if (origin := result.edited_from) is None:
+        return shlex.join(reproducing(result))
+    values = ", ".join(f"{q.name}={q.value:.6g}" for q in result.parameters if q.name in origin.fitted)
+    return f"merlfit.load({origin.result!r}).edited({values})"
 
 
 def reproducing(result: Result) -> list[str]:

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -38,7 +37,7 @@ from .comparison_table import group_of
 from .corner import UNITS
 from .inspection import file_of
 from .prediction import PEAK_DIFFERENCE_DEG
-from .simulated import left_out, reproducing, simulated
+from .simulated import again, left_out, simulated
 from .subject import Subject, subject_of
 from .terminal_tables import accuracy_line, fitted_line, interval, median
 
@@ -198,7 +197,7 @@ def _page_of(job: Job, result: Result) -> Page:
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
         "at_bound": [q.name for q in result.parameters if q.at_bound != "no"],
-        "command": shlex.join(reproducing(result)),
+        "command": again(result),
         "group": group_of(result.source.material), "errors": FIGURES,
         "simulated": simulated(result), "left_out": left_out(result), "candidates": sorted(
             f.candidates, key=lambda c: np.inf if c.score is None else c.score),

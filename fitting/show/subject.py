@@ -127,6 +127,8 @@ class Subject:
     def heading(self) -> str:
         """Material, model and what the data are, for over a picture."""
         words = f" fit of {material_words(self.result.model.material)}" if self.result.model else ""
+        if self.result.edited_from is not None:
+            words += f", {self.result.edited_words}"
         between = BETWEEN if self.scattered is not None and self.measurement is not None else ""
         return plain(wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}{between}"))
 

@@ -92,6 +92,9 @@ def parameter_table(result: Result) -> Table:
     """
     sampled = any(q.quantiles for q in result.parameters)
     said = f"fitted parameters; 90 % intervals {'of the posterior' if sampled else LAPLACE}"
+    before = result.edited_from.fitted if result.edited_from else {}
+    if result.edited_from is not None:
+        said = said.replace("fitted parameters", "edited parameters") + " of the fit that they are from"
     middle, left = ["median"] if sampled else [], ("parameter", "unit", "meaning")
     heads = ("parameter", "value", *middle, "5 .. 95 %", "unit", "bounds", "meaning")
     drawn = table(f"{result.source.material}: {said}", heads, left)
@@ -99,6 +102,8 @@ def parameter_table(result: Result) -> Table:
         at = "" if q.at_bound == "no" else f"{q.at_bound} {number(q.lower if q.at_bound == 'lower' else q.upper)}"
         bounds = f"[{number(q.lower)}, {number(q.upper)}]{f' at {at}' if at else ''}"
         bounds = {"free": bounds, "fixed": "fixed", "tied": f"{bounds}, tied"}[q.fitted]
+        if q.name in before:
+            bounds = f"edited, was {number(before[q.name])}"
         found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
         drawn.add_row(q.name, number(q.value), *found, unit(q.unit), bounds, q.meaning)
     return drawn
@@ -107,11 +112,12 @@ def parameter_table(result: Result) -> Table:
 def parameters_as_latex(result: Result) -> str:
     """The same as a table of LaTeX, with the rules of booktabs; units and intervals are those of the posterior."""
     rows = []
+    edits = result.edited_from.fitted if result.edited_from else {}
     for q in result.parameters:
         found = q.quantiles or q.laplace
         ends = "--" if found is None else f"{_latex(found.q05)} \\dots {_latex(found.q95)}"
         name = q.symbol if q.channel is None else f"{q.symbol}^{{\\mathrm{{{q.channel}}}}}"
-        interval = q.fitted if q.fitted == "fixed" else f"${ends}$" if found else ends
+        interval = "edited" if q.name in edits else q.fitted if q.fitted == "fixed" else f"${ends}$" if found else ends
         rows.append(f"${name}$ & ${_latex(q.value)}$ & {interval} & {LATEX_UNITS.get(q.unit, q.unit)} \\\\")
     head = "parameter & value & 90\\,\\% interval & unit \\\\"
     lines = ["\\begin{tabular}{lrrl}", "\\toprule", head, "\\midrule", *rows, "\\bottomrule", "\\end{tabular}"]
@@ -161,6 +167,8 @@ def print_result(console: Console, result: Result) -> None:
     console.print(fitted_line(result.model))
     console.print(parameter_table(result))
     console.print(f"{f.status}: {f.message}")
+    if result.edited_from is not None:
+        return
     console.print(
         f"cost {number(f.cost)} (share of the weighted energy), RMSE {number(result.metrics.rmse)} 1/sr, "
         f"sMAPE {number(result.metrics.smape, 3)}, {counted(f.bins, 'bin' if grid else 'sample')}, "

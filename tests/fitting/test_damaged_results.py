@@ -214,13 +214,13 @@ def test_a_result_that_was_killed_after_its_chain_had_been_moved_gets_both(tmp_p
 def test_numbers_that_were_changed_by_hand_are_told(tmp_path):
     result = made()
     write_result(tmp_path / "nickel.json", result.model_copy(update={"numbers_sha1": result.digest}))
-    assert not read_result(tmp_path / "nickel.json").edited
+    assert not read_result(tmp_path / "nickel.json").changed_by_hand
     text = (tmp_path / "nickel.json").read_text()
     (tmp_path / "nickel.json").write_text(text.replace(f'"value": {result.parameters[0].value}', '"value": 0.123', 1))
     for _ in range(2):
         found = read_result(tmp_path / "nickel.json")
-        assert found.edited
-        assert found.fit.cautions == [schema.EDITED]
+        assert found.changed_by_hand
+        assert found.fit.cautions == [schema.BY_HAND]
         write_result(tmp_path / "nickel.json", found)
     shown = call("export", tmp_path / "nickel.json", "--to", "json", "-o", tmp_path)
     assert shown.exit_code == 0
@@ -234,9 +234,9 @@ def test_settings_and_wavelengths_that_were_changed_by_hand_are_told(old, new, t
     write_result(path, result.model_copy(update={"numbers_sha1": result.digest}))
     model, rest = path.read_text().split('"parameters"', 1)
     assert old in model
-    assert not read_result(path).edited
+    assert not read_result(path).changed_by_hand
     path.write_text(f'{model.replace(old, new, 1)}"parameters"{rest}')
-    assert read_result(path).edited
+    assert read_result(path).changed_by_hand
 
 
 def test_the_chain_of_a_name_that_is_no_utf8_is_found(tmp_path):

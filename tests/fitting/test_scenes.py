@@ -163,7 +163,7 @@ def test_a_long_title_is_on_several_lines(tmp_path):
 
 
 def test_an_exported_merl_file_takes_the_place_of_none(tmp_path, result, monkeypatch):
-    monkeypatch.setattr("merlfit.fitting.commands.export.from_result", lambda path: (np.ones((3, *DIMS)), ""))
+    monkeypatch.setattr("merlfit.fitting.commands.export.from_result", lambda *_: (np.ones((3, *DIMS)), ""))
     mine = tmp_path / "mine" / "nickel.binary"
     mine.parent.mkdir()
     mine.write_bytes(b"measured")
@@ -269,7 +269,7 @@ def test_a_fit_is_exported_as_the_nearest_material_of_a_format(tmp_path, result,
         return formats.nearest(values, to, metal=True)
 
     monkeypatch.setattr(exports, "nearest", nearest)
-    monkeypatch.setattr(exports, "from_result", lambda path: (ggx(**GOLD), "GGX"))
+    monkeypatch.setattr(exports, "from_result", lambda *_: (ggx(**GOLD), "GGX"))
     found = call("export", result, "--to", to, "-o", tmp_path)
     assert found.exit_code == 0, found.output
     outputs.refuse_others(tmp_path / f"nickel.{ending}" for ending in exports.ENDINGS[to])
