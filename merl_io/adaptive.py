@@ -106,8 +106,8 @@ class Nodes:
             drawn = np.where(seen > LEAST_SEEN, drawn / np.maximum(seen, LEAST_SEEN), np.nan)
             scale = np.ones_like(u)
             if self.parts["jacobian"][0]:
-                sigma = _bilinear(self.parts["sigma"], np.sqrt(2 * theta_i / np.pi), (phi_i + np.pi) / (2 * np.pi))
-                scale = _bilinear(self.parts["ndf"], u, v) / (4 * np.where(sigma > 0, sigma, np.inf))
+                sigma = bilinear(self.parts["sigma"], np.sqrt(2 * theta_i / np.pi), (phi_i + np.pi) / (2 * np.pi))
+                scale = bilinear(self.parts["ndf"], u, v) / (4 * np.where(sigma > 0, sigma, np.inf))
             found += drawn * scale / cos_o / len(self.parts["phi_i"])
         return found
 
@@ -144,7 +144,7 @@ def _slice(
 ) -> Slice:
     density = parts["vndf"][azimuth, incidence].astype(float)
     luminance = parts["luminance"][azimuth, incidence]
-    sigma = float(_bilinear(parts["sigma"], np.sqrt(2 * theta_i / np.pi), (phi_i + np.pi) / (2 * np.pi)))
+    sigma = float(bilinear(parts["sigma"], np.sqrt(2 * theta_i / np.pi), (phi_i + np.pi) / (2 * np.pi)))
     steps = np.linspace(0, 1, len(luminance))
     u = warped(density, steps, steps)
     o, reaches = mirrored(u, theta_i)
@@ -166,8 +166,8 @@ def _slice(
 def _scale(parts: Mapping[str, np.ndarray], u: tuple[np.ndarray, np.ndarray], sigma: float) -> np.ndarray:
     """f cos theta_o over S, (m, n), at u: 0 where there is no normal, or none is seen."""
     if not parts["jacobian"][0]:
-        return (_bilinear(parts["ndf"], u[0], u[1][:, None]) > 0) * 1.0
-    return _bilinear(parts["ndf"], u[0], u[1][:, None]) / (4 * sigma) if sigma > 0 else np.zeros_like(u[0])
+        return (bilinear(parts["ndf"], u[0], u[1][:, None]) > 0) * 1.0
+    return bilinear(parts["ndf"], u[0], u[1][:, None]) / (4 * sigma) if sigma > 0 else np.zeros_like(u[0])
 
 
 def _weights(
@@ -195,7 +195,7 @@ def _solid_angle(density: np.ndarray, u: tuple[np.ndarray, np.ndarray], theta_i:
     theta, phi = u[0] ** 2 * np.pi / 2, (2 * u[1][:, None] - 1) * np.pi
     cosine = np.sin(theta) * np.cos(phi) * np.sin(theta_i) + np.cos(theta) * np.cos(theta_i)
     whole = np.mean((density[1:, 1:] + density[1:, :-1] + density[:-1, 1:] + density[:-1, :-1]) / 4)
-    here = _bilinear(density, u[0], u[1][:, None]) / whole
+    here = bilinear(density, u[0], u[1][:, None]) / whole
     normals = 2 * np.pi**2 * u[0] * np.sin(theta)
     return np.divide(4 * np.maximum(cosine, 0.0) * normals, here, out=np.zeros_like(here), where=here > 0)
 
@@ -212,7 +212,7 @@ def mirrored(u: tuple[np.ndarray, np.ndarray], theta_i: float) -> tuple[np.ndarr
     return 2 * cosine[..., None] * m - i, cosine > 0
 
 
-def _bilinear(table: np.ndarray, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
+def bilinear(table: np.ndarray, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
     """A table (H, W) over the unit square, x along its columns."""
     at_x, at_y = (np.clip(v, 0.0, 1.0) * (n - 1) for v, n in ((x, table.shape[1]), (y, table.shape[0])))
     column = np.minimum(np.asarray(at_x, int), table.shape[1] - 2)
@@ -224,7 +224,7 @@ def _bilinear(table: np.ndarray, x: np.ndarray | float, y: np.ndarray | float) -
 
 
 def _bilinear_of(tables: np.ndarray, which: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """`_bilinear` of the tables (C, T, n, n) that ``which`` names, (C, M)."""
+    """`bilinear` of the tables (C, T, n, n) that ``which`` names, (C, M)."""
     size = tables.shape[-1]
     column, row = (np.minimum((np.clip(z, 0.0, 1.0) * (size - 1)).astype(int), size - 2) for z in (x, y))
     right, down = np.clip(x, 0.0, 1.0) * (size - 1) - column, np.clip(y, 0.0, 1.0) * (size - 1) - row

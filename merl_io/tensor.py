@@ -8,6 +8,7 @@ file (uint64), and its sizes (uint64 each). All is little-endian.
 import io
 import math
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,3 +98,22 @@ def tensors(path: Path, data: bytes) -> Tensors:
             raise MerlError(f"{path}: field {name} is there twice")
         fields[name] = kind, first, numbers(f"{dimensions}Q")
     return Tensors(path, data, fields)
+
+
+def packed(fields: Mapping[str, np.ndarray]) -> bytes:
+    """A tensor file of arrays by name; each begins at a multiple of 8 bytes.
+
+    Raises:
+        ValueError: one is of a type that the format has not.
+    """
+    arrays = {name: np.ascontiguousarray(x) for name, x in fields.items()}
+    labels = {name: name.encode() for name in arrays}
+    end = len(MAGIC) + 6 + sum(2 + len(labels[name]) + 2 + 1 + 8 + 8 * x.ndim for name, x in arrays.items())
+    head, body = [MAGIC + struct.pack("<BBI", *VERSION, len(arrays))], []
+    for name, x in arrays.items():
+        gap = -end % 8
+        head.append(struct.pack("<H", len(labels[name])) + labels[name])
+        head.append(struct.pack(f"<HBQ{x.ndim}Q", x.ndim, TYPES.index(x.dtype.name), end + gap, *x.shape))
+        body.append(bytes(gap) + x.astype(x.dtype.newbyteorder("<"), copy=False).tobytes())
+        end += len(body[-1])
+    return b"".join(head + body)

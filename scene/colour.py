@@ -4,6 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from ..merl_io.bands import MERL, XYZ, Bands
 
@@ -17,6 +18,13 @@ OBSERVER = (
 )
 """CIE 1931 standard observer (2 degrees) as sums of Gaussians: height, peak, width below and above it (nm), to about
 1 % of the peak (Wyman, Sloan & Shirley 2013, JCGT 2(2), Eq. 4)."""
+REFLECTANCE_NM = np.arange(380.0, 781.0, 20.0)
+DAYLIGHT = (
+    49.9755, 82.7549, 93.4318, 104.865, 117.812, 115.923, 109.354, 104.790, 104.405, 100.000, 95.7880, 90.0062, 87.6987,
+    83.6992, 80.2146, 78.2842, 71.6091, 61.6040, 75.0870, 46.4182, 63.3828,
+)  # fmt: skip
+"""CIE standard illuminant D65 at these wavelengths (ISO/CIE 11664-2), 100 at 560 nm."""
+HELD = 1e3  # weight of what reflectances have to be, against their steepness
 
 
 def observer(wavelength_nm: np.ndarray) -> np.ndarray:
@@ -46,6 +54,25 @@ def weights_of(bands: Bands) -> np.ndarray:
     white = BRADFORD @ XYZ.sum(1) / BRADFORD.sum(1)
     adapted = np.linalg.solve(BRADFORD, white[:, None] * BRADFORD)
     return np.linalg.solve(XYZ, adapted @ (seen @ spectra.T / seen.sum(1, keepdims=True)))
+
+
+@cache
+def reflectances() -> np.ndarray:
+    """Spectra at `REFLECTANCE_NM`, linear between, that red, green and blue are of, (3, 21), as renderers need them.
+
+    They lie between 0 and 1, their sum is 1, and under D65 each has its colour of linear sRGB, as `observer` sees it:
+    so R, G and B times them have that colour, too. Of all such spectra the least steep (the idea is Mallett & Yuksel
+    2019, doi:10.2312/sr.20191216). Three channels do not tell a spectrum: under other light the colour is a guess.
+    """
+    count = len(REFLECTANCE_NM)
+    hats = np.stack([np.interp(VISIBLE_NM, REFLECTANCE_NM, each) for each in np.eye(count)])
+    seen = (observer(VISIBLE_NM) * np.interp(VISIBLE_NM, REFLECTANCE_NM, DAYLIGHT)) @ hats.T
+    to_rgb = np.linalg.solve(XYZ, seen * (XYZ.sum(1) / seen.sum(1))[:, None])
+    each = np.eye(3)
+    rows = [np.kron(each, np.diff(np.eye(count), axis=0)), HELD * np.kron(each, to_rgb),
+            HELD * np.kron(np.ones(3), np.eye(count))]  # fmt: skip
+    wanted = np.concatenate([np.zeros(3 * (count - 1)), HELD * each.ravel(), HELD * np.ones(count)])
+    return lsq_linear(np.concatenate(rows), wanted, (0.0, 1.0)).x.reshape(3, count)
 
 
 def coloured(values: Any, bands: Bands) -> Any:  # noqa: ANN401 - an array of NumPy or JAX

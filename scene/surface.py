@@ -38,10 +38,13 @@ class Surface(eqx.Module):
     values: Mapping[str, Array]
     bands: Bands = eqx.field(static=True)
 
+    def by_band(self, g: Geometry) -> Array:
+        """Values of its bands, (C, ...), 1/sr: 0 where a formula of rivals is negative (Oren-Nayar's, SGD)."""
+        return jnp.maximum(evaluate(self.model, self.values, g, self.bands.wavelengths_um), 0.0)
+
     def brdf(self, g: Geometry) -> Array:
-        """R, G and B, (3, ...), 1/sr: 0 where a formula of rivals is negative (Oren-Nayar's functional one, SGD)."""
-        found = jnp.maximum(evaluate(self.model, self.values, g, self.bands.wavelengths_um), 0.0)
-        return coloured(found, self.bands)
+        """R, G and B, (3, ...), 1/sr."""
+        return coloured(self.by_band(g), self.bands)
 
 
 class Measurement(eqx.Module):
@@ -53,6 +56,11 @@ class Measurement(eqx.Module):
 
     values: Array
     valid: Array
+    bands: Bands = eqx.field(static=True, default=MERL)
+
+    def by_band(self, g: Geometry) -> Array:
+        """As `brdf`: its bands are R, G and B."""
+        return self.brdf(g)
 
     def brdf(self, g: Geometry) -> Array:
         """Mean of the eight nearest bins that have a datum, (3, ...), 1/sr; 0 where none has, or below the horizon."""

@@ -56,6 +56,7 @@ ELSEWHERE = {  # commands that are not run here, and where they are
     r"dask |merlfit fit .*--executor": "tests/fitting/test_cluster.py",
     r"merlfit fit .*--device gpu": "where there is a GPU: make bench-gpu; on CPUs tests/fitting/test_stacked.py",
     r"python -m merlfit.scene.mitsuba": "tests/scene/test_mitsuba.py",
+    r"mitsuba ": "tests/merl_io/test_rgl_writer.py",
 }
 MINUTES = {  # commands that `--quick` leaves out, and what runs them
     r"merlfit fit .*--accuracy": "tests/fitting/test_accuracy.py",

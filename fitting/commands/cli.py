@@ -456,14 +456,15 @@ def render(
 @app.command(epilog="Example: merlfit export fits/nickel.json --to mitsuba -o exported")
 def export(
     result: Annotated[
-        Path, typer.Argument(help="RESULT.json of a fit; --to mitsuba also a MERL file.", readable=False)
+        Path, typer.Argument(help="RESULT.json of a fit; --to mitsuba and rgl also a MERL file.", readable=False)
     ],
     to: Annotated[
         str,
         typer.Option(
-            help="mitsuba (scene and tables), principled (Mitsuba's plugin, of a fit of disney), merl (.binary), json "
-            "(parameters alone), gltf or openpbr (parameters of a fit of disney or openpbr; nearest GGX of others), "
-            "zemax (table of scatter), abg or k-correlation (parameters by incidence)."
+            help="mitsuba (scene and tables), rgl (tables that Mitsuba and pbrt-v4 read as they are), principled "
+            "(Mitsuba's plugin, of a fit of disney), merl (.binary), json (parameters alone), gltf or openpbr "
+            "(parameters of a fit of disney or openpbr; nearest GGX of others), zemax (table of scatter), abg or "
+            "k-correlation (parameters by incidence)."
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),

@@ -1,14 +1,10 @@
 """Materials for other programs: renderers, MERL files, plain parameters, the nearest GGX, optical design programs."""
 
-import hashlib
 import json
-import os
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, get_args
-from xml.sax.saxutils import quoteattr
 
 from numpy.typing import ArrayLike
 from rich.table import Table
@@ -17,10 +13,8 @@ from ...merl_io.atomic import write_text
 from ...merl_io.bands import MERL
 from ...merl_io.binary import read, write
 from ...merl_io.samples import folded
-from ...merl_io.source import PLAIN
 from ...scene.description import SceneError
 from ...scene.surface import Material, measurement
-from ...scene.tables import write_tables
 from ..pipeline.editing import edited, edited_file
 from ..pipeline.synthesis import from_result
 from ..results.schema import UNSAID, Model, Result, genuine_words
@@ -29,46 +23,22 @@ from ..support.compilation import use_persistent_cache
 from ..support.numbers import number
 from ..support.outputs import refuse_others, refuse_present
 from ..support.terminal import console, fail, reporting, writable_folder
-from . import principled
+from . import principled, rgl_files
+from .gltf_files import to_gltf
+from .materialx_files import to_openpbr
+from .mitsuba_files import to_mitsuba, to_principled
 from .nearest_ggx import nearest
 from .scatter_files import targets_of, to_formulas, to_zemax
 from .scatter_formulas import FORMULAS
 from .scenes import of_result
+from .xml_text import word
 
-To = Literal["mitsuba", "principled", "merl", "json", "gltf", "openpbr", "zemax", "abg", "k-correlation"]
+To = Literal["mitsuba", "rgl", "principled", "merl", "json", "gltf", "openpbr", "zemax", "abg", "k-correlation"]
 ENDINGS = {
     "mitsuba": ("mitsuba.npz", "xml"), "principled": ("principled.xml",), "json": ("material.json",),
     "gltf": ("gltf",), "openpbr": ("mtlx",),
 }  # fmt: skip
 """Endings of files that are written but for MERL files, which may always be measurements."""
-SCENE = """<?xml version="1.0" encoding="utf-8"?>
-<!-- {said} -->
-<scene version="3.0.0">
-    <integrator type="path"/>
-    <sensor type="perspective">
-        <float name="fov" value="20"/>
-        <transform name="to_world"><lookat origin="0, 0, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
-        <film type="hdrfilm"><integer name="width" value="256"/><integer name="height" value="256"/></film>
-        <sampler type="multijitter"><integer name="sample_count" value="32"/></sampler>
-    </sensor>
-    <emitter type="constant"><rgb name="radiance" value="0.3"/></emitter>
-    <emitter type="directional">
-        <vector name="direction" value="-0.45, -0.55, -0.7"/><rgb name="irradiance" value="2"/>
-    </emitter>
-    <shape type="sphere">{bsdf}</shape>
-</scene>
-"""
-MATERIALX = """<?xml version="1.0"?>
-<!-- {said} -->
-<materialx version="1.39" colorspace="lin_rec709">
-  <open_pbr_surface name="{name}_surface" type="surfaceshader">
-{inputs}
-  </open_pbr_surface>
-  <surfacematerial name="{name}" type="material">
-    <input name="surfaceshader" type="surfaceshader" nodename="{name}_surface"/>
-  </surfacematerial>
-</materialx>
-"""
 
 
 def export(path: Path, to: str, out: Path, changes: Mapping[str, ArrayLike], force: bool = False) -> None:
@@ -91,8 +61,10 @@ def export(path: Path, to: str, out: Path, changes: Mapping[str, ArrayLike], for
     writable_folder(out)
     stem = f"{path.stem}.measured" if path.suffix == ".binary" else path.stem
     if to in ENDINGS:
-        names = {ending: _word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
+        names = {ending: word(stem) if ending == "mitsuba.npz" else stem for ending in ENDINGS[to]}
         refuse_others([out / f"{name}.{ending}" for ending, name in names.items()], force)
+    if to == "rgl":
+        refuse_others(rgl_files.targets_of(stem, out), force)
     if to in ("zemax", *FORMULAS) and result is not None:
         refuse_others(targets_of(path, result, to, out), force)
     with reporting(path.name, path.stem) as say:
@@ -107,11 +79,11 @@ def _exported(
 ) -> tuple[list[Path], Sequence[str | Table]]:
     """Files that were written, and what else to print: how near they are to the fit."""
     if result is None:
-        if to != "mitsuba":
-            raise SceneError(f"{path}: a measured file is exported --to mitsuba; fit it for the others")
+        if to not in ("mitsuba", "rgl"):
+            raise SceneError(f"{path}: a measured file is exported --to mitsuba or rgl; fit it for the others")
         file = read(path)
         said = f"{path.name}, {genuine_words(file.genuine) if file.genuine else UNSAID}"
-        return to_mitsuba(f"{path.stem}.measured", measurement(*folded(file)), said, out), []
+        return _whole(to, f"{path.stem}.measured", measurement(*folded(file)), said, out)
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material")
     fit = (
@@ -120,11 +92,11 @@ def _exported(
     )
     said = f"{fit}, {_colours(result.model)}"
     match to:
-        case "mitsuba":
+        case "mitsuba" | "rgl":
             say("tables")
             given = of_result(path.stem, result, path)
             assert given.model is not None
-            return to_mitsuba(path.stem, given.of(given.model), said, out), []
+            return _whole(to, path.stem, given.of(given.model), said, out)
         case "merl":
             say("bins")
             write(out / f"{path.stem}.binary", from_result(path, result)[0])
@@ -167,26 +139,18 @@ def _exported(
             return [to_openpbr(path.stem, inputs, said, in_words(found, "OpenPBR"), out)], []
 
 
+def _whole(to: str, name: str, material: Material, said: str, out: Path) -> tuple[list[Path], list[str | Table]]:
+    """What holds any material: tables."""
+    if to == "mitsuba":
+        return to_mitsuba(name, material, said, out), []
+    written, what = rgl_files.to_rgl(name, material, said, out)
+    return written, [what]
+
+
 def _colours(model: Model) -> str:
     """Where R, G and B are from."""
     same = set(model.channels) == set(MERL.names)
     return "colours as in that file" if same else "colours as the CIE 1931 observer sees them, equal energy being white"
-
-
-def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path]:
-    """Tables and a scene that renders at once: a sphere under a lamp in an even room."""
-    tables = out / f"{_word(name)}.mitsuba.npz"
-    write_tables(tables, material)
-    bsdf = f'<bsdf type="merlfit"><string name="filename" value={quoteattr(tables.name)}/></bsdf>'
-    render = "Render this file: python -m merlfit.scene.mitsuba THIS.xml -o PICTURE.exr"
-    return [tables, write_text(out / f"{name}.xml", SCENE.format(said=_comment(f"{said}. {render}"), bsdf=bsdf))]
-
-
-def to_principled(name: str, result: Result, said: str, out: Path) -> Path:
-    """A scene as of `to_mitsuba`, of Mitsuba's own plugin with the parameters of a fit of Disney's model."""
-    words = f"{said}: {principled.in_words(result)}. Render this file: mitsuba THIS.xml"
-    text = SCENE.format(said=_comment(words), bsdf=principled.mitsuba_bsdf(result))
-    return write_text(out / f"{name}.principled.xml", text)
 
 
 def parameters_of(result: Result) -> dict[str, Any]:
@@ -227,50 +191,6 @@ def in_words(found: dict[str, Any], to: str) -> str:
         f"the nearest GGX material of this format, without diffraction: spheres drawn by the formulas of {to} differ "
         f"from the fit by a mean CIELAB distance of {found['error']['cielab']:.2f}"
     )
-
-
-def to_gltf(name: str, found: dict[str, Any], said: str, what: str, out: Path) -> Path:
-    """A glTF 2.0 asset of one material; ``what`` the values are, in words."""
-    more = {key: found[key] for key in ("intervals", "left_out") if key in found}
-    material = {
-        "name": name,
-        "pbrMetallicRoughness": {
-            "baseColorFactor": [*found["base_color"], 1.0], "metallicFactor": found["metallic"],
-            "roughnessFactor": found["roughness"],
-        },
-        "extensions": {"KHR_materials_ior": {"ior": found["ior"]}},
-        "extras": {"merlfit": {"source": said, "what": what, "error": found["error"], **more}},
-    }  # fmt: skip
-    asset = {
-        "asset": {"version": "2.0", "generator": "merlfit"}, "extensionsUsed": ["KHR_materials_ior"],
-        "materials": [material],
-    }  # fmt: skip
-    return _write_json(out / f"{name}.gltf", asset)
-
-
-def to_openpbr(name: str, inputs: dict[str, Any], said: str, what: str, out: Path) -> Path:
-    """A MaterialX document of one OpenPBR surface; ``what`` its inputs are, in words."""
-    plain = "".join(c if c.isalnum() else "_" for c in name)
-    lines = []
-    for key, value in inputs.items():
-        kind, numbers = ("color3", value) if isinstance(value, list) else ("float", [value])
-        lines.append(f'    <input name="{key}" type="{kind}" value="{", ".join(f"{x:.6g}" for x in numbers)}"/>')
-    text = MATERIALX.format(said=_comment(f"{said}: {what}"), name=f"m_{plain}", inputs="\n".join(lines))
-    return write_text(out / f"{name}.mtlx", text)
-
-
-def _word(name: str) -> str:
-    """Name of a file that XML names: Mitsuba takes ``$`` for a parameter of the scene, and XML has no control codes.
-
-    A name that is changed for that is no other's.
-    """
-    plain = re.sub(r"[$\x00-\x1f\x7f-\x9f]", "_", name)
-    return plain if plain == name else f"{plain}-{hashlib.sha1(os.fsencode(name)).hexdigest()[:8]}"
-
-
-def _comment(text: str) -> str:
-    """What XML allows in a comment."""
-    return re.sub("-{2,}", "-", text.translate(PLAIN)).replace("<", " ").replace("&", "and")
 
 
 def _write_json(path: Path, what: dict[str, Any]) -> Path:

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 from merlfit.merl_io import inputs
 from merlfit.merl_io.source import MerlError
+from merlfit.merl_io.tensor import packed
 
 from ..support import rgl_files
 from .loaders import HEADER, HOSTILE, Executed, damaged, trial
@@ -75,7 +76,7 @@ def tensors(rng, known):
     """Of RGL's kind: other bytes, header or length, hostile numbers, a field of another shape or type or none."""
     kind = rng.randrange(5)
     if kind < 3:
-        content = rgl_files.packed(known)
+        content = packed(known)
         if kind == 0:
             return damaged(rng, content)
         if kind == 1:
@@ -98,7 +99,7 @@ def tensors(rng, known):
             array.astype(np.uint8), array.reshape((*array.shape, 1)),
         ])  # fmt: skip
     changed = {each: x for each, x in (known | {name: array}).items() if each != name or rng.random() < 0.9}
-    return rgl_files.packed(changed)
+    return packed(changed)
 
 
 def as_documented(found, path):

@@ -39,6 +39,7 @@ WRITERS = {  # commands with a folder D of results and measurements, and what of
     ("render", "D/nickel.json", "-o", "D", "--vary", "beta=1,2"): ["nickel.beta.png"],
     ("export", "D/nickel.json", "--to", "json", "-o", "D"): ["nickel.material.json"],
     ("export", "D/nickel.json", "--to", "mitsuba", "-o", "D"): ["nickel.mitsuba.npz", "nickel.xml"],
+    ("export", "D/nickel.json", "--to", "rgl", "-o", "D"): ["nickel_rgb.bsdf", "nickel_spec.bsdf", "nickel.rgl.pbrt"],
     ("export", "D/nickel.json", "--to", "principled", "-o", "D"): ["nickel.principled.xml"],
     ("export", "D/nickel.json", "--to", "gltf", "-o", "D"): ["nickel.gltf"],
     ("export", "D/nickel.json", "--to", "openpbr", "-o", "D"): ["nickel.mtlx"],

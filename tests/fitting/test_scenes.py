@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from merlfit.fitting.commands import export as exports
 from merlfit.fitting.commands import nearest_ggx as formats
-from merlfit.fitting.commands import scenes
+from merlfit.fitting.commands import rgl_files, scenes
 from merlfit.fitting.commands import sphere_sheets as spheres
 from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.fitting.results.schema import UNSAID
@@ -15,8 +15,10 @@ from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.show.labelled import MARGIN, labelled
 from merlfit.fitting.show.style import save
 from merlfit.fitting.support import outputs
+from merlfit.merl_io import rgl_writer
 from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import DIMS, read, write
+from merlfit.merl_io.tensor import tensors
 from merlfit.model.reflectance import evaluate
 from merlfit.model.registry import models
 from merlfit.scene import effects
@@ -181,8 +183,19 @@ def test_the_scenes_that_are_shipped_can_be_read(name):
     assert {each.name for each in given} == set(film.scene.materials)
 
 
-@pytest.mark.parametrize("to", ["mitsuba", "json", "merl"])
-def test_exports(tmp_path, result, to):
+@pytest.fixture
+def small_tables(monkeypatch):
+    """Of RGL's kind."""
+    monkeypatch.setattr(rgl_writer, "NODES", 24)
+    monkeypatch.setattr(rgl_writer, "THETA_I", np.radians([0, 20, 40, 60, 75, 85, 90]))
+
+
+def tensor(path, name, dimensions):
+    return tensors(path, path.read_bytes()).array(name, "float32", dimensions)
+
+
+@pytest.mark.parametrize("to", ["mitsuba", "json", "merl", "rgl"])
+def test_exports(tmp_path, result, to, small_tables):
     found = call("export", result, "--to", to, "-o", tmp_path / "out")
     assert found.exit_code == 0, found.output
     out = tmp_path / "out"
@@ -193,6 +206,12 @@ def test_exports(tmp_path, result, to):
         assert UNSAID in scene_file
         with np.load(out / "nickel.mitsuba.npz") as arrays:
             assert np.all(np.isfinite(arrays["brdf"]))
+    elif to == "rgl":
+        outputs.refuse_others(rgl_files.targets_of("nickel", out))
+        assert "differ by a mean CIELAB distance of 0." in found.output
+        assert len(tensor(out / "nickel_spec.bsdf", "wavelengths", 1)) == 21
+        assert '"nickel_spec.bsdf"' in (out / "nickel.rgl.pbrt").read_text()
+        assert 'value="nickel_rgb.bsdf"' in (out / "nickel.rgl.xml").read_text()
     elif to == "json":
         written = json.loads((out / "nickel.material.json").read_text())
         assert written["model"] == "two-scale"
@@ -224,9 +243,10 @@ RISING, MIXED = ("450nm", "532nm", "633nm"), ("633nm", "450nm", "532nm")
 
 
 @pytest.mark.parametrize(
-    ("to", "names"), [("mitsuba", RISING), ("merl", MIXED), ("gltf", RISING), ("json", MIXED), ("render", RISING)]
+    ("to", "names"),
+    [("mitsuba", RISING), ("merl", MIXED), ("gltf", RISING), ("json", MIXED), ("render", RISING), ("rgl", MIXED)],
 )
-def test_wavelengths_have_the_colour_that_is_seen_whatever_their_order(tmp_path, names, to):
+def test_wavelengths_have_the_colour_that_is_seen_whatever_their_order(tmp_path, names, to, small_tables):
     """Copper is red in everything that makes a colour of it."""
     path = tmp_path / "copper.json"
     write_result(path, spectral(*names))
@@ -240,6 +260,11 @@ def test_wavelengths_have_the_colour_that_is_seen_whatever_their_order(tmp_path,
         with np.load(tmp_path / "copper.mitsuba.npz") as arrays:
             colour = np.exp(arrays["brdf"][100, 5, 0, :3])
         assert "CIE 1931 observer" in (tmp_path / "copper.xml").read_text()
+    elif to == "rgl":
+        colour = tensor(tmp_path / "copper_rgb.bsdf", "rgb", 5)[0, 0, :, 12, 2]
+        assert list(tensor(tmp_path / "copper_spec.bsdf", "wavelengths", 1)) == [450, 532, 633]
+        seen = tensor(tmp_path / "copper_spec.bsdf", "spectra", 5)[0, 0, :, 12, 2]
+        np.testing.assert_allclose(seen / seen[2], np.array([0.55, 0.6, 0.93]) / 0.93, rtol=0.02)
     elif to == "merl":
         colour = read(tmp_path / "copper.binary").values[:, 20, 5, 0]
     elif to == "gltf":

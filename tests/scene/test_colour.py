@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from merlfit.merl_io.bands import MERL, Bands
-from merlfit.scene.colour import cielab, coloured, observer, weights_of
+from merlfit.merl_io.bands import MERL, XYZ, Bands
+from merlfit.scene.colour import REFLECTANCE_NM, cielab, coloured, observer, reflectances, weights_of
 
 COPPER = {0.45: 0.55, 0.532: 0.6, 0.633: 0.93}  # reflectance at normal incidence by wavelength (um)
 CIE_1931 = {  # x, y and z by wavelength (nm), of CIE 15's table
@@ -50,3 +50,21 @@ def test_three_channels_that_are_named_stay_what_they_are():
     assert coloured(values, MERL) is values
     turned = Bands(("B", "R", "G"), (0.444, 0.645, 0.526))
     np.testing.assert_array_equal(coloured(values, turned), [[2], [3], [1]])
+
+
+def test_spectra_of_red_green_and_blue_have_these_colours_under_daylight_as_mitsuba_sees_them():
+    """By its tables of the observer and of D65; our observer is within 1 %."""
+    mi = pytest.importorskip("mitsuba", reason="needs merlfit[mitsuba]")
+    mi.set_variant("scalar_spectral")
+    nm, at, lamp = np.arange(360.0, 831.0), mi.SurfaceInteraction3f(), mi.load_dict({"type": "d65"})
+
+    def daylight(x):
+        at.wavelengths = [x] * 4
+        return lamp.eval(at)[0]
+
+    seen = np.array([mi.cie1931_xyz(float(x)) for x in nm]).T * [daylight(float(x)) for x in nm]
+    found = reflectances()
+    assert np.all((found >= 0) & (found <= 1))
+    np.testing.assert_allclose(found.sum(0), 1, atol=1e-5)
+    xyz = seen @ np.stack([np.interp(nm, REFLECTANCE_NM, each) for each in found]).T / seen[1].sum()
+    np.testing.assert_allclose(np.linalg.solve(XYZ, xyz), np.eye(3), atol=0.012)

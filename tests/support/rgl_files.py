@@ -4,36 +4,16 @@ The parameterization is that of a GGX surface, whatever the material: only where
 computed at the directions that the nodes have by the oracle, which knows nothing of the reader.
 """
 
-import struct
-
 import numpy as np
+from merlfit.merl_io.tensor import packed
 
 from ..oracles import rgl
-
-UINT8, FLOAT32 = 1, 10
 
 
 def write(path, fields):
     """A file of these fields."""
     path.write_bytes(packed(fields))
     return path
-
-
-def packed(fields):
-    """Fields as Mitsuba and RGL's own program write them: the bytes of a file."""
-    head, body, starts = b"tensor_file\0" + struct.pack("<BBI", 1, 0, len(fields)), b"", {}
-    arrays = {name: np.ascontiguousarray(x) for name, x in fields.items()}
-    size = len(head) + sum(2 + len(name.encode()) + 2 + 1 + 8 + 8 * x.ndim for name, x in arrays.items())
-    for name, x in arrays.items():
-        body += bytes(-(size + len(body)) % 8)
-        starts[name] = size + len(body)
-        body += x.tobytes()
-    for name, x in arrays.items():
-        kind = {"uint8": UINT8, "float32": FLOAT32, "float64": 11}[x.dtype.name]
-        label = name.encode()
-        head += struct.pack("<H", len(label)) + label + struct.pack("<HBQ", x.ndim, kind, starts[name])
-        head += struct.pack(f"<{x.ndim}Q", *x.shape)
-    return head + body
 
 
 def parameterization(alpha=0.3, theta_i=(0, 10, 20, 30, 45, 60, 70, 80), resolution=64, nodes=32):
