@@ -130,13 +130,14 @@ def _exported(
         case _:
             say("nearest GGX")
             found = nearest_of(path, result, to)
+            what = in_words(found, {"gltf": "glTF 2.0, Appendix B", "openpbr": "OpenPBR"}[to])
             if to == "gltf":
-                return [to_gltf(path.stem, found, said, in_words(found, "glTF 2.0, Appendix B"), out)], []
+                return [to_gltf(path.stem, found, said, what, out)], [what]
             inputs = {
                 "base_color": found["base_color"], "base_metalness": found["metallic"],
                 "specular_roughness": found["roughness"], "specular_ior": found["ior"],
             }  # fmt: skip
-            return [to_openpbr(path.stem, inputs, said, in_words(found, "OpenPBR"), out)], []
+            return [to_openpbr(path.stem, inputs, said, what, out)], [what]
 
 
 def _whole(to: str, name: str, material: Material, said: str, out: Path) -> tuple[list[Path], list[str | Table]]:

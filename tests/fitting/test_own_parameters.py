@@ -1,5 +1,6 @@
 """Fits whose parameters another program takes as they are: Mitsuba, glTF, OpenPBR, optical design programs."""
 
+import base64
 import json
 import re
 from xml.etree import ElementTree
@@ -102,9 +103,35 @@ def test_disneys_parameters_in_gltf_are_those_of_the_fit(tmp_path):
     assert "the fitted parameters of Disney's model themselves" in " ".join(said.split())
 
 
+def test_a_gltf_file_is_a_sphere_seen_from_outside(tmp_path):
+    """As Khronos' validator, which needs Node.js, wants it: `tests/exported.py` asks that one."""
+    written(tmp_path, "disney", DISNEY, "gltf")
+    asset = json.loads((tmp_path / "paint.gltf").read_text())
+    data = base64.b64decode(asset["buffers"][0]["uri"].split(",")[1])
+    assert len(data) == asset["buffers"][0]["byteLength"]
+    views = [data[v["byteOffset"] : v["byteOffset"] + v["byteLength"]] for v in asset["bufferViews"]]
+    points, corners = np.frombuffer(views[0], "<f4").reshape(-1, 3), np.frombuffer(views[1], "<u2").reshape(-1, 3)
+    assert [a["count"] for a in asset["accessors"]] == [len(points), len(points), corners.size]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1, rtol=1e-6)
+    a, b, c = np.moveaxis(points[corners].astype(float), 1, 0)
+    normal = np.cross(b - a, c - a)
+    assert np.all(np.sum(normal * (a + b + c), 1) > 0)
+    assert np.linalg.norm(normal, axis=1).sum() / 2 == pytest.approx(4 * np.pi, rel=3e-3)
+
+
 def test_openpbrs_parameters_in_materialx_are_those_of_the_fit(tmp_path):
     """And its formula is, without a coat, that by which the nearest of other models is found."""
     written(tmp_path, "openpbr", OPENPBR, "openpbr")
+    mx = pytest.importorskip("MaterialX", reason="of the extra test")
+    document = mx.createDocument()
+    library = mx.createDocument()
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
+    mx.readFromXmlFile(document, str(tmp_path / "paint.mtlx"))
+    document.setDataLibrary(library)
+    assert document.validate() == (True, "")
+    (material,) = document.getMaterialNodes()
+    (shader,) = mx.getShaderNodes(material)
+    assert shader.getNodeDef().getName() == "ND_open_pbr_surface_surfaceshader"
     tree = ElementTree.parse(tmp_path / "paint.mtlx")
     surface = tree.getroot().find("open_pbr_surface")
     assert surface is not None
