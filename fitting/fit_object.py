@@ -34,6 +34,7 @@ from .support.terminal import Screen, console
 from .support.weighted import resampled
 
 if TYPE_CHECKING:
+    import anywidget
     import pandas  # pyright: ignore[reportMissingImports] - where it is installed
     import xarray  # pyright: ignore[reportMissingImports] - of the extra `arviz`
 
@@ -270,6 +271,29 @@ class Fit:
         diagnostics = posterior.model_dump(include={"r_hat", "effective_size", "bulk_size", "tail_size", "pareto_k"})
         found["posterior"].attrs.update(diagnostics, message=posterior.message, coordinates=posterior.coordinates)
         return found
+
+    def view(self, *others: "Fit", folder: str | os.PathLike[str] = ".") -> "anywidget.AnyWidget":
+        """A widget for notebooks: spheres, lobes and a slider for each parameter, as `merlfit view` has them.
+
+        Its ``values`` follow the sliders: ``fit.edited(**widget.values[0])`` is what is seen.
+
+        Args:
+            others: fits beside this one. folder: for what is saved.
+
+        Raises:
+            ImportError: anywidget is not installed (``pip install 'merlfit[view]'``).
+            merlfit.NoPicture: a fit failed.
+        """
+        try:
+            from .view.widget import View
+        except ImportError:
+            raise ImportError("view() needs anywidget: pip install 'merlfit[view]'") from None
+        from .view.frames import Shown
+        from .view.live import Live
+
+        use_cache()
+        shown = [Shown(each.path, each.result, each._measured) for each in (self, *others)]
+        return View(Live(shown, Path(folder)))
 
     def plot(self, name: str, path: str | os.PathLike[str] | None = None) -> Figure:
         """One of the pictures that `merlfit inspect` draws, as wide as a column of a paper (8.5 cm).

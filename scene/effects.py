@@ -105,6 +105,9 @@ def _split(model: TwoScale) -> str:
     return "printed" if model.body == "none" else model.split
 
 
+Tried = Callable[[Reflectance, Sequence[Effect]], tuple[float, float]]
+
+
 @dataclass(frozen=True)
 class Row:
     """What was found of an effect.
@@ -241,19 +244,35 @@ def plan(scene: Scene, film: Film, given: Given, index: int, report: Callable[[s
     trial = _Trial(scene, film, given, index)
     if given.model is None:
         return Plan(given.name, None, (), 0.0, trial.count, len(trial.seen), (trial.slow, trial.slow))
-    whole, limit = finest(given.model), allowed(scene.tolerance)
+    whole = finest(given.model)
+    rows, chosen, worst, fast = left_out(whole, trial.without, trial.slow, allowed(scene.tolerance), report)
+    return Plan(given.name, chosen, rows, worst, trial.count, len(trial.seen), (trial.slow, fast))
+
+
+def left_out(
+    whole: Reflectance, tried: Tried, slow: float, limit: float, report: Callable[[str], None] = lambda _: None
+) -> tuple[tuple[Row, ...], Reflectance, float, float]:
+    """Leave each effect out in turn, together with those before, as long as no pixel is off by more than the limit.
+
+    Args:
+        tried: how far off the worst pixel of a material is without some effects, and nanoseconds a direction; ``slow``
+            are those with all.
+
+    Returns:
+        what was found of each; what is left of the material; how far off the worst pixel is then, and nanoseconds.
+    """
     gone: list[Effect] = []
-    worst, fast, rows = 0.0, trial.slow, []
+    worst, fast, rows = 0.0, slow, []
     for effect in effects_of(whole):
         report(effect.name)
-        alone, quick = trial.without(whole, [effect])
+        alone, quick = tried(whole, [effect])
         if without(whole, [*gone, effect]) == without(whole, gone):
             together, dropped = None, True
         else:
-            together, time_of_both = trial.without(whole, [*gone, effect]) if gone else (alone, quick)
+            together, time_of_both = tried(whole, [*gone, effect]) if gone else (alone, quick)
             dropped = together <= limit
             if dropped:
                 gone.append(effect)
                 worst, fast = together, time_of_both
-        rows.append(Row(effect, not dropped, alone, together, trial.slow - quick))
-    return Plan(given.name, without(whole, gone), tuple(rows), worst, trial.count, len(trial.seen), (trial.slow, fast))
+        rows.append(Row(effect, not dropped, alone, together, slow - quick))
+    return tuple(rows), without(whole, gone), worst, fast

@@ -55,6 +55,7 @@ ELSEWHERE = {  # commands that are not run here, and where they are
     r"merlfit fit .*--model auto": "minutes of compiling: tests/fitting/test_fit.py",
     r"dask |merlfit fit .*--executor": "tests/fitting/test_cluster.py",
     r"merlfit fit .*--device gpu": "where there is a GPU: make bench-gpu; on CPUs tests/fitting/test_stacked.py",
+    r"merlfit view": "tests/fitting/test_view.py",
     r"python -m merlfit.scene.mitsuba": "tests/scene/test_mitsuba.py",
     r"mitsuba ": "tests/merl_io/test_rgl_writer.py",
 }

@@ -55,7 +55,8 @@ def test_arrows_of_the_architecture(package):
 
 
 LINE_OF_WORK = (
-    "support", "settings", "results", "fit", "posterior", "pipeline", "show", "cost", "batch", "commands",
+    "support", "settings", "results", "fit", "posterior", "pipeline", "show", "view", "cost", "batch",
+    "commands",
 )  # fmt: skip
 
 

@@ -372,6 +372,25 @@ def inspect(
     inspect_result(result, file, out, pictures, kind, force)
 
 
+@app.command(epilog="Example: merlfit view fits/nickel.json")
+def view(
+    results: Annotated[list[Path], typer.Argument(help="RESULT.json of fits, side by side.", readable=False)],
+    file: Measured = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for what is saved \\[default: beside each result].")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page \\[default: any that is free].")] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+) -> None:
+    """Look at fits in the browser and edit them: spheres beside the file's, lobes, a slider for each parameter.
+
+    No other machine can reach the page, and it asks nothing of a network. It needs the extra "view".
+    """
+    from .view import view_results
+
+    view_results(results, file, out, port, browser)
+
+
 @app.command(epilog="Example: merlfit table fits")
 def table(
     folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", readable=False)],

@@ -14,6 +14,7 @@ from ...merl_io.azimuth import AZIMUTHS, Nodes, nodes_of
 from ...merl_io.binary import Dims, Measurement
 from ...merl_io.grid import MerlGrid, merl_grid
 from ...model.geometry import Geometry
+from ...model.measured import material_of
 from ...model.parameters import WHICH_BODY
 from ...model.reflectance import Reflectance, contributions, evaluate, prepared
 from ..fit.hints import general_of
@@ -74,30 +75,40 @@ class Fitted:
     """A fitted material, ready to be evaluated.
 
     Attributes:
-        model: what was fitted. values: of the parameters of its general model (:func:`.hints.general_of`), for which
-            alone programs are compiled, and tables that directions share, if there are any.
+        measured: what was fitted, the material as the apparatus sees it. wavelengths_um: of the channels. values: of
+            the parameters of its general model (:func:`.hints.general_of`), for which alone programs are compiled, and
+            tables that directions share, if there are any.
     """
 
-    model: Model
+    measured: Reflectance
+    wavelengths_um: tuple[float, ...]
     values: Mapping[str, ArrayLike]
 
     @classmethod
     def of(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
         """Every direction computes all for itself."""
-        return cls(model, general_of(model.measured).values(values))
+        return cls(model.measured, tuple(model.wavelengths_um), general_of(model.measured).values(values))
 
     @classmethod
     def tabled(cls, model: Model, values: Mapping[str, ArrayLike]) -> "Fitted":
         """Tables do for all directions, 99 in 100 to 1e-5 of what they would compute (`reflectance.prepared`)."""
-        general = general_of(model.measured)
-        return cls(model, _prepared(general.model, tuple(model.wavelengths_um), general.values(values)))
+        return cls.of_effects(model.measured, tuple(model.wavelengths_um), values)
+
+    @classmethod
+    def of_effects(
+        cls, measured: Reflectance, wavelengths_um: tuple[float, ...], values: Mapping[str, ArrayLike]
+    ) -> "Fitted":  # fmt: skip
+        """The same of any choice of effects; what it has no use for is left out of the values."""
+        general = general_of(measured)
+        own = {q.name: values[q.name] for q in measured.parameters}
+        return cls(measured, wavelengths_um, _prepared(general.model, wavelengths_um, general.values(own)))
 
     def seen_as(self, seen: Reflectance) -> tuple[Reflectance, dict[str, ArrayLike], np.ndarray]:
         """The general model of it, seen by the apparatus or not, and what it takes."""
         general = general_of(seen).model
         taken = {*(q.name for q in general.parameters), *general.tables(scattered=True), WHICH_BODY}
         kept = {name: x for name, x in self.values.items() if name in taken}
-        return general, kept, np.asarray(self.model.wavelengths_um)
+        return general, kept, np.asarray(self.wavelengths_um)
 
 
 def predicted_lobe(fitted: Fitted, i: np.ndarray, o: np.ndarray, loss: bool = True) -> np.ndarray:
@@ -107,13 +118,13 @@ def predicted_lobe(fitted: Fitted, i: np.ndarray, o: np.ndarray, loss: bool = Tr
 
 def brdf_of(fitted: Fitted, geometry: Geometry, loss: bool = True) -> np.ndarray:
     """BRDF of the fitted material, (C, ...): as the apparatus would have measured it, or without its loss."""
-    general, values, wavelengths = fitted.seen_as(fitted.model.measured if loss else fitted.model.material)
+    general, values, wavelengths = fitted.seen_as(fitted.measured if loss else material_of(fitted.measured))
     return np.asarray(_compiled(general, values, geometry, wavelengths))
 
 
 def parts_of(fitted: Fitted, geometry: Geometry) -> dict[str, np.ndarray]:
     """What each lobe and the body add to the material, without the apparatus, (C, ...) each; what is 0 is left out."""
-    general, values, wavelengths = fitted.seen_as(fitted.model.material)
+    general, values, wavelengths = fitted.seen_as(material_of(fitted.measured))
     found = {name: np.asarray(x) for name, x in _parts(general, values, geometry, wavelengths).items()}
     return {name: found[name] for name in sorted(found, key=_place) if found[name].any()}
 
@@ -131,12 +142,12 @@ def draws_of(result: Result, chain: Mapping[str, np.ndarray]) -> Fitted:
     every = [general.values(result.values(chain["values"][k])) for k in resampled(chain["weights"].ravel(), BAND_DRAWS)]
     stacked = {name: np.asarray([each[name] for each in every]) for name in every[0]}
     wavelengths = tuple(result.model.wavelengths_um)
-    return Fitted(result.model, _prepared_of_many(general.model, wavelengths, stacked))
+    return Fitted(result.model.measured, wavelengths, _prepared_of_many(general.model, wavelengths, stacked))
 
 
 def band(draws: Fitted, geometry: Geometry) -> np.ndarray:
     """5 and 95 % of what the posterior predicts for these directions, (2, C, ...)."""
-    general, values, wavelengths = draws.seen_as(draws.model.measured)
+    general, values, wavelengths = draws.seen_as(draws.measured)
     lobes = _compiled_of_many(general, values, geometry, wavelengths)
     return np.quantile(np.asarray(lobes), [0.05, 0.95], axis=0)
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -38,6 +37,7 @@ from .corner import UNITS
 from .inspection import file_of
 from .prediction import PEAK_DIFFERENCE_DEG
 from .simulated import again, left_out, simulated
+from .style import letters
 from .subject import Subject, subject_of
 from .terminal_tables import accuracy_line, fitted_line, interval, median
 
@@ -192,7 +192,7 @@ def _page_of(job: Job, result: Result) -> Page:
     return {
         "result": result, "name": job.name, "before": job.before, "after": job.after, "json": json_file,
         "json_link": quote(os.fsencode(json_file)), "fitted": None if m is None else fitted_line(m), "number": number,
-        "interval": interval, "median": median, "unit": unit, "symbol": _symbol,
+        "interval": interval, "median": median, "unit": unit, "symbol": letters,
         "spec": {}, "svg": {}, "pictures": {}, "widths": [],
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
@@ -310,20 +310,6 @@ def _embedded(specs: Mapping[str, charts.Spec]) -> Page:
         "spec": {name: _json(spec) for name, spec in specs.items()},
         "svg": {name: Markup(charts.svg(spec, name)) for name, spec in specs.items()},
     }
-
-
-def _symbol(tex: str) -> str:
-    """TeX of a parameter in letters, as far as that goes."""
-    found = tex
-    for name, letter in GREEK.items():
-        found = found.replace(f"\\{name}", letter)
-    return re.sub(r"[{}\\$]|mathrm|text|rm ", "", found)
-
-
-GREEK = {
-    "alpha": "α", "beta": "β", "gamma": "γ", "eta": "η", "theta": "θ", "kappa": "κ", "lambda": "λ", "mu": "μ",
-    "rho": "ρ", "sigma": "σ", "tau": "τ",
-}  # fmt: skip
 
 
 @cache

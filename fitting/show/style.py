@@ -1,5 +1,6 @@
 """How pictures look: as wide as a column of a paper, with letters that are legible at that size, and safe colours."""
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -63,6 +64,20 @@ def symbol(tex: str, name: str) -> str:
     except ValueError:
         return plain(name)
     return f"${tex}$"
+
+
+def letters(tex: str) -> str:
+    """TeX of a parameter in letters, as far as that goes."""
+    found = tex
+    for name, letter in GREEK.items():
+        found = found.replace(f"\\{name}", letter)
+    return re.sub(r"[{}\\$]|mathrm|text|rm ", "", found)
+
+
+GREEK = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "eta": "η", "theta": "θ", "kappa": "κ", "lambda": "λ", "mu": "μ",
+    "rho": "ρ", "sigma": "σ", "tau": "τ",
+}  # fmt: skip
 
 
 def printable(draw: Callable[P, Figure]) -> Callable[P, Figure]:
