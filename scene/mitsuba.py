@@ -1,6 +1,7 @@
 """Materials inside Mitsuba 3: the BSDF ``merlfit``, whose tables `merlfit export --to mitsuba` writes.
 
-:func:`register` makes it known to the variant that is set (``mitsuba.set_variant``), scalar or LLVM; it needs the extra
+:func:`register` makes it known to the variant that is set (``mitsuba.set_variant``), scalar or LLVM, of three channels
+or spectral (`colour.reflectances` of R, G and B then), not polarised; it needs the extra
 ``merlfit[mitsuba]``. ``python -m merlfit.scene.mitsuba SCENE.xml -o PICTURE.exr`` renders a scene with it. LLVM
 variants need LLVM's library: Debian's libllvm19, found here, or ``DRJIT_LIBLLVM_PATH``.
 """
@@ -18,6 +19,7 @@ import numpy as np
 
 from ..merl_io.archive import arrays
 from ..merl_io.source import PLAIN, MerlError, opened, shortened
+from .colour import REFLECTANCE_NM, reflectances
 
 LIBRARIES = tuple(
     f"/usr/lib/{folder}/libLLVM{end}"
@@ -64,11 +66,14 @@ def make() -> type:
                 mi.Texture2f(mi.TensorXf(x[..., None]), filter_mode=nearest, wrap_mode=dr.WrapMode.Clamp)
                 for x in (share, below)
             )
+            self.spectra = mi.Texture1f(
+                mi.TensorXf(reflectances().T.astype(np.float32)), filter_mode=linear, wrap_mode=dr.WrapMode.Clamp
+            )
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
             self.m_components = [flags]
             self.m_flags = flags
 
-        def _value(self, wi: Any, wo: Any) -> Any:  # noqa: ANN401
+        def _value(self, wi: Any, wo: Any, wavelengths: Any) -> Any:  # noqa: ANN401
             half = wi + wo
             length = dr.maximum(dr.norm(half), 1e-8)
             sine = dr.sqrt(half.x * half.x + half.y * half.y) / length
@@ -80,10 +85,21 @@ def make() -> type:
                 theta_d * (2 / dr.pi),
                 dr.acos(dr.minimum(cos_phi, 1.0)) * (2 / dr.pi),
             )
-            r, g, b, weight = self.brdf.eval(mi.Point3f(place[2], place[1], place[0]))
+            *logs, weight = self.brdf.eval(mi.Point3f(place[2], place[1], place[0]))
             inverse = dr.select(weight > 0, 1 / dr.maximum(weight, 1e-8), 0.0)
-            value = mi.Color3f(dr.exp(r * inverse), dr.exp(g * inverse), dr.exp(b * inverse))
+            colour = [dr.exp(x * inverse) for x in logs]
+            value = self._spectrum(colour, wavelengths) if mi.is_spectral else mi.Color3f(*colour)
             return dr.select((wi.z > 0) & (wo.z > 0) & (weight > 0), value, 0.0)
+
+        def _spectrum(self, colour: list[Any], wavelengths: Any) -> Any:  # noqa: ANN401
+            """Of R, G and B at the wavelengths (nm) of rays."""
+            found = []
+            for nm in wavelengths:
+                place = dr.clip((nm - REFLECTANCE_NM[0]) / (REFLECTANCE_NM[-1] - REFLECTANCE_NM[0]), 0.0, 1.0)
+                place = (place * (len(REFLECTANCE_NM) - 1) + 0.5) / len(REFLECTANCE_NM)
+                shares = self.spectra.eval(mi.Point1f(place))
+                found.append(sum(x * share for x, share in zip(colour, shares, strict=True)))
+            return mi.UnpolarizedSpectrum(found)
 
         def _look(self, table: Any, row: Any, cell: Any) -> Any:  # noqa: ANN401
             return table.eval(mi.Point2f((cell + 0.5) / CELLS, (row + 0.5) / INCIDENCES))[0]
@@ -133,11 +149,11 @@ def make() -> type:
             bs.sampled_component = mi.UInt32(0)
             bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
             there = active & (density > 0) & (si.wi.z > 0) & (wo.z > 0)
-            value = self._value(si.wi, wo) * (wo.z / dr.maximum(density, 1e-20))
-            return bs, dr.select(there, mi.Color3f(value), 0.0)
+            value = self._value(si.wi, wo, si.wavelengths) * (wo.z / dr.maximum(density, 1e-20))
+            return bs, dr.select(there, value, 0.0)
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:  # noqa: ANN401
-            return dr.select(active, self._value(si.wi, wo) * dr.maximum(wo.z, 0.0), 0.0)
+            return dr.select(active, self._value(si.wi, wo, si.wavelengths) * dr.maximum(wo.z, 0.0), 0.0)
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:  # noqa: ANN401
             return dr.select(active, self._density(si.wi, wo), 0.0)
@@ -196,9 +212,9 @@ def rendered(scene: Any, samples: int) -> Any:  # noqa: ANN401 - of Mitsuba
 
 def _unusable(variant: str) -> str | None:
     """Why nothing can be rendered by a variant, and what can; None if it can."""
-    known = [name for name in mi.variants() if name.endswith("_rgb")]  # the tables hold three channels
+    known = [name for name in mi.variants() if name.endswith(("_rgb", "_spectral"))]
     if variant not in known:
-        what = "has no three channels" if variant in mi.variants() else "is none of Mitsuba's"
+        what = "has one channel, or polarised light" if variant in mi.variants() else "is none of Mitsuba's"
         return f"variant {variant!r} {what}; scenes are rendered by {', '.join(known)}"
     if variant.startswith("llvm") and "DRJIT_LIBLLVM_PATH" not in os.environ:
         return (

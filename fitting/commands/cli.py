@@ -480,10 +480,9 @@ def export(
     to: Annotated[
         str,
         typer.Option(
-            help="mitsuba (scene and tables), rgl (tables that Mitsuba and pbrt-v4 read as they are), principled "
-            "(Mitsuba's plugin, of a fit of disney), merl (.binary), json (parameters alone), gltf or openpbr "
-            "(parameters of a fit of disney or openpbr; nearest GGX of others), zemax (table of scatter), abg or "
-            "k-correlation (parameters by incidence)."
+            help="mitsuba (scene and tables), rgl (tables that Mitsuba and pbrt-v4 read as they are), merl (.binary), "
+            "json (parameters alone), principled (Mitsuba's plugin), gltf or openpbr (parameters of a fit of disney or "
+            "openpbr; nearest GGX of others), zemax (table of scatter), abg or k-correlation (parameters by incidence)."
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),

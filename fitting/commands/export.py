@@ -41,6 +41,15 @@ ENDINGS = {
 """Endings of files that are written but for MERL files, which may always be measurements."""
 
 
+FORMULAS_OF = {"gltf": "glTF 2.0, Appendix B", "openpbr": "OpenPBR", "principled": "Mitsuba's principled"}
+NAMES = {
+    "openpbr": {"base_color": "base_color", "metallic": "base_metalness", "roughness": "specular_roughness",
+                "ior": "specular_ior"},
+    "principled": {"base_color": "base_color", "metallic": "metallic", "roughness": "roughness", "ior": "eta"},
+}  # fmt: skip
+"""What formats call the parameters of `nearest_ggx`."""
+
+
 def export(path: Path, to: str, out: Path, changes: Mapping[str, ArrayLike], force: bool = False) -> None:
     """`merlfit export`: write what another program reads; exits with 2 after bad input.
 
@@ -101,9 +110,9 @@ def _exported(
             say("bins")
             write(out / f"{path.stem}.binary", from_result(path, result)[0])
             return [out / f"{path.stem}.binary"], []
-        case "principled":
-            principled.is_own(result, to)
-            return [to_principled(path.stem, result, said, out)], []
+        case "principled" if principled.is_own(result, to):
+            inputs = principled.mitsuba_inputs(result)
+            return [to_principled(path.stem, inputs, said, principled.in_words(result), out)], []
         case "json":
             return [_write_json(out / f"{path.stem}.material.json", parameters_of(result))], []
         case "zemax":
@@ -130,14 +139,12 @@ def _exported(
         case _:
             say("nearest GGX")
             found = nearest_of(path, result, to)
-            what = in_words(found, {"gltf": "glTF 2.0, Appendix B", "openpbr": "OpenPBR"}[to])
+            what = in_words(found, FORMULAS_OF[to])
             if to == "gltf":
                 return [to_gltf(path.stem, found, said, what, out)], [what]
-            inputs = {
-                "base_color": found["base_color"], "base_metalness": found["metallic"],
-                "specular_roughness": found["roughness"], "specular_ior": found["ior"],
-            }  # fmt: skip
-            return [to_openpbr(path.stem, inputs, said, what, out)], [what]
+            inputs = {own: found[key] for key, own in NAMES[to].items()}
+            write_one = to_principled if to == "principled" else to_openpbr
+            return [write_one(path.stem, inputs, said, what, out)], [what]
 
 
 def _whole(to: str, name: str, material: Material, said: str, out: Path) -> tuple[list[Path], list[str | Table]]:

@@ -1,13 +1,13 @@
 """Scenes for Mitsuba 3, a sphere under a lamp in an even room: of merlfit's own plugin, and of `principled`."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from ...merl_io.atomic import write_text
 from ...scene.surface import Material
 from ...scene.tables import write_tables
-from ..results.schema import Result
-from . import principled
 from .xml_text import comment, word
 
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
@@ -38,8 +38,13 @@ def to_mitsuba(name: str, material: Material, said: str, out: Path) -> list[Path
     return [tables, write_text(out / f"{name}.xml", SCENE.format(said=comment(f"{said}. {render}"), bsdf=bsdf))]
 
 
-def to_principled(name: str, result: Result, said: str, out: Path) -> Path:
-    """A scene as of `to_mitsuba`, of Mitsuba's own plugin with the parameters of a fit of Disney's model."""
-    words = f"{said}: {principled.in_words(result)}. Render this file: mitsuba THIS.xml"
-    text = SCENE.format(said=comment(words), bsdf=principled.mitsuba_bsdf(result))
+def to_principled(name: str, inputs: Mapping[str, Any], said: str, what: str, out: Path) -> Path:
+    """A scene as of `to_mitsuba`, of Mitsuba's own plugin; ``what`` its inputs are, in words."""
+    lines = "".join(
+        f'<rgb name="{key}" value="{", ".join(f"{x:.6g}" for x in value)}"/>' if isinstance(value, list)
+        else f'<float name="{key}" value="{value:.6g}"/>'
+        for key, value in inputs.items()
+    )  # fmt: skip
+    words = f"{said}: {what}. Render this file: mitsuba THIS.xml"
+    text = SCENE.format(said=comment(words), bsdf=f'<bsdf type="principled">{lines}</bsdf>')
     return write_text(out / f"{name}.principled.xml", text)

@@ -1,11 +1,13 @@
-"""What glTF 2.0 and OpenPBR draw of their parameters, by their own formulas, and which parameters look nearest.
+"""What glTF 2.0, OpenPBR and Mitsuba's `principled` draw, by their own formulas, and which parameters look nearest.
 
 glTF: specification 2.0.1, Appendix B: "Metals" (B.2.1), "Dielectrics" (B.2.2), "Specular BRDF" (B.3.2: D, and masking
 in its separable form; the text of December 2025 and the Khronos renderer have the height-correlated one), "Fresnel"
 (B.3.4); its index of refraction by KHR_materials_ior. OpenPBR: specification 1.1, sections "Microfacet model" (GGX,
 Smith's masking), "Dielectric base" (Fresnel's exact factor), "Metal" (F82-tint, which with a white ``specular_color``
 is Schlick's factor) and "Layering" (albedo-scaling: the diffuse slab weighed by one minus the albedo of the gloss above
-it). Neither with light of several bounces between facets, which some renderers add: rough metals are brighter there.
+it). Mitsuba 3: "Principled BSDF" of its documentation, after Burley 2012 and 2015: Fresnel's exact factor of a
+dielectric, Schlick's of a metal, separable masking. None with light of several bounces between facets, which some
+renderers add: rough metals are brighter there.
 """
 
 from collections.abc import Callable
@@ -44,9 +46,7 @@ Format = Callable[[Angles, float, float | None], Brdf]
 
 def gltf(a: Angles, roughness: float, ior: float | None) -> Brdf:
     """glTF 2.0: ``specular_brdf`` of B.3.2, in ``metal_brdf`` of B.2.1 or in ``dielectric_brdf`` of B.2.2."""
-    alpha2 = roughness**4
-    masked = [x + np.sqrt(alpha2 + (1 - alpha2) * x**2) for x in (a.i, a.o)]
-    facets = _ggx(a.h, alpha2) / (masked[0] * masked[1])
+    facets = _separable(a, roughness**4)
     if ior is None:
         return _metal(facets, a.d)
     f0 = ((1 - ior) / (1 + ior)) ** 2
@@ -68,13 +68,30 @@ def openpbr(a: Angles, roughness: float, ior: float | None) -> Brdf:
     return above / np.pi, fresnel_dielectric(a.d, ior) * facets
 
 
-FORMATS: dict[str, Format] = {"gltf": gltf, "openpbr": openpbr}
+def principled(a: Angles, roughness: float, ior: float | None) -> Brdf:
+    """Mitsuba 3's plugin without tints, sheen, flatness and clear coat; its `eta` is the index."""
+    facets = _separable(a, roughness**4)
+    if ior is None:
+        return _metal(facets, a.d)
+    light, viewer = ((1 - x) ** 5 for x in (a.i, a.o))
+    retro = 2 * roughness * a.d**2
+    body = (1 - light / 2) * (1 - viewer / 2) + retro * (light + viewer + light * viewer * (retro - 1))
+    return body / np.pi, fresnel_dielectric(a.d, ior) * facets
+
+
+FORMATS: dict[str, Format] = {"gltf": gltf, "openpbr": openpbr, "principled": principled}
 
 
 def _metal(facets: np.ndarray, cos_d: np.ndarray) -> Brdf:
     """Schlick's factor with the base colour at normal incidence."""
     grazing = (1 - cos_d) ** 5
     return facets * (1 - grazing), facets * grazing
+
+
+def _separable(a: Angles, alpha2: float) -> np.ndarray:
+    """GGX facets with Smith's masking of light and viewer each by itself, over 4 cos_i cos_o."""
+    masked = [x + np.sqrt(alpha2 + (1 - alpha2) * x**2) for x in (a.i, a.o)]
+    return _ggx(a.h, alpha2) / (masked[0] * masked[1])
 
 
 def _ggx(cos_h: np.ndarray, alpha2: float) -> np.ndarray:

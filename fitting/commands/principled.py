@@ -6,7 +6,6 @@ import numpy as np
 
 from ...merl_io.bands import MERL
 from ..results.schema import Result
-from ..results.storage import ResultError
 from ..support.numbers import number
 from .nearest_ggx import apart
 
@@ -26,21 +25,10 @@ WITHOUT = ("specularTint", "sheen", "sheenTint", "clearcoat", "clearcoatGloss", 
 
 
 def is_own(result: Result, to: str) -> bool:
-    """Whether a format takes this fit's parameters: its model, and colours as the format has them.
-
-    Raises:
-        ResultError: the format takes no others.
-    """
+    """Whether a format takes this fit's parameters: its model, and colours as the format has them."""
     model = result.model
     assert model is not None
-    own = model.name == OWN.get(to) and set(model.channels) == set(MERL.names)
-    if to == "principled" and not own:
-        what = "other channels than R, G and B" if model.name == OWN[to] else f"is a fit of {model.name}"
-        raise ResultError(
-            f"{result.source.material}: Mitsuba's principled takes the parameters of Disney's model in R, G and B, "
-            f"and this {what}: fit it by --model disney, or export it --to mitsuba"
-        )
-    return own
+    return model.name == OWN.get(to) and set(model.channels) == set(MERL.names)
 
 
 def values_of(result: Result) -> dict[str, Any]:
@@ -69,15 +57,10 @@ def in_words(result: Result) -> str:
     return "the fitted parameters themselves, with 90 % intervals: " + ", ".join(said)
 
 
-def mitsuba_bsdf(result: Result) -> str:
-    """Mitsuba's `principled` with the values of Disney's names."""
-    lines = []
-    for name, value in values_of(result).items():
-        if isinstance(value, list):
-            lines.append(f'<rgb name="{MITSUBA[name]}" value="{", ".join(f"{x:.6g}" for x in value)}"/>')
-        else:
-            lines.append(f'<float name="{MITSUBA[name]}" value="{value / (COAT if name == "clearcoat" else 1):.6g}"/>')
-    return '<bsdf type="principled">' + "".join(lines) + "</bsdf>"
+def mitsuba_inputs(result: Result) -> dict[str, Any]:
+    """What Mitsuba's `principled` is given of a fit of Disney's model."""
+    values = values_of(result)
+    return {MITSUBA[n]: x / COAT if n == "clearcoat" else x for n, x in values.items()}
 
 
 def metallic_roughness(result: Result, bins: np.ndarray) -> dict[str, Any]:

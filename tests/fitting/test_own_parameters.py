@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from merlfit.fitting.commands import cli
-from merlfit.fitting.commands.nearest_ggx import Angles, openpbr
+from merlfit.fitting.commands.nearest_ggx import Angles, openpbr, principled
 from merlfit.fitting.commands.scatter_formulas import FORMULAS
 from merlfit.fitting.results.storage import write_result
 from merlfit.model.reflectance import setting
@@ -60,6 +60,12 @@ def pairs():
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
 
 
+def drawn_by(mi, bsdf, i, o):
+    at = mi.SurfaceInteraction3f()
+    at.wi, at.n, at.sh_frame = mi.Vector3f(*i), [0, 0, 1], mi.Frame3f([0, 0, 1])
+    return np.array(bsdf.eval(mi.BSDFContext(), at, mi.Vector3f(*o))) / o[2]
+
+
 def test_disneys_metal_in_mitsubas_principled_is_ours(tmp_path):
     """Without a coat; of a coat a quarter is written, which is as bright along the normal."""
     mi = pytest.importorskip("mitsuba", reason="needs merlfit[mitsuba]")
@@ -76,19 +82,14 @@ def test_disneys_metal_in_mitsubas_principled_is_ours(tmp_path):
             mi.load_string(f'<scene version="3.0.0"><shape type="sphere">{bsdf[0]}</shape></scene>').shapes()[0].bsdf()
         )
 
-    def seen(bsdf, i, o):
-        at = mi.SurfaceInteraction3f()
-        at.wi, at.n, at.sh_frame = mi.Vector3f(*i), [0, 0, 1], mi.Frame3f([0, 0, 1])
-        return np.array(bsdf.eval(mi.BSDFContext(), at, mi.Vector3f(*o))) / o[2]
-
     i, o = pairs()
     bare = DISNEY | {"clearcoat": 0.0}
     bsdf = of(bare)
-    theirs = np.transpose([seen(bsdf, a, b) for a, b in zip(i, o, strict=True)])
+    theirs = np.transpose([drawn_by(mi, bsdf, a, b) for a, b in zip(i, o, strict=True)])
     np.testing.assert_allclose(theirs, evaluate(models()["disney"](), bare, from_vectors(i, o)), rtol=1e-4)
     up = np.array([[0.0, 0.0, 1.0]])
     ours = np.asarray(evaluate(models()["disney"](), DISNEY, from_vectors(up, up)))[:, 0]
-    np.testing.assert_allclose(seen(of(DISNEY), up[0], up[0]), ours, rtol=1e-4)
+    np.testing.assert_allclose(drawn_by(mi, of(DISNEY), up[0], up[0]), ours, rtol=1e-4)
 
 
 def test_disneys_parameters_in_gltf_are_those_of_the_fit(tmp_path):
@@ -150,23 +151,30 @@ def test_openpbrs_parameters_in_materialx_are_those_of_the_fit(tmp_path):
         np.testing.assert_allclose(found, RGB[:, None] * slope + rest, rtol=4e-3)
 
 
-@pytest.mark.parametrize("to", ["gltf", "openpbr"])
+@pytest.mark.parametrize("to", ["gltf", "openpbr", "principled"])
 def test_parameters_of_another_model_are_not_taken_as_they_are(tmp_path, to, monkeypatch):
     from merlfit.fitting.commands import export
 
     asked = []
     found = {"base_color": [0.1] * 3, "metallic": 0.0, "roughness": 0.2, "ior": 1.5, "error": {"cielab": 1.0}}
     monkeypatch.setattr(export, "nearest_of", lambda path, result, to: asked.append(to) or found)
-    written(tmp_path, {"gltf": "openpbr", "openpbr": "disney"}[to], {}, to)
+    said = written(tmp_path, "disney" if to == "openpbr" else "openpbr", {}, to)
     assert asked == [to]
+    assert "differ from the fit by a mean CIELAB distance of 1.00" in " ".join(said.split())
 
 
-def test_principled_takes_disneys_parameters_alone(tmp_path):
-    write_result(tmp_path / "paint.json", made("paint"))
-    found = call("export", tmp_path / "paint.json", "--to", "principled", "-o", tmp_path)
-    assert found.exit_code == 2
-    said = " ".join(found.output.split())
-    assert "this is a fit of two-scale: fit it by --model disney" in said
+@pytest.mark.parametrize("ior", [None, 1.3, 2.2])
+def test_what_is_nearest_in_mitsubas_principled_is_found_by_its_own_formula(ior):
+    mi = pytest.importorskip("mitsuba", reason="needs merlfit[mitsuba]")
+    mi.set_variant("scalar_rgb")
+    found = {"base_color": RGB.tolist(), "metallic": float(ior is None), "roughness": 0.35, "eta": ior or 1.5}
+    given = {key: {"type": "rgb", "value": x} if key == "base_color" else x for key, x in found.items()}
+    bsdf = mi.load_dict({"type": "principled", **given})
+    i, o = pairs()
+    theirs = np.transpose([drawn_by(mi, bsdf, a, b) for a, b in zip(i, o, strict=True)])
+    at = setting(from_vectors(i, o)).geometry
+    slope, rest = principled(Angles(*map(np.asarray, (at.cos_i, at.cos_o, np.cos(at.theta_h), at.cos_d))), 0.35, ior)
+    np.testing.assert_allclose(theirs, RGB[:, None] * slope + rest, rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", SCATTER)

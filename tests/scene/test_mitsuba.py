@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from merlfit.model.registry import models
 from merlfit.model.sampling import visible as ours
+from merlfit.scene.colour import REFLECTANCE_NM, reflectances
 from merlfit.scene.description import Scene
 from merlfit.scene.render import Film, pictures, stage
 from merlfit.scene.surface import drawn, surface
@@ -117,7 +118,8 @@ def test_tables_are_found_beside_their_scene(file, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("variant", "words"), [("scalar_spectral", "has no three channels"), ("metal", "is none of Mitsuba's")]
+    ("variant", "words"),
+    [("scalar_spectral_polarized", "has one channel, or polarised light"), ("metal", "is none of Mitsuba's")],
 )
 def test_a_variant_that_renders_nothing_is_one_line_that_names_those_that_do(variant, words, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["mitsuba", "a.xml", "--variant", variant])
@@ -147,6 +149,26 @@ def test_the_scalar_variant_says_how_far_it_is(capsys):
     np.testing.assert_allclose(np.array(plugin.rendered(scene, 10))[..., :3], 0.3, rtol=1e-6)
     said = capsys.readouterr().err.splitlines()
     assert [line.split(",")[0] for line in said] == ["4 of 10 samples", "8 of 10 samples", "10 of 10 samples"]
+
+
+@pytest.mark.parametrize("variant", ["scalar_spectral", "llvm_ad_spectral"])
+def test_spectral_variants_draw_spectra_of_these_colours(variant, file):
+    """At a node of the spectra of red, green and blue, and between two of them."""
+    if variant.startswith("llvm") and "DRJIT_LIBLLVM_PATH" not in os.environ:
+        pytest.skip("needs LLVM: Debian's libllvm19")
+    from tests.support.compiled import evaluate, from_vectors
+
+    mi.set_variant(variant)
+    plugin.register()
+    bsdf = mi.load_dict({"type": "merlfit", "filename": str(file)})
+    i, o = np.array([[0.3, 0.1, 0.9], [-0.2, 0.0, 0.9]]) / [[np.sqrt(0.91)], [np.sqrt(0.85)]]
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi, nm = mi.Vector3f([float(x) for x in i]), np.array([460.0, 550.0, 600.0, 700.0])
+    si.wavelengths = [float(x) for x in nm]
+    found = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f([float(x) for x in o]))).ravel() / o[2]
+    colour = np.asarray(evaluate(models()["ggx"](), GGX, from_vectors(i, o))).ravel()
+    expected = colour @ np.stack([np.interp(nm, REFLECTANCE_NM, each) for each in reflectances()])
+    np.testing.assert_allclose(found, expected, rtol=1e-2)
 
 
 @pytest.mark.parametrize("angle", [5, 50, 80])
