@@ -481,8 +481,9 @@ def export(
         str,
         typer.Option(
             help="mitsuba (scene and tables), rgl (tables that Mitsuba and pbrt-v4 read as they are), merl (.binary), "
-            "json (parameters alone), principled (Mitsuba's plugin), gltf or openpbr (parameters of a fit of disney or "
-            "openpbr; nearest GGX of others), zemax (table of scatter), abg or k-correlation (parameters by incidence)."
+            "json (parameters alone), principled (Mitsuba's plugin), gltf, openpbr or blender (parameters of a fit of "
+            "disney or openpbr; nearest GGX of others), zemax (table of scatter), abg or k-correlation (parameters by "
+            "incidence)."
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")] = Path("exported"),

@@ -24,6 +24,7 @@ from ..support.numbers import number
 from ..support.outputs import refuse_others, refuse_present
 from ..support.terminal import console, fail, reporting, writable_folder
 from . import principled, rgl_files
+from .blender_files import to_blender
 from .gltf_files import to_gltf
 from .materialx_files import to_openpbr
 from .mitsuba_files import to_mitsuba, to_principled
@@ -33,21 +34,29 @@ from .scatter_formulas import FORMULAS
 from .scenes import of_result
 from .xml_text import word
 
-To = Literal["mitsuba", "rgl", "principled", "merl", "json", "gltf", "openpbr", "zemax", "abg", "k-correlation"]
+To = Literal[
+    "mitsuba", "rgl", "principled", "merl", "json", "gltf", "openpbr", "blender", "zemax", "abg", "k-correlation"
+]
 ENDINGS = {
     "mitsuba": ("mitsuba.npz", "xml"), "principled": ("principled.xml",), "json": ("material.json",),
-    "gltf": ("gltf",), "openpbr": ("mtlx",),
+    "gltf": ("gltf",), "openpbr": ("mtlx",), "blender": ("blender.py",),
 }  # fmt: skip
 """Endings of files that are written but for MERL files, which may always be measurements."""
 
 
-FORMULAS_OF = {"gltf": "glTF 2.0, Appendix B", "openpbr": "OpenPBR", "principled": "Mitsuba's principled"}
+FORMULAS_OF = {
+    "gltf": "glTF 2.0, Appendix B", "openpbr": "OpenPBR", "principled": "Mitsuba's principled",
+    "blender": "OpenPBR, by which Blender's Principled BSDF is made,",
+}  # fmt: skip
+OPENPBR = {
+    "base_color": "base_color", "metallic": "base_metalness", "roughness": "specular_roughness", "ior": "specular_ior"
+}  # fmt: skip
 NAMES = {
-    "openpbr": {"base_color": "base_color", "metallic": "base_metalness", "roughness": "specular_roughness",
-                "ior": "specular_ior"},
+    "openpbr": OPENPBR, "blender": OPENPBR,
     "principled": {"base_color": "base_color", "metallic": "metallic", "roughness": "roughness", "ior": "eta"},
 }  # fmt: skip
 """What formats call the parameters of `nearest_ggx`."""
+WRITERS = {"openpbr": to_openpbr, "blender": to_blender, "principled": to_principled}
 
 
 def export(path: Path, to: str, out: Path, changes: Mapping[str, ArrayLike], force: bool = False) -> None:
@@ -133,9 +142,9 @@ def _exported(
                 f"spheres drawn by the formulas of glTF differ from the fit by a mean CIELAB distance of {off}"
             )
             return [to_gltf(path.stem, found, said, what, out)], [what]
-        case "openpbr" if principled.is_own(result, to):
+        case "openpbr" | "blender" if principled.is_own(result, to):
             inputs = principled.openpbr_inputs(result)
-            return [to_openpbr(path.stem, inputs, said, principled.in_words(result), out)], []
+            return [WRITERS[to](path.stem, inputs, said, principled.in_words(result), out)], []
         case _:
             say("nearest GGX")
             found = nearest_of(path, result, to)
@@ -143,8 +152,7 @@ def _exported(
             if to == "gltf":
                 return [to_gltf(path.stem, found, said, what, out)], [what]
             inputs = {own: found[key] for key, own in NAMES[to].items()}
-            write_one = to_principled if to == "principled" else to_openpbr
-            return [write_one(path.stem, inputs, said, what, out)], [what]
+            return [WRITERS[to](path.stem, inputs, said, what, out)], [what]
 
 
 def _whole(to: str, name: str, material: Material, said: str, out: Path) -> tuple[list[Path], list[str | Table]]:

@@ -79,7 +79,7 @@ def principled(a: Angles, roughness: float, ior: float | None) -> Brdf:
     return body / np.pi, fresnel_dielectric(a.d, ior) * facets
 
 
-FORMATS: dict[str, Format] = {"gltf": gltf, "openpbr": openpbr, "principled": principled}
+FORMATS: dict[str, Format] = {"gltf": gltf, "openpbr": openpbr, "blender": openpbr, "principled": principled}
 
 
 def _metal(facets: np.ndarray, cos_d: np.ndarray) -> Brdf:

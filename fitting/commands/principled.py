@@ -9,7 +9,7 @@ from ..results.schema import Result
 from ..support.numbers import number
 from .nearest_ggx import apart
 
-OWN = {"principled": "disney", "gltf": "disney", "openpbr": "openpbr"}
+OWN = {"principled": "disney", "gltf": "disney", "openpbr": "openpbr", "blender": "openpbr"}
 """Formats that take the parameters of a model as they are."""
 MITSUBA = {
     "baseColor": "base_color", "roughness": "roughness", "metallic": "metallic", "specular": "specular",

@@ -31,6 +31,7 @@ MARKS = {
     ".zemax.bsdf": rb"\A# [^\n]* by merlfit ",
     ".bsdf": rb"\Atensor_file\x00[\s\S]*tabulated by merlfit ",
     ".rgl.xml": rb"\A<\?xml[^>]*>\n<!-- ((?!-->)[\s\S])* by merlfit ",
+    ".blender.py": rb"\A# [^\n]* by merlfit ",
     ".pbrt": rb"\A# [^\n]* by merlfit ",
     ".json": rb'\A\s*\{\s*"schema_version"\s*:\s*"\d+\.\d+",\s*"(run|source)"\s*:',
     ".mitsuba.npz": rb"\APK\x03\x04[\s\S]{26}brdf\.npy[\s\S]*share\.npy[\s\S]*below\.npy",

@@ -43,6 +43,7 @@ WRITERS = {  # commands with a folder D of results and measurements, and what of
     ("export", "D/nickel.json", "--to", "principled", "-o", "D"): ["nickel.principled.xml"],
     ("export", "D/nickel.json", "--to", "gltf", "-o", "D"): ["nickel.gltf"],
     ("export", "D/nickel.json", "--to", "openpbr", "-o", "D"): ["nickel.mtlx"],
+    ("export", "D/nickel.json", "--to", "blender", "-o", "D"): ["nickel.blender.py"],
     ("export", "D/nickel.json", "--to", "zemax", "-o", "D"): [f"nickel.{c}.zemax.bsdf" for c in "RGB"],
     ("export", "D/nickel.json", "--to", "abg", "-o", "D"): ["nickel.abg.json"],
     ("cost", "-o", "D"): ["frontier.json", "cost.md", "cost.png", "rows.json"],

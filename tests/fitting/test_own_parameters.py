@@ -1,18 +1,26 @@
 """Fits whose parameters another program takes as they are: Mitsuba, glTF, OpenPBR, optical design programs."""
 
+import ast
 import base64
+import importlib.util
 import json
+import os
 import re
+import subprocess
+import sys
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from merlfit.fitting.commands import cli
+from merlfit.fitting.commands.blender_files import INPUTS
 from merlfit.fitting.commands.nearest_ggx import Angles, openpbr, principled
 from merlfit.fitting.commands.scatter_formulas import FORMULAS
 from merlfit.fitting.results.storage import write_result
+from merlfit.fitting.support import outputs
 from merlfit.model.reflectance import setting
 from merlfit.model.registry import models
+from merlfit.scene.images import read_map
 from typer.testing import CliRunner
 
 from tests.support.compiled import evaluate, from_vectors
@@ -151,14 +159,45 @@ def test_openpbrs_parameters_in_materialx_are_those_of_the_fit(tmp_path):
         np.testing.assert_allclose(found, RGB[:, None] * slope + rest, rtol=4e-3)
 
 
-@pytest.mark.parametrize("to", ["gltf", "openpbr", "principled"])
+def test_openpbrs_parameters_in_blender_are_those_of_the_fit(tmp_path):
+    written(tmp_path, "openpbr", OPENPBR, "blender")
+    outputs.refuse_others([tmp_path / "paint.blender.py"])
+    tree = ast.parse((tmp_path / "paint.blender.py").read_text())
+    (given,) = (
+        ast.literal_eval(x.value) for x in tree.body if isinstance(x, ast.Assign) and x.targets[0].id == "INPUTS"
+    )
+    assert set(given) == set(INPUTS.values())
+    for name, value in OPENPBR.items():
+        np.testing.assert_allclose(np.ravel(given[INPUTS[name]])[: np.size(value)], np.ravel(value), rtol=1e-5)
+
+
+def test_blender_draws_a_metal_as_openpbrs_formula_has_it(tmp_path):
+    """In a Python of its own that has `bpy`: this one, or the one that BLENDER_PYTHON names."""
+    python = os.environ.get("BLENDER_PYTHON") or (sys.executable if importlib.util.find_spec("bpy") else None)
+    if python is None:
+        pytest.skip("needs Blender as a module: pip install bpy, or its Python in BLENDER_PYTHON")
+    written(tmp_path, "openpbr", OPENPBR | {"base_metalness": 1.0, "specular_roughness": 0.4}, "blender")
+    subprocess.run([python, "paint.blender.py", "sphere.exr"], cwd=tmp_path, check=True, capture_output=True)
+    picture = read_map(tmp_path / "sphere.exr")
+    # along the normal: the lamp at 48 degrees, and the room, of which a metal reflects nearly its colour
+    towards = np.array([0.45, 0.55, 0.7]) / np.linalg.norm([0.45, 0.55, 0.7])
+    i, o = towards[None], np.array([[0.0, 0.0, 1.0]])
+    at = setting(from_vectors(i, o)).geometry
+    slope, rest = openpbr(Angles(*map(np.asarray, (at.cos_i, at.cos_o, np.cos(at.theta_h), at.cos_d))), 0.4, None)
+    lamp = 2 * towards[2] * (RGB * slope + rest)
+    seen = picture[124:132, 124:132].mean((0, 1))
+    np.testing.assert_allclose(seen, lamp + 0.3 * RGB, rtol=0.05)
+    np.testing.assert_allclose(picture[:8, :8].mean((0, 1)), 0.3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("to", ["gltf", "openpbr", "blender", "principled"])
 def test_parameters_of_another_model_are_not_taken_as_they_are(tmp_path, to, monkeypatch):
     from merlfit.fitting.commands import export
 
     asked = []
     found = {"base_color": [0.1] * 3, "metallic": 0.0, "roughness": 0.2, "ior": 1.5, "error": {"cielab": 1.0}}
     monkeypatch.setattr(export, "nearest_of", lambda path, result, to: asked.append(to) or found)
-    said = written(tmp_path, "disney" if to == "openpbr" else "openpbr", {}, to)
+    said = written(tmp_path, "disney" if to in ("openpbr", "blender") else "openpbr", {}, to)
     assert asked == [to]
     assert "differ from the fit by a mean CIELAB distance of 1.00" in " ".join(said.split())
 
