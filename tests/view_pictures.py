@@ -87,7 +87,7 @@ def film(browser, result, other):
         expect(page.get_by_role("button", name="Measure again")).to_be_visible(timeout=WAIT_MS)
         page.get_by_role("switch").nth(1).click()
         rested(page)
-        page.locator("details").scroll_into_view_if_needed()
+        page.locator(".keep").scroll_into_view_if_needed()
         shot(page, "effects")
         page = opened(browser, address, 1, 390, 844)
         page.get_by_role("slider", name="sigma_s: ").press("PageUp")

@@ -42,7 +42,9 @@ def view_results(paths: Sequence[Path], file: Path | None, out: Path | None, por
     try:
         serve(Live(shown, out, get_args(To)), port, ready)
     except OSError as error:
-        raise fail(f"--port {port}: {error.strerror or error}: choose another, or leave it out") from None
+        raise fail(
+            f"--port {port}: {str(error.strerror or error).split(' (')[0]}: choose another, or leave it out"
+        ) from None
     except Stopped:  # which is how it ends
         console.print("ended")
 

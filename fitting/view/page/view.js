@@ -5,6 +5,7 @@ const REST_MS = 180 // after the last movement a fine frame is asked for
 const STEPS = 1000 // of a slider
 const DECADES = 6 // that a logarithmic scale reaches below the brightest
 const APART = 6 // pixels between marks
+const SLOW_MS = 400 // after which it is said that a frame is being computed
 const SCALES = {
   "cube root": { to: Math.cbrt, back: (x) => x ** 3 },
   logarithmic: { to: Math.log10, back: (x) => 10 ** x },
@@ -255,11 +256,11 @@ class Lobes {
 /** One result: spheres, lobes, sliders, effects, and what is done with what was edited. */
 class Panel {
   constructor(result, index, about, common, model, heard) {
-    Object.assign(this, { result, index, common, model, heard, off: new Set(), busy: false, waiting: null, frames: [] })
+    Object.assign(this, { result, index, common, model, heard, off: new Set(), busy: false, waiting: null })
     this.images = {}
     this.lobes = new Lobes(result, common, (theta_i) => common.turn(theta_i))
     this.said = node("p", { class: "said", role: "status" })
-    this.pace = node("output", { class: "pace", "aria-live": "off", title: "Frames a second while something moves" })
+    this.pace = node("output", { class: "pace", "aria-live": "off", title: "From a movement to its frame" })
     const [parameters, sliders] = this.parameters()
     this.sliders = sliders
     this.el = node("section", { class: "panel", "aria-label": `${result.name}, ${result.model}` },
@@ -267,35 +268,34 @@ class Panel {
         node("p", { class: "fine" }, result.error, this.badge = node("span", { class: "badge", hidden: true }, "edited"))),
       node("div", { class: "look" }, this.spheres(), this.legend(), this.lobes.el),
       node("div", { class: "edit" }, parameters, this.effects(about), this.keep(about))))
-    this.state("computing the first picture; programs are compiled once, which takes some seconds")
   }
   spheres() {
     const shown = this.result.file ? ["fit"] : ["file", "fit"]
     const figures = LIGHTS.flatMap((light) => shown.map((what) => {
       const image = node("img", { alt: `Sphere of the ${what} under the ${light}`, width: 256, height: 256, draggable: "false" })
       this.images[`${what} ${light}`] = image
-      const words = { file: "measured", fit: "fit" }[what]
-      const apart = what === "fit" && !this.result.file ? (this.images[`apart ${light}`] = node("span", { class: "apart" })) : null
-      return node("figure", {}, image, node("figcaption", {}, node("b", {}, words), ` ${light}`, apart))
+            const apart = what === "fit" && !this.result.file ? (this.images[`apart ${light}`] = node("span", { class: "apart", title: "Mean CIELAB distance of the lit pixels from the file's; about 1 is just noticeable" })) : null
+      return node("figure", {}, image, node("figcaption", {}, node("b", {}, what), ` ${light}`, apart))
     }))
     return node("div", { class: `spheres of-${shown.length}` }, ...figures)
   }
   legend() {
     const scattered = this.result.scattered ? " (between its samples)" : ""
     const items = [
-      this.result.file ? null : node("span", { class: "key marks" }, `measured${scattered}`), node("span", { class: "key line" }, "fit as it is now"),
+      this.result.file ? null : node("span", { class: "key marks" }, `file${scattered}`), node("span", { class: "key line" }, "fit as it is now"),
       node("span", { class: "key thin" }, this.result.before), node("span", { class: "key shade" }, "posterior, 5 to 95 %"),
     ]
     const channels = this.result.channels.map((c) => node("b", { class: "channel", style: `--channel:${c.colour}` }, c.name))
     this.shade = items[3]
     const without = this.result.file ? node("p", { class: "fine" }, `Without the file: ${this.result.file}`) : null
-    return node("div", { class: "legend" }, ...channels, ...items, without)
+    return node("div", { class: "legend" }, ...channels, ...items, this.pace, without)
   }
   parameters() {
     const groups = Map.groupBy ? Map.groupBy(this.result.parameters, (q) => q.parameter) : this.result.parameters.reduce((m, q) => m.set(q.parameter, [...(m.get(q.parameter) ?? []), q]), new Map())
     const sliders = [], el = node("div", { class: "parameters" })
+    this.all = node("button", { type: "button", class: "quiet", disabled: true, onclick: () => { sliders.forEach((x) => x.set(x.q.value, false, true)); this.changed(false) } }, `↺ all ${this.result.before}`)
     const kinds = [...new Set(this.result.parameters.map((q) => q.interval_of).filter(Boolean))].join(", else ")
-    el.append(node("p", { class: "legend" }, kinds ? node("span", { class: "key interval-key" }, `90 % interval (${kinds})`) : null, node("span", { class: "key tick" }, this.result.before)))
+    el.append(node("p", { class: "legend" }, kinds ? node("span", { class: "key interval-key" }, `90 % interval (${kinds})`) : null, node("span", { class: "key tick" }, this.result.before), this.all))
     for (const [name, own] of groups) {
       const q = own[0], colour = (c) => this.result.channels.find((x) => x.name === c) ?? { colour: "#888" }
       const together = own.length > 1 ? node("input", { type: "checkbox" }) : null
@@ -321,7 +321,6 @@ class Panel {
     this.switches = this.result.effects.map((effect) => {
       const box = node("input", { type: "checkbox", role: "switch", checked: true, onchange: () => {
         box.checked ? this.off.delete(effect.name) : this.off.add(effect.name)
-        this.state(`without ${[...this.off].join(", ") || "nothing"}: a set of effects that is new is compiled once, which takes some seconds`)
         this.ask(false)
       } })
       const cost = node("small", {}, effect.instead === "none" ? "" : `off: ${effect.instead}`)
@@ -342,7 +341,6 @@ class Panel {
     this.save = node("button", { type: "button", class: "main", disabled: true, onclick: () => {
       this.model.send({ ask: "save", result: this.index, values: this.values, name: this.name.value.trim() })
     } }, "Save as a result")
-    this.all = node("button", { type: "button", disabled: true, onclick: () => { this.sliders.forEach((x) => x.set(x.q.value, false, true)); this.changed(false) } }, `All ${this.result.before}`)
     const to = node("select", { "aria-label": "Format" }, ...about.exports.map((x) => node("option", {}, x)))
     this.send = node("button", { type: "button", disabled: true, onclick: () => {
       this.state(`exporting ${this.path} to ${to.value}`)
@@ -350,8 +348,8 @@ class Panel {
       this.model.send({ ask: "export", result: this.index, path: this.path, to: to.value })
     } }, "Export")
     const exports = about.exports.length ? node("div", { class: "row" }, to, this.send, this.hint = node("span", { class: "fine" }, "once it is saved")) : null
-    return node("div", { class: "keep" }, node("div", { class: "row" }, node("span", { class: "name" }, this.name, ".json"), this.save, this.all), exports,
-      node("div", { class: "row" }, this.said, this.pace))
+    return node("div", { class: "keep" }, node("div", { class: "row" }, node("span", { class: "name" }, this.name, ".json"), this.save), exports,
+      this.said)
   }
   get values() { return Object.fromEntries(this.sliders.filter((x) => x.edited).map((x) => [x.q.name, x.value])) }
   changed(moving) {
@@ -365,12 +363,17 @@ class Panel {
     if (moving) this.rest = setTimeout(() => this.ask(false), REST_MS)
     if (this.busy) { this.waiting = { moving }; return } // the newest takes the place of what waits
     this.busy = true
+    this.asked = performance.now()
+    this.slow = setTimeout(() => this.el.toggleAttribute("data-busy", true), SLOW_MS)
     this.model.send({ ask: "frame", result: this.index, values: this.values, off: [...this.off], theta_i: this.common.theta_i, exposure: this.common.exposure, moving })
   }
   hear(message) {
     if (message.answer === "frame") {
       this.busy = false
-      if (!message.error) this.show(message)
+      clearTimeout(this.slow)
+      this.el.removeAttribute("data-busy")
+      if (message.error) this.state(message.error, true)
+      else { this.show(message); if (this.said.classList.contains("bad")) this.state("") }
       if (this.waiting) { const { moving } = this.waiting; this.waiting = null; this.ask(moving) }
     } else if (message.answer === "costs") this.priced(message)
     else if (message.answer === "save" && !message.error) {
@@ -379,7 +382,7 @@ class Panel {
       if (this.send) { this.send.disabled = false; this.hint.textContent = message.path.split("/").pop() }
       this.state(`Saved ${message.path}`)
     } else if (message.answer === "export") { this.send.disabled = false; if (!message.error) this.state(message.said) }
-    if (message.error) this.state(message.error, true)
+    if (message.error && message.answer !== "frame") this.state(message.error, true)
   }
   show(message) {
     for (const light of LIGHTS) {
@@ -391,13 +394,8 @@ class Panel {
     }
     this.lobes.show(message.lobe, message.moving)
     this.shade.hidden = !message.lobe.low && !message.moving
-    if (/compiled once|computing/.test(this.said.textContent)) this.state(this.off.size ? `without ${[...this.off].join(", ")}` : "")
     this.el.dataset.frame = message.moving ? "coarse" : "fine"
-    const now = performance.now()
-    if (message.moving) {
-      this.frames = [...this.frames.filter((t) => now - t < 1000), now]
-      if (this.frames.length > 2) this.pace.textContent = `${((1000 * (this.frames.length - 1)) / (now - this.frames[0])).toFixed(0)} frames/s`
-    }
+    if (message.moving) this.pace.textContent = `${(performance.now() - this.asked).toFixed(0)} ms a frame`
   }
   priced(message) {
     this.costs.disabled = false
@@ -408,8 +406,8 @@ class Panel {
       const found = message.costs[effect.name]
       if (!found) continue
       if (!found.kept) left.push(effect.words)
-      const saves = found.saves > 0.02 ? `${Math.round(100 * found.saves)} % of the time` : "no time"
-      cost.textContent = `costs ${saves}; without it a pixel changes by up to ${digits(found.off_by, 2)} ΔE${effect.instead === "none" ? "" : ` (off: ${effect.instead})`}`
+      const saves = found.saves > 0.02 ? `${Math.round(100 * found.saves)} % of the time` : "takes no time"
+      cost.textContent = [saves, `seen by up to ${digits(found.off_by, 2)} ΔE`, ...(effect.instead === "none" ? [] : [`off: ${effect.instead}`])].join(" · ")
     }
     this.planned.textContent = left.length ? `Left out while something moves, as no pixel shows it: ${left.join(", ")}.` : "All are kept while something moves: each is seen."
   }
