@@ -73,7 +73,7 @@ class Environment(_Part):
     kind: Literal["studio", "constant", "map"]
     """A studio with three windows, the same from everywhere, or a picture of latitude and longitude."""
     file: str | None = None
-    """The map: .exr or .npy, linear RGB, first row up; relative to the scene's file."""
+    """The map: .exr, .hdr or .npy, linear RGB, first row up; relative to the scene's file."""
     strength: Colour = (1.0, 1.0, 1.0)
     """Factor of the radiance, R, G, B or one number for all."""
     background: bool = False

@@ -1,5 +1,6 @@
-"""Image files: EXR of radiance, PNG for screens, and environment maps; through OpenEXR and Pillow."""
+"""Image files: EXR of radiance, PNG for screens, and environment maps; through OpenEXR, OpenImageIO and Pillow."""
 
+import importlib.util
 import io
 import math
 import os
@@ -18,6 +19,7 @@ from .colour import displayed
 from .description import SceneError
 
 LARGEST = 2**27  # numbers of a map: 8192 x 4096 pixels of four channels
+NEGATIVE = 1e-3  # of all light: filters that resize a map leave a little below 0, which is taken for 0
 BRIGHTEST = float(np.finfo(np.float32).max)  # of a map: pictures are made in single precision
 
 
@@ -54,14 +56,16 @@ def write_png(path: Path, radiance: np.ndarray) -> None:
 
 
 def read_map(path: Path) -> np.ndarray:
-    """An environment's radiance (H, W, 3) from .exr or .npy.
+    """An environment's radiance (H, W, 3) from .exr, .hdr (Radiance's) or .npy.
 
     Raises:
         SceneError: it cannot be read, or is no map.
     """
-    reader = {".npy": _npy, ".exr": _exr}.get(path.suffix.lower())
+    reader = {".npy": _npy, ".exr": _exr, ".hdr": _hdr}.get(path.suffix.lower())
     if reader is None:
-        raise SceneError(f"{path}: a map is an .exr or .npy file")
+        raise SceneError(f"{path}: a map is an .exr, .hdr or .npy file")
+    if reader is _hdr and importlib.util.find_spec("OpenImageIO") is None:
+        raise SceneError(f"{path}: .hdr files need OpenImageIO: pip install 'merlfit[hdr]', or convert it to .exr")
     with opened(path, SceneError) as (file, _):
         try:
             found = reader(file)
@@ -72,8 +76,9 @@ def read_map(path: Path) -> np.ndarray:
             raise SceneError(f"{path}: cannot be read as a map ({said})") from None
     if found.ndim != 3 or found.shape[2] != 3 or min(found.shape[:2]) < 2:
         raise SceneError(f"{path}: a map has the shape (height, width, 3), not {found.shape}")
-    if not np.all(np.isfinite(found)) or found.min() < 0 or found.max() == 0:
+    if not np.all(np.isfinite(found)) or found.max() <= 0 or -np.minimum(found, 0).sum() > NEGATIVE * found.sum():
         raise SceneError(f"{path}: a map's radiance is finite and not negative, and not 0 everywhere")
+    found = np.maximum(found, 0.0)
     if found.max() > BRIGHTEST:
         raise SceneError(f"{path}: a map's radiance is at most {BRIGHTEST:g}, not {found.max():g}")
     return found
@@ -101,6 +106,20 @@ def _exr(file: IO[bytes]) -> np.ndarray:
         channels = exr.channels()
         one = channels.get("RGB") or channels.get("RGBA")
         return np.asarray(one.pixels[..., :3] if one else np.stack([channels[k].pixels for k in "RGB"], -1), float)
+
+
+def _hdr(file: IO[bytes]) -> np.ndarray:
+    import OpenImageIO
+
+    image = OpenImageIO.ImageInput.open(file.name)
+    if image is None:
+        raise ValueError(OpenImageIO.geterror())
+    spec = image.spec()
+    _fits((spec.height, spec.width, spec.nchannels))
+    found = image.read_image(OpenImageIO.FLOAT)
+    if found is None:
+        raise ValueError(image.geterror())
+    return np.asarray(found, float)
 
 
 @contextmanager

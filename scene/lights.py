@@ -12,7 +12,8 @@ from .colour import LUMINANCE
 SKY, GROUND = 0.6, 0.15
 WINDOWS = (((-0.6, 0.5, 0.6), 60.0, 4.0), ((0.7, 0.6, 0.3), 200.0, 12.0), ((0.2, 0.9, -0.3), 30.0, 2.0))
 """Direction, concentration and radiance of the studio's windows."""
-ROWS, COLUMNS = 128, 256  # of the map that directions are drawn from
+ROWS, COLUMNS = (128, 512), (256, 1024)  # at least and at most, of the map that directions are drawn from
+TINY = 1e-30
 FEWEST = 1e-3  # of the mean: a cell that is darker is drawn as if it were as bright
 
 
@@ -67,13 +68,14 @@ class Environment(eqx.Module):
 
     Attributes:
         radiance: at the centres of (H, W) cells, (H, W, 3); the first row is up (+y), longitude atan2(x, -z) from -pi.
-        alias, threshold: of Walker's method to draw cells (ROWS COLUMNS,). density_of_cell: of directions (1/sr).
+        rows, columns: distribution functions by which cells are drawn, (R + 1,), and in each row (R, C + 1).
+        density_of_cell: of directions (1/sr), (R, C).
         share: of the directions that are best drawn by the environment: none where it is even, up to a half.
     """
 
     radiance: Array
-    alias: Array
-    threshold: Array
+    rows: Array
+    columns: Array
     density_of_cell: Array
     share: Array
 
@@ -93,24 +95,35 @@ class Environment(eqx.Module):
         return found
 
     def draw(self, u: Array) -> Array:
-        """Unit directions (..., 3) by three numbers, nearly in proportion to radiance."""
-        position = u[..., 0] * (ROWS * COLUMNS)
-        cell = jnp.minimum(position.astype(jnp.int32), ROWS * COLUMNS - 1)
-        cell = jnp.where(position - cell < self.threshold[cell], cell, self.alias[cell])
-        row, column = cell // COLUMNS, cell % COLUMNS
+        """Unit directions (..., 3) by two numbers, nearly in proportion to radiance: as even as the numbers are."""
+        rows, columns = self.density_of_cell.shape
+        row, down = _within(self.rows, jnp.zeros(u.shape[:-1], jnp.int32), rows, u[..., 0])
+        column, right = _within(self.columns.ravel(), row * (columns + 1), columns, u[..., 1])
         # even in the cosine of the latitude: in solid angle
-        upper, lower = (jnp.cos(jnp.pi / ROWS * (row + k)) for k in (0, 1))
-        up = upper + (lower - upper) * u[..., 1]
-        longitude = (2 * (column + u[..., 2]) / COLUMNS - 1) * jnp.pi
+        upper, lower = (jnp.cos(jnp.pi / rows * (row + k)) for k in (0, 1))
+        up = upper + (lower - upper) * down
+        longitude = (2 * (column + right) / columns - 1) * jnp.pi
         across = jnp.sqrt(jnp.maximum(1 - up * up, 0.0))
         return jnp.stack([across * jnp.sin(longitude), up, -across * jnp.cos(longitude)], -1)
 
     def density(self, direction: Array) -> Array:
         """Density of the directions of :meth:`draw` (1/sr)."""
+        rows, columns = self.density_of_cell.shape
         row, column = _place(direction)
-        i = jnp.clip((row * ROWS).astype(jnp.int32), 0, ROWS - 1)
-        j = jnp.clip((column * COLUMNS).astype(jnp.int32), 0, COLUMNS - 1)
-        return self.density_of_cell[i * COLUMNS + j]
+        i = jnp.clip((row * rows).astype(jnp.int32), 0, rows - 1)
+        j = jnp.clip((column * columns).astype(jnp.int32), 0, columns - 1)
+        return self.density_of_cell.ravel()[i * columns + j]
+
+
+def _within(function: Array, first: Array, count: int, u: Array) -> tuple[Array, Array]:
+    """In which of ``count`` intervals of distribution functions, that begin at ``first``, numbers lie, and how far."""
+    low, high = jnp.zeros_like(first), jnp.full_like(first, count)
+    for _ in range((count - 1).bit_length()):
+        middle = (low + high) // 2
+        beyond = function[first + middle] <= u
+        low, high = jnp.where(beyond, middle, low), jnp.where(beyond, high, middle)
+    begin, end = function[first + low], function[first + low + 1]
+    return low, jnp.clip((u - begin) / jnp.maximum(end - begin, TINY), 0.0, 1.0)
 
 
 def _place(direction: Array) -> tuple[Array, Array]:
@@ -132,36 +145,30 @@ def directions(rows: int, columns: int) -> np.ndarray:
 
 def environment(radiance: np.ndarray) -> Environment:
     """From a map of any size (H, W, 3), linear RGB."""
-    at = directions(ROWS, COLUMNS)
-    rows, columns = radiance.shape[:2]
-    # the mean of the map's cells that lie in each cell of ours, by a few points of each
-    fine = directions(4 * ROWS, 4 * COLUMNS)
-    i = np.clip((np.arccos(np.clip(fine[..., 1], -1, 1)) / np.pi * rows).astype(int), 0, rows - 1)
-    j = np.clip(((np.arctan2(fine[..., 0], -fine[..., 2]) / np.pi + 1) / 2 * columns).astype(int), 0, columns - 1)
-    luminance = (radiance @ LUMINANCE)[i, j].reshape(ROWS, 4, COLUMNS, 4).mean((1, 3))
-    edges = np.cos(np.arange(ROWS + 1) / ROWS * np.pi)
-    solid_angle = np.broadcast_to((edges[:-1] - edges[1:])[:, None] * 2 * np.pi / COLUMNS, at.shape[:2])
+    rows, columns = (int(np.clip(n, *ends)) for n, ends in zip(radiance.shape, (ROWS, COLUMNS), strict=False))
+    luminance = _averaged(_averaged(radiance @ LUMINANCE, rows).T, columns).T  # not a pixel of a small sun is missed
+    edges = np.cos(np.arange(rows + 1) / rows * np.pi)
+    solid_angle = np.broadcast_to((edges[:-1] - edges[1:])[:, None] * 2 * np.pi / columns, luminance.shape)
     mean = np.sum(luminance * solid_angle) / (4 * np.pi)
     variation = np.sqrt(np.sum((luminance - mean) ** 2 * solid_angle) / (4 * np.pi)) / mean if mean > 0 else 0.0
     share = np.maximum(luminance, FEWEST * mean if mean > 0 else 1.0) * solid_angle
     share = share / share.sum()
-    alias, threshold = _aliases(share.ravel())
-    density = (share / solid_angle).ravel()
-    return Environment(
-        jnp.asarray(radiance, jnp.float32), jnp.asarray(alias, jnp.int32), jnp.asarray(threshold, jnp.float32),
-        jnp.asarray(density, jnp.float32), jnp.asarray(variation / (1 + 2 * variation), jnp.float32),
-    )  # fmt: skip
+    of_rows = share.sum(1)
+    return Environment(*(jnp.asarray(x, jnp.float32) for x in (
+        radiance, _distribution(of_rows), _distribution(share / of_rows[:, None]), share / solid_angle,
+        variation / (1 + 2 * variation),
+    )))  # fmt: skip
 
 
-def _aliases(share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Walker's and Vose's tables: a cell keeps its own draw below the threshold, and gives it to its alias above."""
-    scaled = share * len(share)
-    alias, threshold = np.arange(len(share)), np.ones(len(share))
-    small, large = [list(np.flatnonzero(x)) for x in (scaled < 1, scaled >= 1)]
-    while small and large:
-        less, more = small.pop(), large[-1]
-        alias[less], threshold[less] = more, scaled[less]
-        scaled[more] -= 1 - scaled[less]
-        if scaled[more] < 1:
-            small.append(large.pop())
-    return alias, threshold
+def _distribution(share: np.ndarray) -> np.ndarray:
+    """Distribution functions of shares of the last axis, (..., N + 1)."""
+    return np.concatenate([np.zeros((*share.shape[:-1], 1)), np.cumsum(share, -1)], -1)
+
+
+def _averaged(x: np.ndarray, count: int) -> np.ndarray:
+    """Means of the first axis over as many even intervals, (count, ...)."""
+    whole = np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, 0)])
+    edges = np.linspace(0, len(x), count + 1)
+    first = np.minimum(edges.astype(int), len(x) - 1)
+    at_edges = whole[first] + (edges - first)[:, None] * x[first]
+    return np.diff(at_edges, axis=0) * (count / len(x))

@@ -26,7 +26,7 @@ from .shapes import FAR, Shapes
 from .surface import Drawn, Material
 
 CHUNK = 1 << 16  # samples at a time
-DIMENSIONS = 2, 1, 3, 2, 2  # of the place in a pixel, of the choice, of environment, material, and each lamp
+DIMENSIONS = 2, 1, 2, 2, 2  # of the place in a pixel, of the choice, of environment, material, and each lamp
 LEAST = 1e-12  # density: below it the direction did not come from either
 STREAM = 0x5CE7E  # of random numbers that turn the sequence
 Report = Callable[[float], None]
@@ -162,8 +162,8 @@ def lit(stage: Stage, sampler: Sampler, material: Array, pixel: Array, u: Array)
     viewer = jnp.where(seen[..., None], viewer, up)
     found, start = [], sum(DIMENSIONS[:2])  # of each light: directions in the world, in the frame, radiance by density
     if (around := stage.environment) is not None:
-        by_light = around.draw(u[..., start : start + 3])
-        by_material = sampler.draw(viewer, u[..., start + 3 : start + 5])
+        by_light = around.draw(u[..., start : start + 2])
+        by_material = sampler.draw(viewer, u[..., start + 2 : start + 4])
         chosen = (u[..., 2] < around.share)[..., None]
         direction = jnp.where(chosen, by_light, sum(by_material[..., k, None] * axis for k, axis in enumerate(axes)))
         light = jnp.where(chosen, _local(axes, by_light), by_material)

@@ -446,12 +446,25 @@ def render(
     check: Annotated[
         bool, typer.Option("--check/--no-check", help="Of a scene: render it with all effects, too, and compare.")
     ] = True,
-    samples: Annotated[int | None, typer.Option(min=1, help="Of each pixel.")] = None,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="Of each pixel \\[default: the scene's; of fits as noise wants it].")
+    ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the samples.")] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(help="Of one fit: a parameter and factors of its value, as in b=0.5,1,2; given twice, a grid."),
     ] = None,
+    environment: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of fits: the light, a picture of latitude and longitude (.exr, .hdr, .npy) \\[default: a studio].",
+            readable=False,
+        ),
+    ] = None,
+    size: Annotated[
+        int | None, typer.Option(min=16, max=4096, help="Of fits: width of a sphere in pixels \\[default: 256].")
+    ] = None,
+    exposure: Annotated[float, typer.Option(help="Of fits: in stops; 1 is twice as bright.", min=-30, max=30)] = 0.0,
     edit: Set = None,
     force: Force = False,
 ) -> None:
@@ -462,14 +475,16 @@ def render(
     """
     from .scenes import render_scene
     from .settings import values_given
-    from .sphere_sheets import render_results
+    from .sphere_sheets import Studio, render_results
 
     if what[0].suffix == ".toml":
-        if len(what) > 1 or vary or edit:
-            raise fail("one scene at a time; --vary and --set are for the RESULT.json of a fit")
+        if len(what) > 1 or vary or edit or environment or size or exposure:
+            of_fits = "--vary, --set, --environment, --size and --exposure are for the RESULT.json of a fit"
+            raise fail(f"one scene at a time; {of_fits}")
         render_scene(what[0], out, every, check, samples, seed, force)
     else:
-        render_results(what, out, vary or [], values_given(edit), samples, seed, force)
+        studio = Studio.of(environment, size, exposure, samples, seed)
+        render_results(what, out, vary or [], values_given(edit), studio, force)
 
 
 @app.command(epilog="Example: merlfit export fits/nickel.json --to mitsuba -o exported")

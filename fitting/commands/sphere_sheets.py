@@ -1,7 +1,9 @@
 """Results as spheres: each beside its file, or a grid of them with parameters changed."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import typer
@@ -17,7 +19,7 @@ from ...scene.colour import coloured, difference, displayed
 from ...scene.description import Camera, Environment, Scene, SceneError, Source, Sphere
 from ...scene.effects import Given
 from ...scene.render import Film, pictures, stage
-from ...scene.surface import drawn, measurement
+from ...scene.surface import Drawn, drawn, measurement
 from ..fit.scattered_errors import LEAST_SHOWN, shown_by
 from ..pipeline.editing import edited, edited_file
 from ..results.schema import Result
@@ -28,6 +30,7 @@ from ..show.style import save
 from ..show.subject import BETWEEN, on_bins
 from ..support.choices import THETA_MAX
 from ..support.compilation import use_persistent_cache
+from ..support.numbers import counted, distance
 from ..support.outputs import refuse_others
 from ..support.terminal import (
     BAD_INPUT,
@@ -39,9 +42,10 @@ from ..support.terminal import (
     why_ended,
     writable_folder,
 )  # fmt: skip
-from .scenes import Say, changed, grey, of_result
+from .scenes import Say, grey, of_result
 
 LARGEST_SHOWN = 10.0  # CIELAB distance that is white in a picture of differences
+QUIET, MOST = 0.3, 256  # CIELAB noise at which spheres are fine, and samples of a pixel at which they have to be
 STUDIO = Scene(
     camera=Camera(position=(0.0, 0.0, 6.0), field_of_view_deg=20.0), environment=Environment(kind="studio"),
     sphere=[Sphere(material="shown")], materials={"shown": Source(model="two-scale")}, samples=64,
@@ -49,12 +53,86 @@ STUDIO = Scene(
 """A sphere under the studio's windows, in which results are shown."""
 
 
-def sphere_of(given: Given, scene: Scene) -> np.ndarray:
-    """A material as a sphere in the studio, (height, width, 3) over white, with all effects."""
-    film = Film(scene, stage(scene))
-    material = given.of(given.model) if given.model is not None else given.finest()
-    (found,) = pictures(film, [drawn(material)])
+@dataclass(frozen=True)
+class Studio:
+    """Where spheres are shown.
+
+    Attributes:
+        scene: with samples of a round. radiance: of the environment's map (H, W, 3), if it has one. most: rounds, at
+            the most, until the noise is at `QUIET`.
+    """
+
+    scene: Scene = STUDIO
+    radiance: np.ndarray | None = None
+    most: int = 2
+
+    @classmethod
+    def of(
+        cls, environment: Path | None, size: int | None, exposure: float, samples: int | None, seed: int | None
+    ) -> "Studio":
+        """The usual one with a map all around, another size, exposure in stops, and samples that are two rounds.
+
+        Raises:
+            SceneError: the map cannot be read.
+        """
+        camera = STUDIO.camera.model_copy(update={"width": size, "height": size}) if size else STUDIO.camera
+        around = Environment(kind="map", file=str(environment)) if environment else STUDIO.environment
+        whole = samples or STUDIO.samples
+        scene = STUDIO.model_copy(update={
+            "camera": camera, "environment": around, "white": 2.0**-exposure, "samples": max(whole // 2, 1),
+            "seed": STUDIO.seed if seed is None else seed,
+        })  # fmt: skip
+        radiance = None if environment is None else images.read_map(environment)
+        return cls(scene, radiance, 2 if samples else MOST // scene.samples)
+
+    def sphere(self, given: Given) -> "Rendered":
+        """A material as a sphere, with all effects, in rounds until the noise is low."""
+        material, halves, done = _material(given), np.zeros((2, *self._shape)), 0
+        while True:
+            for _ in range(max(done, 2)):  # twice as many as before, half of them for each half
+                scene = self.scene.model_copy(update={"seed": (self.scene.seed + done) % 2**32})
+                halves[done % 2] += _sphere(material, scene, self.radiance)
+                done += 1
+            one, other = 2 * halves / done
+            noise = _noise(one, other)
+            if noise <= QUIET or 2 * done > self.most:
+                return Rendered((one + other) / 2, noise, done * self.scene.samples)
+
+    @property
+    def _shape(self) -> tuple[int, int, int]:
+        return self.scene.camera.height, self.scene.camera.width, 3
+
+
+class Rendered(NamedTuple):
+    """A sphere: radiance over white (height, width, 3), its noise (CIELAB, mean over the sphere), samples a pixel."""
+
+    picture: np.ndarray
+    noise: float
+    samples: int
+
+
+def _noise(one: np.ndarray, other: np.ndarray) -> float:
+    """Noise of the mean of two pictures that are independent: half of how far they are apart, as a screen shows them.
+
+    Errors of both are alike, so that of the mean is as large as half of their difference.
+    """
+    seen = np.any((one > 0) | (other > 0), -1)
+    apart = difference(np.clip(one[seen], 0, 1), np.clip(other[seen], 0, 1))
+    return float(apart.mean() / 2) if apart.size else 0.0
+
+
+def _material(given: Given) -> Drawn:
+    return drawn(given.of(given.model) if given.model is not None else given.finest())
+
+
+def _sphere(material: Drawn, scene: Scene, radiance: np.ndarray | None = None) -> np.ndarray:
+    (found,) = pictures(Film(scene, stage(scene, radiance)), [material])
     return found
+
+
+def sphere_of(given: Given, scene: Scene) -> np.ndarray:
+    """A material as a sphere in the studio, (height, width, 3) over white, with all effects and the scene's samples."""
+    return _sphere(_material(given), scene)
 
 
 def beside(measured: np.ndarray, fitted: np.ndarray, data: str, what: str = "fit") -> Figure:
@@ -87,7 +165,7 @@ def factors_of(text: str) -> tuple[str, list[float]]:
     return name.strip(), found
 
 
-def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: Say) -> Figure:
+def varied(result: Result, path: Path, vary: Sequence[str], studio: Studio, say: Say) -> tuple[list[Rendered], Figure]:
     """Spheres of a fit with one parameter or two multiplied by factors, as HP17 Fig. 16 and 17.
 
     The first parameter goes across, the second down; what value each row and column has stands beside it.
@@ -101,6 +179,7 @@ def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: S
     whole = of_result(path.stem, result, path)
     assert whole.model is not None
     declared, values, made_of = {q.name: q for q in whole.model.parameters}, result.values(), []
+    every: list[Rendered] = []
     for name, factors in axes:
         if name not in declared:
             why = " for a picture of the material, without the apparatus" if name in values else ""
@@ -114,7 +193,8 @@ def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: S
             changed = {name: np.asarray(values[name]) * factor for name, factor in factors.items()}
             say(", ".join(f"{name} x {factor:g}" for name, factor in factors.items()))
             given = of_result(path.stem, result, path, changed)
-            line.append(displayed(sphere_of(given, scene)))
+            every.append(studio.sphere(given))
+            line.append(displayed(every[-1].picture))
         made_of.append(np.concatenate(line, 1))
 
     def words(name: str, factor: float) -> str:
@@ -128,7 +208,7 @@ def varied(result: Result, path: Path, vary: Sequence[str], scene: Scene, say: S
     edit = f", {result.edited_words}" if result.edited_from else ""
     of = f"fit of {result.source.material} ({result.data_words}){edit}"
     title = f"{of}, without the grazing loss. Across: {axis(across)}"
-    return labelled(
+    return every, labelled(
         np.concatenate(made_of), [words(across, factor) for factor in columns],
         [words(down, factor) for factor in rows] if down else (), title, axis(down) if down else "",
     )  # fmt: skip
@@ -145,20 +225,19 @@ def _tell_if_outside(kind: Parameter, value: np.ndarray, factor: float) -> None:
 
 
 def render_results(
-    paths: Sequence[Path], out: Path, vary: Sequence[str], changes: Mapping[str, ArrayLike], samples: int | None,
-    seed: int | None, force: bool = False,
+    paths: Sequence[Path], out: Path, vary: Sequence[str], changes: Mapping[str, ArrayLike], studio: Studio,
+    force: bool = False,
 ) -> None:  # fmt: skip
     """`merlfit render RESULT...`: each beside its file, or varied; exits with 2 after bad input.
 
     Args:
-        changes: values of parameters to set; pictures are of the result's name, and ``.edited``. force: write over any
-            file.
+        changes: values of parameters to set; pictures are of the result's name, and ``.edited``. studio: under an
+            environment's map the material alone is written as EXR, too. force: write over any file.
     """
     use_persistent_cache()
     writable_folder(out)
     code, written = 0, set()
     varied_by = "-".join(each.partition("=")[0].strip() for each in vary) + "." * bool(vary)
-    scene = changed(STUDIO, samples=samples, seed=seed)
     if vary and len(paths) > 1:
         raise fail("--vary is for one fit at a time")
     with progress_display() as progress:
@@ -166,13 +245,17 @@ def render_results(
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             try:
                 stem = edited_file(path).stem if changes else path.stem
-                target = out / f"{stem}.{varied_by}png"
-                if target in written:
-                    raise SceneError(f"{path}: {target} is of another result of this command: render them one by one")
-                refuse_others([target], force)
-                _render_result(path, target, vary, changes, scene, say)
-                written.add(target)
-                console.print(f"wrote {target}")
+                targets = [out / f"{stem}.{varied_by}png"]
+                if studio.radiance is not None and not vary:
+                    targets.append(out / f"{stem}.exr")
+                if written & {*targets}:
+                    raise SceneError(
+                        f"{path}: {targets[0]} is of another result of this command: render them one by one"
+                    )
+                refuse_others(targets, force)
+                found = _render_result(path, targets, vary, changes, studio, say)
+                written |= {*targets}
+                console.print(f"wrote {', '.join(map(str, targets))}; {_said(found)}")
             except Exception as error:  # of any kind: the next result has its turn
                 code = BAD_INPUT
                 fail(why_ended(path, error))
@@ -180,33 +263,58 @@ def render_results(
         raise typer.Exit(code)
 
 
+def _said(found: Sequence[Rendered]) -> str:
+    """Noise and samples of the worst of some spheres."""
+    worst = max(found, key=lambda each: each.noise)
+    return f"noise {distance(worst.noise)} (CIELAB, mean over the sphere) by {counted(worst.samples, 'sample')} a pixel"
+
+
 def _render_result(
-    path: Path, target: Path, vary: Sequence[str], changes: Mapping[str, ArrayLike], scene: Scene, say: Say
-) -> None:
+    path: Path, targets: Sequence[Path], vary: Sequence[str], changes: Mapping[str, ArrayLike], studio: Studio, say: Say
+) -> list[Rendered]:
+    """Write the sheet of a result, and under an environment's map the material alone; all spheres on them."""
     if path.suffix == ".toml":
         raise SceneError(f"{path}: one scene at a time, and no result beside it")
     result = edited(path, read_result(path), changes)
     if vary:
-        save(varied(result, path, vary, scene, say), target)
-        return
+        found, figure = varied(result, path, vary, studio, say)
+        save(figure, targets[0])
+        return found
+    beside, sheet = _sheet(path, result, studio, say)
+    if len(targets) == 1 and sheet is not None:
+        save(sheet, targets[0])
+        return beside
+    say("material")
+    alone = studio.sphere(of_result(path.stem, result, path))
+    if sheet is None:
+        images.write_png(targets[0], alone.picture)
+    else:
+        save(sheet, targets[0])
+    for target in targets[1:]:
+        images.write_exr(target, alone.picture * studio.scene.white)
+    return [*beside, alone]
+
+
+def _sheet(path: Path, result: Result, studio: Studio, say: Say) -> tuple[list[Rendered], Figure | None]:
+    """The fit beside its file; None where there is none to show, which a line tells."""
     file = file_of(path, result)
     if not is_regular(file):
         note(f"{path}: the fit alone; the measured file {file} is not there")
-        images.write_png(target, sphere_of(of_result(path.stem, result, path), scene))
-        return
-    say("fit")
-    fitted = sphere_of(of_result(path.stem, result, path, as_measured=True), scene)
-    say("file")
+        return [], None
     read_again = result.source.read(file)
     words = f"{result.source.material}, {result.data_words}"
     if not isinstance(read_again, Measurement):
         read_again, words = on_bins(read_again, read_again.values), words + BETWEEN
         if (share := shown_by(folded(read_again)[1], result.theta_max or THETA_MAX)) < LEAST_SHOWN:
             note(f"{path}: the fit alone; the samples of {file} cover {share:.0%} of what a sphere shows")
-            images.write_png(target, fitted)
-            return
+            return [], None
+    say("fit")
+    fitted = studio.sphere(of_result(path.stem, result, path, as_measured=True))
+    say("file")
     values, valid = folded(read_again)
-    measured = Given(path.stem, None, {}, measured=measurement(coloured(values, read_again.bands), valid))
+    own = Given(path.stem, None, {}, measured=measurement(coloured(values, read_again.bands), valid))
+    measured = studio.sphere(own)
     if result.edited_from is not None:
         words += f"; {result.edited_words}"
-    save(beside(sphere_of(measured, scene), fitted, words, "edited" if result.edited_from else "fit"), target)
+    what = "edited" if result.edited_from else "fit"
+    return [fitted, measured], beside(measured.picture, fitted.picture, words, what)

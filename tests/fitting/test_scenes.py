@@ -22,6 +22,7 @@ from merlfit.merl_io.tensor import tensors
 from merlfit.model.reflectance import evaluate
 from merlfit.model.registry import models
 from merlfit.scene import effects
+from merlfit.scene.colour import displayed
 from merlfit.scene.images import read_map
 from PIL import Image
 
@@ -369,3 +370,19 @@ def test_a_camera_that_sees_nothing(tmp_path):
     found = call("effects", path)
     assert found.exit_code == 2
     assert "no pixel sees a" in found.output
+
+
+def test_a_result_is_drawn_under_a_map_and_its_noise_is_said(tmp_path, result):
+    np.save(tmp_path / "map.npy", np.ones((4, 8, 3)))
+    words = "render", result, "--set", "beta=0.3", "--environment", tmp_path / "map.npy", "--size", 16
+    found = call(*words, "--exposure", 1, "-o", tmp_path / "out")
+    assert found.exit_code == 0, found.output
+    assert "CIELAB, mean over the sphere" in found.output
+    assert "sample" in found.output
+    radiance = read_map(tmp_path / "out" / "nickel.edited.exr")
+    shown = np.asarray(Image.open(tmp_path / "out" / "nickel.edited.png"))
+    assert radiance.shape == shown.shape == (16, 16, 3)
+    np.testing.assert_allclose(shown, displayed(2 * radiance), atol=1)  # one stop
+    found = call("render", result, "--environment", tmp_path / "none.exr", "-o", tmp_path)
+    assert found.exit_code == 2
+    assert "none.exr: no such file" in found.output

@@ -1,5 +1,7 @@
 """Scenes that cannot be rendered are refused in one line that says what to mend."""
 
+import sys
+
 import numpy as np
 import pytest
 from merlfit.merl_io.atomic import WriteError
@@ -100,6 +102,28 @@ def test_a_map_that_is_none_is_named(content, said, tmp_path):
         read_map(path)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
+
+
+def test_a_map_of_radiance_is_read_and_what_resizing_left_below_0_is_black(tmp_path):
+    import OpenImageIO
+
+    light = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32)
+    assert OpenImageIO.ImageBuf(light).write(str(tmp_path / "map.hdr"))
+    np.testing.assert_allclose(read_map(tmp_path / "map.hdr"), light, atol=2**-8)
+    whole = (tmp_path / "map.hdr").read_bytes()
+    (tmp_path / "map.hdr").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(SceneError, match=r"map\.hdr: cannot be read as a map \(.*scanline"):
+        read_map(tmp_path / "map.hdr")
+    light[0, 0] = -1e-3
+    write_exr(tmp_path / "map.exr", light)
+    assert read_map(tmp_path / "map.exr").min() == 0
+
+
+def test_a_map_of_radiance_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "OpenImageIO", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(SceneError, match=r"pip install 'merlfit\[hdr\]', or convert it to \.exr"):
+        read_map(tmp_path / "map.hdr")
 
 
 @pytest.mark.parametrize("name", ["map.NPY", "map.EXR"])

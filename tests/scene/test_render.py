@@ -124,7 +124,7 @@ def test_the_same_seed_gives_the_same_picture_and_another_the_same_mean():
     other = rendered(made.model_copy(update={"seed": 7}), ggx())
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)
-    np.testing.assert_allclose(one.mean((0, 1)), other.mean((0, 1)), rtol=0.01)
+    np.testing.assert_allclose(one.mean((0, 1)), other.mean((0, 1)), rtol=0.03)  # of one seed, 0.8 %
 
 
 def test_a_map_that_is_the_studio_gives_its_picture():
@@ -139,13 +139,24 @@ def test_a_map_that_is_the_studio_gives_its_picture():
 def test_directions_of_an_environment_follow_its_density():
     rng = np.random.default_rng(3)
     around = lights.environment(rng.random((8, 16, 3)) ** 4)
-    drawn_ = np.asarray(eqx.filter_jit(around.draw)(rng.random((200_000, 3), np.float32)))
+    drawn_ = np.asarray(eqx.filter_jit(around.draw)(rng.random((200_000, 2), np.float32)))
     density = np.asarray(eqx.filter_jit(around.density)(drawn_))
     np.testing.assert_allclose(np.linalg.norm(drawn_, axis=1), 1, atol=1e-6)
     # E[f / density] is the integral of f: of 1, and of two functions of the direction
     assert np.mean(1 / density) == pytest.approx(4 * np.pi, rel=0.01)
     assert np.mean(drawn_[:, 1] ** 2 / density) == pytest.approx(4 * np.pi / 3, rel=0.02)
     assert np.mean(np.maximum(drawn_[:, 0], 0) / density) == pytest.approx(np.pi, rel=0.02)
+
+
+def test_a_sun_of_one_pixel_is_drawn_as_often_as_it_is_bright():
+    radiance = np.ones((1000, 2001, 3))
+    radiance[300, 700] = 1e6
+    around = lights.environment(radiance)
+    sun = np.sin(300.5 / 1000 * np.pi) * (np.pi / 1000) * (2 * np.pi / 2001) * 1e6
+    rng = np.random.default_rng(0)
+    drawn_ = np.asarray(eqx.filter_jit(around.draw)(rng.random((20_000, 2), np.float32)))
+    near = drawn_ @ lights.directions(1000, 2001)[300, 700] > np.cos(np.radians(0.6))
+    assert near.mean() == pytest.approx(sun / (sun + 4 * np.pi), abs=0.02)
 
 
 def test_a_measured_material_looks_like_the_model_it_was_made_from():
