@@ -392,10 +392,10 @@ class Panel {
       if (apart && message.apart) apart.textContent = `ΔE ${message.apart[light].toFixed(1)}`
       if (apart) apart.classList.toggle("old", !message.apart)
     }
+    if (message.moving && this.lobes.lobe) this.pace.textContent = `${(performance.now() - this.asked).toFixed(0)} ms a frame` // the first one waits for programs
     this.lobes.show(message.lobe, message.moving)
     this.shade.hidden = !message.lobe.low && !message.moving
     this.el.dataset.frame = message.moving ? "coarse" : "fine"
-    if (message.moving) this.pace.textContent = `${(performance.now() - this.asked).toFixed(0)} ms a frame`
   }
   priced(message) {
     this.costs.disabled = false
@@ -445,7 +445,8 @@ function render({ model, el }) {
   const about = model.get("about")
   const common = { theta_i: 45, exposure: 0, scale: "cube root", steepest: about.steepest, turn: () => {} }
   const panels = about.results.map((result, k) => new Panel(result, k, about, common, model))
-  const root = node("div", { class: "merlfit-view" }, controls(common, panels), node("div", { class: "panels" }, ...panels.map((panel) => panel.el)))
+  const root = node("div", { class: "merlfit-view", "data-lm-suppress-shortcuts": "true" }, // of a notebook: its keys are those of the sliders
+     controls(common, panels), node("div", { class: "panels" }, ...panels.map((panel) => panel.el)))
   el.append(root)
   model.on("msg:custom", (message) => panels[message.result]?.hear(message))
   panels.forEach((panel) => panel.ask(true)) // the fine ones follow when that rests
