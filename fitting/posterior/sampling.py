@@ -27,7 +27,7 @@ from .chain import Chain, ChainError, begin, extend, read_chain, write_chain
 from .diagnosis import diagnose
 from .emulator import Emulator
 from .importance import Posterior, correct
-from .likelihood import log_likelihood, stand_in
+from .likelihood import COMPARED, likelihood_of_all, stand_in
 
 DRAWN = ("draws_free", "weights", "log_ratio", "log_likelihood", "values")  # arrays of a finished chain
 
@@ -109,12 +109,12 @@ def draw(
     def say_draw(done: int, most: int) -> None:
         report(Stage(f"posterior: all data, draw {done} of {most}", done / most))
 
-    def whole(points: np.ndarray) -> np.ndarray:
-        return log_likelihood(layout, points, problem, fitted.count, lowest)
-
-    least = 0
+    least, whole = 0, None
     while True:
         chain = extend(chain, few, layout, emulator, max_steps, say, keep, least)
+        if whole is None:
+            some = chain.states[-1, :COMPARED]
+            whole = likelihood_of_all(layout, some, problem, fitted.count, lowest)
         found = correct(chain, few.log_likelihood, whole, layout.coordinates, say_draw)
         if not len(chain.states) < min(found.wanted, max_steps):
             return found

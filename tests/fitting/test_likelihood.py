@@ -11,6 +11,7 @@ from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run
+from merlfit.fitting.posterior import likelihood
 from merlfit.fitting.posterior.coreset import BATCH, STEP
 from merlfit.fitting.posterior.likelihood import LIKELIHOOD_POWER, log_likelihood, stand_in
 from merlfit.merl_io.grid import merl_grid
@@ -107,3 +108,18 @@ def test_where_the_model_is_not_finite_nothing_is_likely(fitted):
     found = few.log_likelihood(np.stack([best.z, np.full(len(best.z), np.nan)]))
     assert np.isfinite(found[0])
     assert found[1] == -np.inf
+
+
+@pytest.mark.parametrize(("error", "order"), [(0.02, likelihood.ALL_ORDER), (0.2, 32)])
+def test_a_lower_order_is_taken_of_all_bins_where_it_says_the_same_up_to_a_constant(monkeypatch, error, order):
+    asked = []
+
+    def said(layout, points, **_):
+        asked.append(layout.model.order)
+        return points[:, 0] + (layout.model.order < 32) * (5 + error * points[:, 1])
+
+    monkeypatch.setattr(likelihood, "log_likelihood", said)
+    some = np.random.default_rng(9).normal(size=(likelihood.COMPARED, 2))
+    of_all = likelihood.likelihood_of_all(layout_of(TwoScale("lambert")), some, None, COUNT, 1.0)
+    of_all(some)
+    assert asked[-1] == order
