@@ -5,29 +5,24 @@ makes pixels of them (`scene.spheres`). While something moves there are fewer bi
 which is smooth, and fewer nodes of the blur of diffracted light; when it rests, those of the report.
 """
 
-import base64
-import io
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
-from PIL import Image
-from scipy.ndimage import distance_transform_edt
-from scipy.sparse import csr_array
 
 from ...merl_io.binary import Dims
 from ...merl_io.inputs import Input
 from ...merl_io.samples import folded
 from ...model.measured import with_material
 from ...model.reflectance import Reflectance, of_order
-from ...scene.colour import cielab, coloured, displayed
+from ...scene.colour import cielab, coloured
 from ...scene.effects import COARSE, Effect, Row, effects_of, left_out, without
-from ...scene.spheres import BLACK, Lighting, sphere
+from ...scene.spheres import BLACK, Lighting
 from ..fit.weights import within
 from ..results.schema import Result
 from ..settings.config import ConfigError
@@ -35,12 +30,9 @@ from ..show import prediction
 from ..show.inspection import file_of
 from ..show.prediction import Fitted
 from ..show.subject import Subject, subject_of
+from .discs import FINE, QUICK, disc
 
-SIDE = 256  # pixels of a picture
-FINE: dict[Lighting, int] = {"lamp": SIDE, "environment": 128}  # pixels that are computed; the others lie between
-QUICK: dict[Lighting, int] = {"lamp": SIDE, "environment": 80}
 QUICK_BINS = 30, 24  # of theta_d and phi_d, at the most
-RIM = 0.99  # squared radius up to which a sphere is drawn
 BETWEEN = 121  # viewers of a lobe beside those that see a row of theta_h
 TOLERANCE = 1.0  # CIELAB: effects that no pixel shows by more may be left out while something moves
 REPEATS = 9  # of a timing
@@ -246,57 +238,6 @@ class Shown:
         if what not in self._last or self._last[what][0] != key:
             self._last[what] = key, make()
         return self._last[what][1]
-
-
-@dataclass(frozen=True)
-class Disc:
-    """A sphere in a square of pixels.
-
-    Attributes:
-        weights: pixels inside it as sums over folded bins, (N, bins). filled: for every pixel of the square, (side^2,),
-            the one inside it that is nearest.
-    """
-
-    weights: csr_array
-    filled: np.ndarray
-
-    def encoded(self, radiance: np.ndarray, exposure: float, fine: bool) -> str:
-        """The picture as a ``data:`` address: PNG, or JPEG that is quicker; beyond the rim it goes on.
-
-        Args:
-            radiance: of the pixels inside, (N, 3). exposure: in stops.
-        """
-        side = int(np.sqrt(len(self.filled)))
-        image = Image.fromarray(displayed(radiance * np.float32(2.0**exposure))[self.filled].reshape(side, side, 3))
-        image = image if side == SIDE else image.resize((SIDE, SIDE), Image.Resampling.BICUBIC)
-        kind, settings = ("png", {"compress_level": 1}) if fine else ("jpeg", {"quality": 92, "subsampling": 0})
-        file = io.BytesIO()
-        image.save(file, kind, **settings)
-        return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode()}"
-
-
-@cache
-def disc(lighting: Lighting, side: int, dims: Dims) -> Disc:
-    """Made once for all materials."""
-    axis = (np.arange(side) + 0.5) / side * 2 - 1
-    positions = np.stack(np.meshgrid(axis, -axis), -1)
-    inside = np.sum(positions**2, -1) < RIM
-    number = np.cumsum(inside.ravel()).reshape(inside.shape) - 1
-    row, column = np.asarray(distance_transform_edt(~inside, return_distances=False, return_indices=True))
-    found = sphere(lighting, positions[inside], dims)
-    small = csr_array(
-        (found.data.astype(np.float32), found.indices.astype(np.int32), found.indptr.astype(np.int32)), found.shape
-    )
-    return Disc(small, number[row, column].ravel())
-
-
-def pictures(radiance: Mapping[Lighting, np.ndarray], look: Look, dims: Dims, exposure: float) -> dict[str, str]:
-    """Addresses of pictures by lighting."""
-    sides = QUICK if look.moving else FINE
-    return {
-        lighting: disc(lighting, sides[lighting], dims).encoded(found, exposure, not look.moving)
-        for lighting, found in radiance.items()
-    }
 
 
 def _mean_distance(one: np.ndarray, other: np.ndarray) -> float:

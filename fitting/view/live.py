@@ -25,7 +25,8 @@ from ..show.curves import part_name
 from ..show.style import channel_colour, letters
 from ..support.compilation import make_room
 from ..support.terminal import why_ended
-from .frames import TOLERANCE, Look, Shown, pictures
+from .discs import pictures
+from .frames import TOLERANCE, Look, Shown
 
 STEEPEST_DEG = 85.0  # of the light whose lobe is shown
 EXPORT_S = 300.0
@@ -122,11 +123,11 @@ class Live:
         with self._lock:
             radiance, dims = each.radiance(look), each.dims(look.moving)
             found: dict[str, Any] = {
-                "pictures": pictures(radiance, look, dims, asked.exposure), "lobe": each.lobe(look, asked.theta_i),
-                "file": None, "apart": None, "moving": asked.moving,
+                "pictures": pictures(radiance, dims, asked.exposure, asked.moving), "file": None, "apart": None,
+                "lobe": each.lobe(look, asked.theta_i), "moving": asked.moving,
             }  # fmt: skip
             if not asked.moving and each.measured is not None:  # which looks the same while something moves
-                found["file"] = pictures(each.measured, look, dims, asked.exposure)
+                found["file"] = pictures(each.measured, dims, asked.exposure, False)
                 found["apart"] = each.apart(radiance)
         return found | {"ms": round(1e3 * (time.perf_counter() - start), 1)}
 

@@ -19,7 +19,8 @@ from merlfit.fitting.commands import cli
 from merlfit.fitting.fit_object import Fit
 from merlfit.fitting.results.storage import read_result, write_result
 from merlfit.fitting.show.prediction import Fitted, all_bins, plane_of_incidence
-from merlfit.fitting.view.frames import SIDE, Shown
+from merlfit.fitting.view.discs import SIDE
+from merlfit.fitting.view.frames import Shown
 from merlfit.fitting.view.live import Live
 from merlfit.merl_io.binary import write
 from merlfit.model.measured import Measured
