@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jax.tree_util import register_pytree_node
 from jax.typing import ArrayLike
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from ..merl_io.atomic import refused, write_bytes, write_text
@@ -24,10 +25,11 @@ from .results.schema import Metrics, Model, Quantiles, Result
 from .results.storage import ResultError, write_result
 from .show import style
 from .show.inspection import file_of
+from .show.parameter_table import as_html, as_latex
 from .show.pictures import PICTURES
 from .show.prediction import Fitted, all_bins, predicted_lobe
 from .show.subject import subject_of
-from .show.terminal_tables import parameters_as_latex, print_result
+from .show.terminal_tables import fitted_line, print_result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
 from .support.terminal import Screen, console
@@ -139,8 +141,13 @@ class Fit:
         return pandas.DataFrame(self._rows(), columns=ROWS).set_index("name")
 
     def to_latex(self, path: str | os.PathLike[str] | None = None) -> str:
-        """The parameters as a table of LaTeX (booktabs): symbol, value, 90 % interval, unit; ``path``: a file, too."""
-        text = parameters_as_latex(self.result)
+        """The parameters as a table of LaTeX (booktabs), without those of the apparatus: symbol, value with its 90 %
+        interval above and below, unit; `merlfit table --format latex` has several results side by side.
+
+        Args:
+            path: a file to write it to, too.
+        """
+        text = as_latex([self.result])
         if path is not None:
             write_text(Path(path), text)
         return text
@@ -397,6 +404,15 @@ class Fit:
         with shown.capture() as capture:
             print_result(shown, self.result)
         return capture.get()
+
+    def _repr_html_(self) -> str:
+        """What notebooks show: material, status, parameters with intervals, errors, cautions."""
+        r = self.result
+        said = Markup("<p><strong>{}</strong>: {}. <strong>{}</strong>: {}.</p>").format(
+            r.source.material, "" if r.model is None else fitted_line(r.model), r.fit.status, r.fit.message
+        )
+        table = as_html([r]) if r.model is not None else ""
+        return said + Markup(table) + Markup("").join(Markup("<p>Caution: {}</p>").format(x) for x in r.fit.cautions)
 
     def __repr__(self) -> str:
         return f"<Fit of {self.result.source.material}: {self.result.fit.status}, {self.path}>".translate(PLAIN)

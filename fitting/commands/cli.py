@@ -393,19 +393,41 @@ def view(
 
 @app.command(epilog="Example: merlfit table fits")
 def table(
-    folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="Folder of results.", readable=False)],
+    results: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN_DIR", help="Folder of results; RESULT.json for latex and html.", readable=False),
+    ],
+    kind: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="csv (all numbers of a folder, a row a result), latex or html (parameters with 90 % intervals, a "
+            "column a result).",
+        ),
+    ] = "csv",
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="The CSV file to write \\[default: RUN_DIR/table.csv].")
+        Path | None,
+        typer.Option("-o", "--out", help="The file to write \\[default: table.csv, .tex or .html in RUN_DIR]."),
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write all results of a folder as one table for a spreadsheet: errors, times, parameters, intervals.
+    """Write results as one table: for a spreadsheet errors, times, parameters, intervals; for a paper the parameters.
 
-    A row a result, and one a file that has none, with the error. Columns: docs/result.md.
+    For a spreadsheet it has a row for each result, and one for each file that has none, with the error. Columns:
+    docs/result.md.
     """
-    from ..show.results_table import write_table
+    from ..show.results_table import ENDINGS, write_parameters, write_table
 
-    write_table(folder, out or folder / "table.csv", force)
+    if kind not in ENDINGS:
+        raise fail(f"--format {kind}: should be {', '.join(ENDINGS)}")
+    first = results[0] if results[0].is_dir() else results[0].parent
+    path = out or first / f"table.{ENDINGS[kind]}"
+    if kind != "csv":
+        write_parameters(results, path, kind, force)
+    elif len(results) > 1:
+        raise fail("--format csv is of one folder; latex and html are of any results")
+    else:
+        write_table(results[0], out or results[0] / "table.csv", force)
 
 
 @app.command(epilog="Example: merlfit report fits")

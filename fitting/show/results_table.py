@@ -11,11 +11,15 @@ from ...merl_io.atomic import write_text
 from ..results.manifest import NAME as MANIFEST
 from ..results.manifest import Ending, Line, lines
 from ..results.schema import Metrics, Result
-from ..results.storage import read_result
+from ..results.storage import ResultError, read_result
+from ..support.numbers import counted
 from ..support.outputs import refuse_others
 from ..support.tables import as_csv
 from ..support.terminal import BAD_INPUT, console, fail, note, why_ended
+from .parameter_table import as_latex, page
 
+ENDINGS = {"csv": "csv", "latex": "tex", "html": "html"}
+"""Endings of a table's file by its format."""
 UNREADABLE = "unreadable"
 HEADS = (
     "material", "status", "model", "variant", "genuine_merl", "data", "cost", *Metrics.model_fields, "seconds",
@@ -39,6 +43,35 @@ def write_table(folder: Path, path: Path, force: bool = False) -> None:
     code = tell_errors(rows)
     counts = Counter(str(row["status"]) for row in rows).most_common()
     console.print(f"wrote {path}: {', '.join(f'{count} {status}' for status, count in counts)}")
+    if code:
+        raise typer.Exit(code)
+
+
+def write_parameters(what: Sequence[Path], path: Path, form: str, force: bool = False) -> None:
+    """Parameters of results side by side, as LaTeX or as HTML; exits with 2 if a result cannot be read.
+
+    Args:
+        what: results, and folders of them. form: latex or html. force: write over any file.
+    """
+    found, code = [], 0
+    for each in what:
+        inside = [p for p in sorted(each.rglob("*.json")) if _shown(p, each)] if os.path.isdir(each) else [each]
+        for file in inside:
+            try:
+                result = read_result(file)
+                found += [result] if result.model is not None else []
+                if result.model is None:
+                    note(f"{file}: the fit failed ({result.fit.status}), it has no parameters")
+            except ResultError as error:
+                fail(str(error))
+                code = BAD_INPUT
+    if not found:
+        raise fail("there is no result that has parameters; `merlfit fit FILE ... -o fits` writes some")
+    refuse_others([path], force, f"table.{ENDINGS[form]}")
+    version = found[0].versions.get("merlfit", "")
+    latex = f"% parameters of {counted(len(found), 'result')} by merlfit {version}; needs booktabs\n"
+    write_text(path, latex + as_latex(found) if form == "latex" else page(found))
+    console.print(f"wrote {path}: {counted(len(found), 'result')}")
     if code:
         raise typer.Exit(code)
 

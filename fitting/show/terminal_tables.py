@@ -17,7 +17,6 @@ from ..support.tables import table
 
 LAPLACE = "by the Laplace approximation"
 SCATTER_OF = {"file": "file's values", "stated": "stated in the file"}  # beside that of the fit
-LATEX_UNITS = {"1": "", "um": "\\textmu m", "1/sr": "sr$^{-1}$", "deg": "$^\\circ$"}
 
 
 @dataclass(frozen=True)
@@ -107,27 +106,6 @@ def parameter_table(result: Result) -> Table:
         found = [median(q), interval(q.quantiles)] if sampled else [interval(q.laplace)]
         drawn.add_row(q.name, number(q.value), *found, unit(q.unit), bounds, q.meaning)
     return drawn
-
-
-def parameters_as_latex(result: Result) -> str:
-    """The same as a table of LaTeX, with the rules of booktabs; units and intervals are those of the posterior."""
-    rows = []
-    edits = result.edited_from.fitted if result.edited_from else {}
-    for q in result.parameters:
-        found = q.quantiles or q.laplace
-        ends = "--" if found is None else f"{_latex(found.q05)} \\dots {_latex(found.q95)}"
-        name = q.symbol if q.channel is None else f"{q.symbol}^{{\\mathrm{{{q.channel}}}}}"
-        interval = "edited" if q.name in edits else q.fitted if q.fitted == "fixed" else f"${ends}$" if found else ends
-        rows.append(f"${name}$ & ${_latex(q.value)}$ & {interval} & {LATEX_UNITS.get(q.unit, q.unit)} \\\\")
-    head = "parameter & value & 90\\,\\% interval & unit \\\\"
-    lines = ["\\begin{tabular}{lrrl}", "\\toprule", head, "\\midrule", *rows, "\\bottomrule", "\\end{tabular}"]
-    return "\n".join(lines) + "\n"
-
-
-def _latex(x: float) -> str:
-    """A number as formulas have it."""
-    digits, _, power = number(x).partition("e")
-    return f"{digits} \\times 10^{{{int(power)}}}" if power else digits
 
 
 def material_words(material: Reflectance) -> str:

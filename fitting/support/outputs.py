@@ -15,6 +15,7 @@ LOOK = 2**14  # bytes at both ends of a file
 MARKS = {
     "manifest.jsonl": rb'\A\{"at": "[^"\n]*", "event": "(began|file|ended)"',
     "table.csv": rb"\Amaterial,status,model,variant,genuine_merl,",
+    "table.tex": rb"\A% [^\n]* by merlfit ",
     "metrics.csv": rb"\Aresult,against,data,model,",
     "by_incidence.csv": rb"\Atheta_i_deg,[^\n]*\.json",
     "comparison.csv": rb"\Agroup,material,",

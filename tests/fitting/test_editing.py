@@ -8,7 +8,7 @@ import pytest
 from merlfit.fitting.pipeline.editing import edited
 from merlfit.fitting.results.storage import read_result, valid_result, write_result
 from merlfit.fitting.settings.config import Config, ConfigError
-from merlfit.fitting.show.terminal_tables import parameters_as_latex
+from merlfit.fitting.show.parameter_table import as_latex
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
@@ -43,7 +43,7 @@ def test_what_is_edited_has_its_values_and_nothing_that_was_found_of_others(path
     assert result.edited_from.result == str(path)
     assert result.edited_from.numbers_sha1 == fit.result.numbers_sha1
     assert "beta 0.1 -> 0.05, n_G 1 -> 1.5" in str(found).replace("\n", " ")
-    assert "edited &" in parameters_as_latex(result)
+    assert r"$\beta$ & $0.05$ (edited) &" in as_latex([result])
 
 
 def test_it_is_edited_again_from_the_same_fit_and_back(path):
