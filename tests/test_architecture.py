@@ -15,7 +15,7 @@ ALLOWED = {
 }  # fmt: skip
 LIBRARIES = {
     "model": {"jax", "numpy", "equinox", "jaxtyping"}, "merl_io": {"numpy"},
-    "scene": {"jax", "numpy", "equinox", "scipy", "pydantic", "PIL", "OpenEXR", "mitsuba", "drjit"},
+    "scene": {"jax", "numpy", "equinox", "scipy", "pydantic", "PIL", "OpenEXR", "OpenImageIO", "mitsuba", "drjit"},
 }  # fmt: skip
 STANDARD = {
     "abc", "argparse", "array", "collections", "contextlib", "dataclasses", "difflib", "enum", "functools", "hashlib",
