@@ -2,7 +2,9 @@
 
 import os
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,7 @@ from ..merl_io.binary import Measurement, MerlError
 from ..merl_io.inputs import Input
 from ..merl_io.scattered import vectors_of
 from ..merl_io.source import PLAIN
-from .pipeline.draws import chain_file, chain_of, own_chain, states
+from .pipeline.draws import NoPicture, chain_file, chain_of, own_chain, states
 from .pipeline.editing import edited, edited_file
 from .pipeline.place import claimed, place_of
 from .pipeline.resampling import resample
@@ -25,10 +27,11 @@ from .results.schema import Metrics, Model, Quantiles, Result
 from .results.storage import ResultError, write_result
 from .show import style
 from .show.inspection import file_of
-from .show.parameter_table import as_html, as_latex
+from .show.lobes import INCIDENCES_DEG
+from .show.parameter_table import as_html, as_latex, heads
 from .show.pictures import PICTURES
 from .show.prediction import Fitted, all_bins, predicted_lobe
-from .show.subject import subject_of
+from .show.subject import Subject, subject_of
 from .show.terminal_tables import fitted_line, print_result
 from .support.clock import Report, silent
 from .support.compilation import use_cache
@@ -302,12 +305,16 @@ class Fit:
         shown = [Shown(each.path, each.result, each._measured) for each in (self, *others)]
         return View(Live(shown, Path(folder)))
 
-    def plot(self, name: str, path: str | os.PathLike[str] | None = None) -> Figure:
+    def plot(
+        self, name: str, path: str | os.PathLike[str] | None = None, *, title: bool = False,
+        **options: Any,  # noqa: ANN401 - of each picture
+    ) -> Figure:  # fmt: skip
         """One of the pictures that `merlfit inspect` draws, as wide as a column of a paper (8.5 cm).
 
         Args:
             name: samples, spheres, lobes, isolines, peak, residuals, errors, effects, corner, corner-all or trace.
-            path: a PNG, PDF or SVG to write, too.
+            path: a PNG, PDF or SVG to write, too; what it is of stands in its metadata.
+            title: whether that is above the picture, too. options: of lobes and corner (`plot_lobes`, `plot_corner`).
 
         Raises:
             KeyError: there is no such picture.
@@ -321,18 +328,56 @@ class Fit:
         subject = subject_of(self.result, self.path, self._measured or file_of(self.path, self.result))
         if subject.result.posterior is not None and "chain" in subject.lacks:
             warnings.warn(f"no posterior is shown: {subject.lacks['chain']}", stacklevel=2)
-        figure = PICTURES[name].draw(subject)
+        figure = PICTURES[name].draw(replace(subject, titled=title), **options)
         if path is not None:
             style.save(figure, Path(path))
         return figure
 
-    def plot_lobes(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Lobes in the plane of incidence beside those of the file, with the bands of the posterior if there is one."""
-        return self.plot("lobes", path)
+    def plot_lobes(
+        self, path: str | os.PathLike[str] | None = None, *, theta: Sequence[float] = INCIDENCES_DEG,
+        channels: Sequence[str] = (), models: Sequence["Fit"] = (), title: bool = False,
+    ) -> Figure:  # fmt: skip
+        """Lobes in the plane of incidence beside those of the file, with the bands of the posterior if there is one.
 
-    def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Corner plot of the posterior: what all channels share, and the middle channel."""
-        return self.plot("corner", path)
+        Args:
+            path: a PNG, PDF or SVG to write, too.
+            theta: angles of the light to the normal (deg), a row of panels each.
+            channels: by name, all by default; with ``models`` the middle one.
+            models: other fits, whose lines are drawn beside this one's, with the data in black; without bands.
+            title: whether the picture says above it what it is of; its metadata do in any case.
+
+        Raises:
+            merlfit.NoPicture: there is no such channel, in one of the models perhaps, or an angle is impossible.
+        """
+        beside: dict[str, Subject] = {}
+        if models:
+            every = [self, *models]
+            for each in every:
+                if missing := [name for name in self._model().channels if name not in each._model().channels]:
+                    raise NoPicture(f"{each.result.source.material}: has no channel {missing[0]!r}")
+            names = heads([each.result for each in every], always=True)
+            names = [name if names.count(name) == 1 else f"{name} {k + 1}" for k, name in enumerate(names)]
+            base = subject_of(self.result, self.path, self._measured or file_of(self.path, self.result))
+            beside = {
+                name: replace(base, result=each.result, chain=None, walkers=None)
+                for name, each in zip(names, every, strict=True)
+            }
+        return self.plot("lobes", path, title=title, theta=theta, channels=channels, models=beside)
+
+    def plot_corner(
+        self, path: str | os.PathLike[str] | None = None, *, parameters: Sequence[str] = (), title: bool = False
+    ) -> Figure:
+        """Corner plot of the posterior: what all channels share, and the middle channel.
+
+        Args:
+            path: a PNG, PDF or SVG to write, too.
+            parameters: these instead, in this order, as the JSON has them (``n_R``), or of all channels (``n``).
+            title: as of `plot_lobes`.
+
+        Raises:
+            merlfit.NoPicture: there is no posterior, its chain is missing, or a parameter was not fitted.
+        """
+        return self.plot("corner", path, title=title, parameters=parameters)
 
     def plot_trace(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """How the walkers of the posterior moved: median and 90 % of them, step by step, in free coordinates."""

@@ -361,6 +361,9 @@ def inspect(
         ),
     ] = None,
     kind: Annotated[str, typer.Option("--format", help="png, pdf or svg.")] = "png",
+    title: Annotated[
+        bool, typer.Option("--title", help="Say above pictures what they are of; their metadata say it always.")
+    ] = False,
     force: Force = False,
 ) -> None:
     """Print a fit's parameters with intervals; write pictures of it, each fit to be printed in a column of a paper.
@@ -369,7 +372,7 @@ def inspect(
     """
     from ..show.inspection import inspect_result
 
-    inspect_result(result, file, out, pictures, kind, force)
+    inspect_result(result, file, out, pictures, kind, force, title)
 
 
 @app.command(epilog="Example: merlfit view fits/nickel.json")

@@ -9,6 +9,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter, NullLocator
 
+from ..pipeline.draws import NoPicture
 from ..results.schema import ParameterResult
 from ..support.weighted import quantiles
 from .style import COLUMN_INCHES, FITTED, LETTERS, PAGE_INCHES, SMALL, new, plain, printable, symbol
@@ -27,8 +28,14 @@ LETTER = 0.58 * SMALL / 72  # inches of a digit
 
 
 @printable
-def corner(subject: Subject) -> Figure:
-    """Marginals of what all channels share and of the middle channel: as many parameters as a column has room for."""
+def corner(subject: Subject, parameters: Sequence[str] = ()) -> Figure:
+    """Marginals of what all channels share and of the middle channel: as many parameters as a column has room for.
+
+    Args:
+        parameters: these instead, as the JSON has them (``n_R``), or with one for each channel (``n``).
+    """
+    if parameters:
+        return _corner(subject, _chosen(subject, parameters), COLUMN_INCHES, "")
     middle = subject.model.channels[len(subject.model.channels) // 2]
     free = _free(subject)
     kept = [k for k in free if subject.result.parameters[k].channel in (None, middle)]
@@ -39,6 +46,15 @@ def corner(subject: Subject) -> Figure:
 def corner_all(subject: Subject) -> Figure:
     """Marginals of all parameters that were fitted, as wide as a page."""
     return _corner(subject, _free(subject), PAGE_INCHES, "")
+
+
+def _chosen(subject: Subject, parameters: Sequence[str]) -> list[int]:
+    free, every = _free(subject), subject.result.parameters
+    for name in parameters:
+        if not any(name in (every[k].name, every[k].parameter) for k in free):
+            known = ", ".join(every[k].name for k in free)
+            raise NoPicture(f"there is no parameter {name!r} that was fitted; there are {known}")
+    return [k for name in parameters for k in free if name in (every[k].name, every[k].parameter)]
 
 
 def _free(subject: Subject) -> list[int]:
@@ -57,9 +73,12 @@ def _corner(subject: Subject, kept: Sequence[int], width: float, said: str) -> F
     ranges = [
         _range(low, high, q.value, scale) for q, (low, _, _, high), scale in zip(names, bounds, scales, strict=True)
     ]
-    heading = f"{subject.heading}\norange: fit; dashed, in brackets: 5 and 95 %{said}"
+    heading = f"orange: fit; dashed, in brackets: 5 and 95 %{said}"
+    if subject.titled:
+        heading = f"{subject.heading}\n{heading}"
     head = LINE * len(heading.splitlines()) + 0.06
     figure = new(width + head - 0.05, width, layout=None)
+    figure.set_label(subject.heading)
     figure.text(0.5, 1 - 0.03 / figure.get_figheight(), heading, ha="center", va="top")
     drawing.corner(
         values, weights=weights, truths=[q.value for q in names], fig=figure, range=ranges,

@@ -1,6 +1,7 @@
 """`merlfit inspect`: a result in tables and pictures."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import typer
@@ -23,12 +24,13 @@ FORMATS = ("png", "pdf", "svg")
 
 def inspect_result(
     result: Path, file: Path | None, out: Path | None, pictures: str | None, kind: str,
-    force: bool = False,
+    force: bool = False, titled: bool = False,
 ) -> None:  # fmt: skip
     """Print a result and write its pictures; exits with 2 where the file that was asked for cannot be drawn.
 
     Args:
-        pictures: names with commas between; "none" for the numbers alone. force: write over any file.
+        pictures: names with commas between; "none" for the numbers alone. force: write over any file. titled: say above
+            pictures what they are of.
     """
     read = read_result(result)
     if pictures == "none":
@@ -40,7 +42,7 @@ def inspect_result(
     if kind not in FORMATS:
         raise fail(f"--format {kind}: should be png, pdf or svg")
     found = file or file_of(result, read)
-    if not show(result, read, found, out or result.parent, kind, only, file is not None, force):
+    if not show(result, read, found, out or result.parent, kind, only, file is not None, force, titled):
         raise typer.Exit(BAD_INPUT)
 
 
@@ -58,13 +60,14 @@ def file_of(path: Path, result: Result) -> Path:
 
 def show(
     path: Path, result: Result, file: Path, out: Path, kind: str = "png", only: Sequence[str] = (),
-    needs_file: bool = False, force: bool = False,
+    needs_file: bool = False, force: bool = False, titled: bool = False,
 ) -> bool:  # fmt: skip
     """Print and draw.
 
     Args:
         kind: format of the pictures, png, pdf or svg. only: names of pictures; all by default.
         needs_file: whether it is bad input if the MERL file is of no use. force: write over any file.
+        titled: say above pictures what they are of.
 
     Returns:
         False if the file is of no use and was asked for, or nothing could be drawn.
@@ -75,7 +78,7 @@ def show(
         return True
     writable_folder(out)
     use_persistent_cache()
-    subject = subject_of(result, path, file)
+    subject = replace(subject_of(result, path, file), titled=titled)
     if "measurement" in subject.lacks:
         mend = "; name the file with --file" if subject.scattered is None else ""
         note(f"the file is not shown: {subject.lacks['measurement']}{mend}")

@@ -26,7 +26,7 @@ def isolines(subject: Subject) -> Figure:
     panels = figure.subplots(len(INCIDENCES_DEG), columns, squeeze=False)
     for row, degrees in zip(panels, INCIDENCES_DEG, strict=True):
         _row(figure, row, subject, degrees)
-    figure.suptitle(f"{subject.heading}\nchannel {middle}, three isolines a decade; +: mirror direction")
+    subject.head(figure, f"channel {middle}, three isolines a decade; +: mirror direction")
     return figure
 
 

@@ -58,12 +58,12 @@ def rows_of(results: Sequence[Result]) -> list[tuple[ParameterResult, list[Cell 
     ]
 
 
-def heads(results: Sequence[Result]) -> list[str]:
-    """What each column is of: the material, and the model where materials have several."""
+def heads(results: Sequence[Result], always: bool = False) -> list[str]:
+    """What each column is of: the material, and the model where materials have several, or ``always``."""
     names = [result.source.material + (" (edited)" if result.edited_from else "") for result in results]
     twice = {name for name, count in Counter(names).items() if count > 1}
     return [
-        f"{name}, {result.model.name}" if name in twice and result.model else name
+        f"{name}, {result.model.name}" if (always or name in twice) and result.model else name
         for name, result in zip(names, results, strict=True)
     ]
 

@@ -20,7 +20,7 @@ class Picture:
     """A picture: what it shows, in words, and the function that draws it, which raises NoPicture where it cannot."""
 
     words: str
-    draw: Callable[[Subject], Figure]
+    draw: Callable[..., Figure]
 
 
 PICTURES = {

@@ -49,7 +49,7 @@ def residuals(subject: Subject) -> Figure:
         handles += panels[1].plot([], [], "--", linewidth=0.6, color=FAINT, label="without the grazing loss")
     handles.append(panels[1].fill_between([], [], color=FAINT, alpha=0.3, linewidth=0, label="10 to 90 %"))
     figure.legend(handles=handles, loc="outside lower center", ncols=5)
-    figure.suptitle(subject.heading)
+    subject.head(figure)
     return figure
 
 
@@ -112,7 +112,7 @@ def errors(subject: Subject) -> Figure:
     figure.colorbar(drawn, ax=panels[1], extend="max", location="bottom").set_label(r"apart (sr$^{-1/3}$)")
     panels[0].set(title="relative", ylabel=r"$\theta_d$ (deg)")
     panels[1].set(title="of cube roots")
-    figure.suptitle(subject.heading)
+    subject.head(figure)
     return figure
 
 

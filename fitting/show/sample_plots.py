@@ -45,7 +45,7 @@ def samples(subject: Subject) -> Figure:
         below = rows[1].subgridspec(1, len(per_channel))
         for k, name in enumerate(per_channel):
             _spectrum(figure.add_subplot(below[k]), result, name, m.wavelengths_um)
-    figure.suptitle(subject.heading)
+    subject.head(figure)
     return figure
 
 

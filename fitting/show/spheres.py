@@ -96,7 +96,7 @@ def spheres(subject: Subject) -> Figure:
     if columns == 3:
         scale = ScalarMappable(Normalize(0, LARGEST_SHOWN), "inferno")
         figure.colorbar(scale, ax=list(panels[:, -1]), extend="max", shrink=0.9).set_label("CIELAB distance")
-    figure.suptitle(subject.heading)
+    subject.head(figure)
     return figure
 
 
@@ -123,7 +123,7 @@ def effects(subject: Subject) -> Figure:
     lobes, bars = below.subplots(1, 2, width_ratios=(1.6, 1))
     _lobes(lobes, subject)
     _shares(bars, subject, shares)
-    figure.suptitle(f"{subject.heading}\nwithout the loss of the apparatus")
+    subject.head(figure, "without the loss of the apparatus")
     return figure
 
 

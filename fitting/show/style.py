@@ -129,6 +129,10 @@ def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
         merlfit.merl_io.atomic.WriteError: it cannot be written.
     """
     kind = path.suffix.removeprefix(".").lower() or "png"
-    made_by = {"png": {"Software": "merlfit"}, "pdf": {"Creator": "merlfit"}, "svg": {"Creator": "merlfit"}}.get(kind)
+    said = str(figure.get_label()).replace("\n", "; ")  # what it is of, whether it is above the picture or not
+    made_by = {
+        "png": {"Software": "merlfit", "Description": said}, "pdf": {"Creator": "merlfit", "Subject": said},
+        "svg": {"Creator": "merlfit", "Description": said},
+    }.get(kind)  # fmt: skip
     with own_style():
         write_atomically(path, lambda file: figure.savefig(file, format=kind, dpi=dpi or "figure", metadata=made_by))

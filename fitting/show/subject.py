@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ...merl_io.binary import DIMS, Dims, Measurement, MerlError
 from ...merl_io.grid import MerlGrid, merl_grid
@@ -33,6 +34,7 @@ class Subject:
         measurement: the file, of bins; of scattered directions interpolated, where they cover enough. scattered: these
             directions. chain: weighted draws from the posterior (`chain_file`). walkers: their states in free
             coordinates, (steps, walkers, P). lacks: why one of them is not there, by its name.
+        titled: whether pictures say above them what they are of.
     """
 
     result: Result
@@ -41,6 +43,7 @@ class Subject:
     walkers: np.ndarray | None = None
     lacks: Mapping[str, str] = field(default_factory=dict)
     scattered: ScatteredMeasurement | None = None
+    titled: bool = False
 
     @property
     def model(self) -> Model:
@@ -131,6 +134,13 @@ class Subject:
             words += f", {self.result.edited_words}"
         between = BETWEEN if self.scattered is not None and self.measurement is not None else ""
         return plain(wrapped(f"{self.result.source.material}:{words}", f"data: {self.result.data_words}{between}"))
+
+    def head(self, figure: Figure, more: str = "") -> None:
+        """Say what a picture is of: above it if it is titled, and else in its metadata alone; above it ``more``."""
+        figure.set_label(self.heading)
+        lines = [*([self.heading] if self.titled else []), *([more] if more else [])]
+        if lines:
+            figure.suptitle("\n".join(lines))
 
     @property
     def channels(self) -> list[str]:

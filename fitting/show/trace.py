@@ -36,5 +36,5 @@ def trace(subject: Subject) -> Figure:
         panel.set_xlabel("step")
         panel.tick_params(labelbottom=True)
     figure.supylabel("free coordinate (its prior: mean 0, standard deviation 1)", fontsize=7)
-    figure.suptitle(subject.heading)
+    subject.head(figure)
     return figure

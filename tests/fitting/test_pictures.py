@@ -22,6 +22,7 @@ from merlfit.merl_io.grid import merl_grid
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
 from merlfit.scene.colour import cielab
+from PIL import Image
 
 from tests.support.compiled import evaluate, from_half_difference, from_vectors
 from tests.support.made_results import made
@@ -57,7 +58,7 @@ def subject(measurement, compiled_quickly):
     result.posterior.message = f"too short: {ORIGIN}"
     result.config["input"] = {"origin": ORIGIN}
     walkers = np.random.default_rng(0).normal(size=(40, 8, len(result.parameters)))
-    return Subject(result, measurement, chain(result), walkers)
+    return Subject(result, measurement, chain(result), walkers, titled=True)
 
 
 @pytest.fixture(autouse=True)
@@ -368,3 +369,37 @@ def test_letters_of_a_pdf_are_outlines_that_journals_take(tmp_path):
         style.save(labelled(np.zeros((40, 40, 3), np.uint8), ["letters"]), tmp_path / "a.pdf")
     assert b"/Type3" not in (tmp_path / "a.pdf").read_bytes()
     assert b"/FontFile2" in (tmp_path / "a.pdf").read_bytes()
+
+
+def test_a_picture_without_a_title_says_in_its_file_what_it_is_of(subject, tmp_path):
+    bare = replace(subject, titled=False)
+    figure = LOBES(bare, theta=[40], channels=["G"])
+    assert figure.get_suptitle() == ""
+    assert len(figure.axes) == 2
+    style.save(figure, tmp_path / "lobes.png")
+    with Image.open(tmp_path / "lobes.png") as image:
+        said = image.info["Description"]
+    assert said.startswith("gold-metallic-paint3: fit of two-scale")
+    assert "data: synthetic: a constant" in said
+
+
+def test_models_are_drawn_on_the_same_lobes_and_no_row_is_flattened_by_another(subject):
+    other = replace(subject, chain=None, walkers=None)
+    figure = LOBES(other, theta=[0, 80], models={"one": other, "another": other})
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["one", "another", "G: file"]
+    roots = figure.axes[::2]
+    for axis in roots:  # each as high as its own lobe
+        highest = max(np.nanmax(line.get_ydata()) for line in axis.lines if len(line.get_xdata()) > 2)
+        assert axis.get_ylim()[1] == pytest.approx(1.1 * highest)
+    for wrong in ({"theta": [90]}, {"channels": ["X"]}):
+        with pytest.raises(NoPicture):
+            LOBES(other, **wrong)
+
+
+def test_a_corner_plot_has_the_parameters_that_were_asked_for(subject):
+    figure = PICTURES["corner"].draw(subject, parameters=["eta_R", "beta"])
+    assert len(figure.axes) == 4
+    assert [axis.get_xlabel() for axis in figure.axes[2:]] == [r"$\eta$ R", r"$\beta$"]
+    with pytest.raises(NoPicture, match="there is no parameter 'gamma' that was fitted; there are beta, p,"):
+        PICTURES["corner"].draw(subject, parameters=["gamma"])
