@@ -9,6 +9,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
+from PIL import Image
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 
 from ...merl_io.binary import Dims
@@ -20,7 +22,8 @@ from .curves import added, part_name
 from .style import DECADES, OKABE_ITO, at_mirror, new, printable
 from .subject import Subject
 
-SIDE: dict[Lighting, int] = {"lamp": 224, "environment": 112}  # pixels
+SIDE = 256  # pixels of a picture
+COMPUTED: dict[Lighting, int] = {"lamp": SIDE, "environment": 128}  # pixels that are computed; the others lie between
 LARGEST_SHOWN = 10.0  # CIELAB distance that is brightest in a picture of differences
 INCIDENCE_DEG = 45  # of the lobes of the parts
 LINES = ("-", "--", "-.", ":")
@@ -32,21 +35,22 @@ def of_file_and_fit(subject: Subject) -> dict[Lighting, dict[str, np.ndarray]]:
 
     The two are compared where the file has data below ``theta_max``; without a file the fit is shown everywhere.
     """
-    grid, fit = subject.grid, subject.predicted
+    grid, fit, rim = subject.grid, subject.predicted, 1.0
     if subject.measurement is None:
         planes = {"fit": np.where(grid.above[..., : fit.shape[-1]], fit, 0.0)}
     else:
         values, valid = folded(subject.measurement)
         used = valid & within(grid, subject.theta_max)[..., : fit.shape[-1]]
+        rim = float(np.sin(subject.theta_max))  # past it nothing is compared
         planes = {"file": np.where(used, values, 0.0), "fit": np.where(used, fit, 0.0)}
     found: dict[Lighting, dict[str, np.ndarray]] = {}
-    for lighting in SIDE:
+    for lighting in COMPUTED:
         inside, lit = _sphere(lighting, subject.dims)
         radiance = {name: coloured(render(lit, brdf).T, subject.model.bands).T for name, brdf in planes.items()}
-        found[lighting] = {name: _round(displayed(pixels), inside) for name, pixels in radiance.items()}
+        found[lighting] = {name: _round(displayed(pixels), inside, rim) for name, pixels in radiance.items()}
         if len(radiance) == 2:
             apart = np.clip(difference(radiance["file"], radiance["fit"]) / LARGEST_SHOWN, 0, 1)
-            found[lighting]["difference"] = _round(mpl.colormaps["inferno"](apart, bytes=True)[:, :3], inside)
+            found[lighting]["difference"] = _round(mpl.colormaps["inferno"](apart, bytes=True)[:, :3], inside, rim)
     return found
 
 
@@ -68,18 +72,29 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
 @cache
 def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
     """Pixels of a square that are inside the sphere's disc, and their weights of all bins."""
-    side = SIDE[lighting]
+    side = COMPUTED[lighting]
     axis = (np.arange(side) + 0.5) / side * 2 - 1
     positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
     inside = np.sum(positions**2, -1) < 0.99
     return inside, sphere(lighting, positions[inside], dims)
 
 
-def _round(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _round(colours: np.ndarray, inside: np.ndarray, rim: float = 1.0) -> np.ndarray:
+    """A picture (SIDE, SIDE, 4) of pixels inside the disc, up to a radius: its rim is as opaque as the disc covers it.
+
+    The outermost pixel is coloured as those within it: it is partly past what is known.
+    """
     side = int(np.sqrt(len(inside)))
-    picture = np.zeros((side * side, 4), np.uint8)
-    picture[inside] = np.concatenate([colours, np.full((len(colours), 1), 255, np.uint8)], 1)
-    return picture.reshape(side, side, 4)
+    square = inside.reshape(side, side)
+    centres = (np.arange(side) + 0.5) / side * 2 - 1
+    known = square & (np.hypot(centres[:, None], centres) < rim - 2 / side)
+    nearest = np.asarray(distance_transform_edt(~known, return_distances=False, return_indices=True))
+    picture = np.zeros((side, side, 3), np.uint8)
+    picture[square] = colours
+    image = Image.fromarray(picture[tuple(nearest)]).resize((SIDE, SIDE), Image.Resampling.BICUBIC)
+    axis = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
+    covered = np.clip((rim - np.hypot(axis[:, None], axis)) * SIDE / 2 + 0.5, 0, 1)
+    return np.dstack([np.asarray(image), np.round(255 * covered).astype(np.uint8)])
 
 
 @printable
@@ -87,7 +102,7 @@ def spheres(subject: Subject) -> Figure:
     """A row a light: file, fit, and their CIELAB difference."""
     found = of_file_and_fit(subject)
     columns = len(found["lamp"])
-    figure = new(2.9 if columns == 3 else 4.2)
+    figure = new((2.15 if columns == 3 else 3.7) + 0.5 * subject.titled)
     panels = figure.subplots(len(found), columns, squeeze=False)
     for k, (row, (lighting, pictures)) in enumerate(zip(panels, found.items(), strict=True)):
         for panel, (name, picture) in zip(row, pictures.items(), strict=True):

@@ -238,6 +238,11 @@ def test_a_fit_that_is_the_file_is_a_sphere_without_difference(measurement):
     vars(same)["predicted"] = np.ones((3, 90, 90, 90)) * FILE[:, None, None, None]
     for pictures in of_file_and_fit(same).values():
         np.testing.assert_array_equal(pictures["file"], pictures["fit"])
+        assert pictures["fit"].shape == (256, 256, 4)
+        opaque = pictures["fit"][128, :8, 3]  # a rim without steps, where data begin
+        assert opaque[0] == 0
+        assert opaque[-1] == 255
+        assert np.any((opaque > 0) & (opaque < 255))
         assert pictures["difference"][..., :3].max() == pytest.approx(3, abs=3)  # the first colour of inferno
 
 
