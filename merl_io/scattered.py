@@ -256,13 +256,19 @@ def thin(samples: ScatteredSamples, count: int) -> ScatteredSamples:
 
 
 def keep_middles(samples: ScatteredSamples, edges: np.ndarray) -> ScatteredSamples:
-    """Of every run of neighbours its middle one, which stands for the share of all; values are not averaged.
+    """Of every run of neighbours one, which stands for the share of all; values are not averaged.
+
+    It is the one nearest the middle of those with the mean share or more. The middle one itself may have a millionth of
+    its neighbours' share, and a peak's value: beside the mirror direction of chm_mint one of 1536 had 95 % of the
+    energy then, 35 times that of the file.
 
     Args:
         edges: where runs begin, from 0 on, and the number of samples; rising.
     """
-    middle = (edges[:-1] + edges[1:]) // 2
-    whole = np.add.reduceat(samples.share, edges[:-1])
-    kept = samples.taken(middle)
+    counts, whole = np.diff(edges), np.add.reduceat(samples.share, edges[:-1])
+    run = np.repeat(np.arange(len(counts)), counts)
+    small = samples.share < (1 - 1e-9) * (whole / counts)[run]
+    away = np.abs(np.arange(len(run)) - (edges[:-1] + counts // 2)[run])
+    kept = samples.taken(np.lexsort((away, small, run))[edges[:-1]])
     factor = np.where(kept.share > 0, whole / np.where(kept.share > 0, kept.share, 1.0), 0.0)
     return replace(kept, weight=kept.weight * factor, share=whole, uncertainty=None, repeatability=0.0)

@@ -17,7 +17,8 @@ receives comes after all others of these.
 matter (`plausible`: a bright body under a conductor, a conductor that hardly absorbs) describe a felt or
 paper a little better. Where they have the lowest score, a dielectric is taken, unless the J or E of every dielectric is
 more than `BEYOND` times theirs: 2.46 of a reconstructed red fabric, 2.2 of a green felt, at most 1.6 of the other
-files that it was chosen on (docs/fitting.md).
+files that it was chosen on (docs/fitting.md); or its J is above `VAGUE`: of those files none leaves more than 0.03,
+while a chrome wrap under a coloured film, of which a dielectric leaves half, has no index of matter.
 
 **Richer models.** Sums (``--model auto``) are judged by what is seen: J times the square of the picture's error P, on
 the coarse grid, and twice that where the highlight is lost; without a picture by J E^2. A clear coat and another
@@ -45,6 +46,7 @@ from ..results import schema
 
 ALIKE = 6.0
 MARGIN = 1.05
+VAGUE = 0.2  # J above which a fit says too little of a file to say what matter it is
 BEYOND = 2.5  # times the J or E of what no matter has: so much worse may a dielectric be
 PATIENCE = 2.0  # times the nearest picture of all: as much worse may one be that keeps the highlight
 ENOUGH = 0.005  # of the weighted energy: a single model that leaves no more needs no other lobe, if its picture is near
@@ -131,22 +133,27 @@ def choose(
     scored = np.nan_to_num(scores, nan=np.inf)
     best = min(every, key=lambda k: scored[k])
     if matter:
-        known = [k for k in every if matter[k] and (matter[best] or dielectric[k])]
+        known = [k for k in every if matter[k] and (matter[best] or (dielectric[k] and objectives[k] <= VAGUE))]
         if own := [k for k in known if not beyond(best, k, objectives, cube_roots)]:
             every, best = own, min(own, key=lambda k: scored[k])
     near = [k for k in every if k == best or alike(k, best, objectives, cube_roots, scores)]
     return near[0] if len(near) == 1 else next((k for k in near if not excessive(k)), near[0])
 
 
+def error_of(objective: float, look: float, highlight: float | None) -> float:
+    """What richer models are judged by.
+
+    Args:
+        objective: J. look: error of the picture, or of cube roots where nothing is seen.
+        highlight: fitted over measured.
+    """
+    return objective * look**2 * (LOST if highlight is not None and lost(highlight) else 1.0)
+
+
 def errors_of(compared: Sequence[schema.Candidate]) -> list[float]:
-    """What richer models are judged by, of each; infinite for what has none."""
+    """The same of each that was compared; infinite for what has none."""
     seen = _seen(compared)
-    return [
-        np.inf
-        if c.objective is None
-        else c.objective * _look(c, seen) ** 2 * (LOST if c.highlight is not None and lost(c.highlight) else 1.0)
-        for c in compared
-    ]
+    return [np.inf if c.objective is None else error_of(c.objective, _look(c, seen), c.highlight) for c in compared]
 
 
 def _seen(compared: Sequence[schema.Candidate]) -> bool:

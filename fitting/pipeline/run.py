@@ -36,6 +36,7 @@ from ..fit.selection import (
     WORTH,
     choose,
     choose_sum,
+    error_of,
     errors_of,
     nearest,
     promising,
@@ -210,14 +211,8 @@ def fit(
             if more := [model for model in richer(config, *bases) if model not in known]:
                 tried += searched(more)
                 compared, chosen = compare(tried, few, single, kinds, seen=True)
-        layout, rough, solution = tried[chosen]
-        z, last = solution.z, cheaper(layout, COARSE_ORDER)
-        if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
-            z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
-    report(f"{config.fit.grid} grid: {layout.model.variant}")
-    ends = descend(layout, z, measurement, samples, config, clock)
-    fitted = ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])]
-    return replace(fitted, candidates=compared)
+    ended = [finished(tried[k], problem, measurement, samples, config, clock, report) for k in sorted({single, chosen})]
+    return replace(min(ended, key=_error), candidates=compared)
 
 
 @one_core_a_call
@@ -290,6 +285,29 @@ class Searched(NamedTuple):
     layout: Layout
     rough: Layout
     solution: Solution
+
+
+def finished(
+    found: Searched, problem: Problem, measurement: Input, samples: AnySamples, config: Config, clock: Clock,
+    report: Report,
+) -> Fitted:  # fmt: skip
+    """Where a model comes to from the coarse grid's ``problem`` on the last grid."""
+    layout, rough, solution = found
+    z, last = solution.z, cheaper(layout, COARSE_ORDER)
+    if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
+        with clock.stage("coarse"):
+            z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
+    report(f"{config.fit.grid} grid: {layout.model.variant}")
+    ends = descend(layout, z, measurement, samples, config, clock)
+    return ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])]
+
+
+def _error(fitted: Fitted) -> float:
+    """What richer models are judged by on the coarse grid, on all data: few samples may not say which is the better."""
+    e, highlight = fitted.errors, fitted.errors.highlight
+    look = e.picture if np.isfinite(e.picture) else e.cube_root
+    found = error_of(fitted.solution.cost, look, highlight if np.isfinite(highlight) else None)
+    return found if np.isfinite(found) else np.inf
 
 
 def compare(

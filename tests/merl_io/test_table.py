@@ -4,6 +4,7 @@ import io
 import os
 import tracemalloc
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -285,6 +286,18 @@ def test_thinning_keeps_the_shares_of_all(file):
     assert few.share.sum() == samples.share.sum() == 3
     assert set(few.theta_h) <= set(samples.theta_h)
     assert thin(samples, 3) is samples
+
+
+def test_a_peak_of_little_share_does_not_stand_for_its_neighbours(file):
+    """Samples crowd where a mirror's light goes: among neighbours one may have a peak's value and no share."""
+    measured = inputs.read(file)
+    samples = scattered(measured, measured.values, np.ones_like(measured.values), measured.valid)
+    crowd = replace(samples.taken(np.zeros(30, int)), share=np.ones(30), weight=np.ones((3, 30)))
+    crowd.share[1::3], crowd.weight[:, 1::3], crowd.value[:, 1::3] = 1e-6, 1e-6, 1e3
+    few = thin(crowd, 10)
+    assert few.share.sum() == pytest.approx(crowd.share.sum())
+    energy = [np.sum(x.weight * x.value**2) for x in (crowd, few)]
+    assert energy[1] == pytest.approx(energy[0], rel=0.5)
 
 
 def test_the_mirror_direction_is_at_180_degrees():
