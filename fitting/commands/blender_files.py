@@ -74,7 +74,7 @@ def room():
         scene.collection.objects.link(each)
     scene.camera, scene.world = eye, with_nodes(bpy.data.worlds.new("room"))
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = 0.3, 0.3, 0.3, 1.0
-    scene.render.engine, scene.cycles.samples = "CYCLES", 64
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 64, False
     scene.render.resolution_x = scene.render.resolution_y = 256
     scene.view_settings.view_transform = "Standard"
     return scene
