@@ -142,9 +142,12 @@ def _exported(
                 f"spheres drawn by the formulas of glTF differ from the fit by a mean CIELAB distance of {off}"
             )
             return [to_gltf(path.stem, found, said, what, out)], [what]
-        case "openpbr" | "blender" if principled.is_own(result, to):
+        case "openpbr" if principled.is_own(result, to):
             inputs = principled.openpbr_inputs(result)
-            return [WRITERS[to](path.stem, inputs, said, principled.in_words(result), out)], []
+            return [to_openpbr(path.stem, inputs, said, principled.in_words(result), out)], []
+        case "blender" if principled.is_own(result, to):
+            what = f"{principled.in_words(result)}; below, the base is as it is seen under its coat"
+            return [to_blender(path.stem, principled.blender_inputs(result), said, what, out)], []
         case _:
             say("nearest GGX")
             found = nearest_of(path, result, to)

@@ -159,14 +159,21 @@ def test_openpbrs_parameters_in_materialx_are_those_of_the_fit(tmp_path):
         np.testing.assert_allclose(found, RGB[:, None] * slope + rest, rtol=4e-3)
 
 
-def test_openpbrs_parameters_in_blender_are_those_of_the_fit(tmp_path):
-    written(tmp_path, "openpbr", OPENPBR, "blender")
+@pytest.mark.parametrize("coat", [0.0, 1.0])
+def test_openpbrs_parameters_in_blender_are_those_of_the_fit(tmp_path, coat):
+    """Without a coat; below one the base is darker and rougher, and its index that beside the coat's."""
+    written(tmp_path, "openpbr", OPENPBR | {"coat_weight": coat}, "blender")
     outputs.refuse_others([tmp_path / "paint.blender.py"])
     tree = ast.parse((tmp_path / "paint.blender.py").read_text())
     (given,) = (
         ast.literal_eval(x.value) for x in tree.body if isinstance(x, ast.Assign) and x.targets[0].id == "INPUTS"
     )
     assert set(given) == set(INPUTS.values())
+    if coat:
+        assert np.all(np.array(given["Base Color"][:3]) < 0.8 * RGB)
+        assert given["Roughness"] > OPENPBR["specular_roughness"]
+        assert given["IOR"] == pytest.approx(1.6 / 1.5, rel=1e-5)
+        return
     for name, value in OPENPBR.items():
         np.testing.assert_allclose(np.ravel(given[INPUTS[name]])[: np.size(value)], np.ravel(value), rtol=1e-5)
 
