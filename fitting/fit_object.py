@@ -312,7 +312,7 @@ class Fit:
         """One of the pictures that `merlfit inspect` draws, as wide as a column of a paper (8.5 cm).
 
         Args:
-            name: samples, spheres, lobes, isolines, peak, residuals, errors, effects, corner, corner-all or trace.
+            name: samples, scans, spheres, lobes, isolines, peak, residuals, errors, effects, corner, corner-all, trace.
             path: a PNG, PDF or SVG to write, too; what it is of stands in its metadata.
             title: whether that is above the picture, too. options: of lobes and corner (`plot_lobes`, `plot_corner`).
 

@@ -10,6 +10,7 @@ from .isolines import isolines
 from .lobes import lobes, peak
 from .residual_maps import errors, residuals
 from .sample_plots import samples
+from .scans import scans
 from .spheres import effects, spheres
 from .subject import Subject
 from .trace import trace
@@ -35,8 +36,9 @@ PICTURES = {
     "corner-all": Picture("corner plot of all parameters, as wide as a page", corner_all),
     "trace": Picture("the walkers of the posterior's chain, step by step", trace),
     "samples": Picture("samples and fit, their ratio, and parameters over the wavelength", samples),
+    "scans": Picture("samples against theta_s beside the fit, for each angle of incidence", scans),
 }
-OF_SCATTERED, OF_BINS = ("samples",), ("peak", "residuals", "errors")  # pictures of files of one kind
+OF_SCATTERED, OF_BINS = ("samples", "scans"), ("peak", "residuals", "errors")  # pictures of files of one kind
 
 
 def usual(subject: Subject) -> list[str]:

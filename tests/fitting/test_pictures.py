@@ -17,6 +17,7 @@ from merlfit.fitting.show.lobes import INCIDENCES_DEG
 from merlfit.fitting.show.pictures import OF_SCATTERED, PICTURES
 from merlfit.fitting.show.spheres import of_file_and_fit, of_parts
 from merlfit.fitting.show.subject import Subject
+from merlfit.merl_io import inputs
 from merlfit.merl_io.binary import DIMS, Measurement
 from merlfit.merl_io.grid import merl_grid
 from merlfit.model.measured import Measured
@@ -408,3 +409,23 @@ def test_a_corner_plot_has_the_parameters_that_were_asked_for(subject):
     assert [axis.get_xlabel() for axis in figure.axes[2:]] == [r"$\eta$ R", r"$\beta$"]
     with pytest.raises(NoPicture, match="there is no parameter 'gamma' that was fitted; there are beta, p,"):
         PICTURES["corner"].draw(subject, parameters=["gamma"])
+
+
+def test_scans_are_drawn_by_incidence_against_the_signed_angle_of_the_viewer(subject):
+    signed = np.arange(-70.0, 71.0, 5.0)
+    theta_i = np.repeat([10.0, 40.0], len(signed))
+    value = 0.1 + np.exp(-(((np.tile(signed, 2) - theta_i) / 10) ** 2))
+    table = {
+        "theta_i_deg": theta_i, "theta_o_deg": np.abs(np.tile(signed, 2)),
+        "phi_deg": np.where(np.tile(signed, 2) >= 0, 180.0, 0.0), "wavelengths_um": [0.645, 0.526, 0.444],
+        "values": np.stack([value] * 3, -1),
+    }  # fmt: skip
+    figure = PICTURES["scans"].draw(replace(subject, scattered=inputs.read(table), measurement=None))
+    for axis, degrees in zip(figure.axes, (10, 40), strict=True):
+        marked = [line for line in axis.lines if line.get_linestyle() == "None" and len(line.get_xdata()) > 2]
+        assert len(marked) == 3
+        x, y = marked[0].get_data()
+        assert sorted(x) == pytest.approx([*signed])
+        assert x[np.argmax(y)] == pytest.approx(degrees)
+    with pytest.raises(NoPicture, match="does not hold scattered directions"):
+        PICTURES["scans"].draw(subject)
