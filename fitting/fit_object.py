@@ -351,12 +351,12 @@ class Fit:
         """
         beside: dict[str, Subject] = {}
         if models:
-            every = [self, *models]
-            for each in every:
-                if missing := [name for name in self._model().channels if name not in each._model().channels]:
+            every, own = [self, *models], self._model().channels
+            drawn = channels or own[len(own) // 2 : len(own) // 2 + 1]
+            for each in models:
+                if missing := [name for name in drawn if name not in each._model().channels]:
                     raise NoPicture(f"{each.result.source.material}: has no channel {missing[0]!r}")
             names = heads([each.result for each in every], always=True)
-            names = [name if names.count(name) == 1 else f"{name} {k + 1}" for k, name in enumerate(names)]
             base = subject_of(self.result, self.path, self._measured or file_of(self.path, self.result))
             beside = {
                 name: replace(base, result=each.result, chain=None, walkers=None)

@@ -20,6 +20,7 @@ from .tensor import Tensors, tensors
 MOST = 31  # wavelengths that are read: RGL's files have 195, and each brings parameters of its own into the fit
 PARTS = {"theta_i": 1, "phi_i": 1, "ndf": 2, "sigma": 2, "vndf": 4, "luminance": 4}  # float32, so many dimensions
 ISOTROPIC = 2  # azimuths of light at the most
+OURS = "tabulated by merlfit "  # in the description of a file that we have computed
 NODES = 1024  # of an axis, at the most: RGL's files have 128; memory goes with two of them multiplied
 
 
@@ -57,9 +58,17 @@ def read(path: str | Path, fitted_sha1: str | None = None, most: int = MOST) -> 
     kept, bands, notes = filled(values, bands)
     values = values[kept] if notes else values
     return ScatteredMeasurement(
-        path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out, tuple(notes), solid,
-        between=Nodes(parts, incidences).between,
+        path, "RGL", theta_i, theta_o, phi, values, share, bands, sha1, blob, left_out,
+        (*notes, *_computed(file)), solid, between=Nodes(parts, incidences).between,
     )  # fmt: skip
+
+
+def _computed(file: Tensors) -> list[str]:
+    """That a file is not measured, where its description says so, as those that we write do."""
+    if "description" not in file.fields:
+        return []
+    words = file.array("description", "uint8", 1).tobytes().decode(errors="replace")
+    return [f"not measured: its description says {words!r}"] if OURS in words else []
 
 
 def _parts(file: Tensors) -> dict[str, np.ndarray]:

@@ -1,5 +1,6 @@
 """MaterialX documents."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ MATERIALX = """<?xml version="1.0"?>
 
 def to_openpbr(name: str, inputs: dict[str, Any], said: str, what: str, out: Path) -> Path:
     """A MaterialX document of one OpenPBR surface; ``what`` its inputs are, in words."""
-    plain = "".join(c if c.isalnum() else "_" for c in name)
+    plain = re.sub(r"[^A-Za-z0-9_]", "_", name)  # letters of other alphabets are none of MaterialX'
     lines = []
     for key, value in inputs.items():
         kind, numbers = ("color3", value) if isinstance(value, list) else ("float", [value])

@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from ...merl_io import rgl_writer
 from ...merl_io.atomic import write_text
 from ...merl_io.bands import MERL, Bands
+from ...merl_io.rgl import OURS
 from ...model.geometry import Geometry
 from ...scene.colour import REFLECTANCE_NM, reflectances, weights_of
 from ...scene.gridded import GRID, drawn
@@ -54,7 +55,7 @@ def to_rgl(name: str, material: Material, said: str, out: Path) -> tuple[list[Pa
     parts = rgl_writer.fields(lambda i, o: _evaluated(material, i, o))
     colours = rgl_writer.coloured(parts, weights_of(material.bands))
     what = f"spheres drawn of this table differ by a mean CIELAB distance of {_apart(parts, colours, material):.2f}"
-    whole = f"{said}, tabulated by merlfit {version('merlfit')}: {what}"
+    whole = f"{said}, {OURS}{version('merlfit')}: {what}"
     rgl_writer.write(rgb, parts, colours, whole)
     weights, nm = _spectral(material.bands)
     rgl_writer.write(spec, parts, rgl_writer.coloured(parts, weights), whole, nm)

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -212,7 +213,8 @@ def fit(
                 tried += searched(more)
                 compared, chosen = compare(tried, few, single, kinds, seen=True)
     ended = [finished(tried[k], problem, measurement, samples, config, clock, report) for k in sorted({single, chosen})]
-    return replace(min(ended, key=_error), candidates=compared)
+    seen = all(np.isfinite(each.errors.picture) for each in ended)
+    return replace(min(ended, key=partial(_error, seen=seen)), candidates=compared)
 
 
 @one_core_a_call
@@ -302,10 +304,14 @@ def finished(
     return ends[nearest([(f.errors.picture, f.errors.highlight) for f in ends])]
 
 
-def _error(fitted: Fitted) -> float:
-    """What richer models are judged by on the coarse grid, on all data: few samples may not say which is the better."""
+def _error(fitted: Fitted, seen: bool) -> float:
+    """What richer models are judged by on the coarse grid, on all data: few samples may not say which is the better.
+
+    Args:
+        seen: whether all that are compared have a picture.
+    """
     e, highlight = fitted.errors, fitted.errors.highlight
-    look = e.picture if np.isfinite(e.picture) else e.cube_root
+    look = e.picture if seen else e.cube_root
     found = error_of(fitted.solution.cost, look, highlight if np.isfinite(highlight) else None)
     return found if np.isfinite(found) else np.inf
 

@@ -79,19 +79,19 @@ def _row_of_models(
 ) -> tuple[float, float]:
     """As `_row`: the data in black, and a colour and a kind of line for each model."""
     angles, is_datum, found = curves.lobe(subject, degrees)
-    seen = [found["file"]] if "file" in found else []
+    seen = [found["file"][chosen]] if "file" in found else []
     for m, other in enumerate(models.values()):
         lines = curves.lobe(other, degrees)[2]["fit"]
-        seen.append(lines)
         for c in chosen:
             at = other.model.channels.index(subject.model.channels[c])
+            seen.append(lines[at : at + 1])
             for axis, scale in zip(row, (np.cbrt, np.asarray), strict=True):
                 axis.plot(angles, scale(lines[at]), LINES[m % len(LINES)], color=OKABE_ITO[m % len(OKABE_ITO)])
     for c in chosen if "file" in found else ():
         for axis, scale in zip(row, (np.cbrt, np.asarray), strict=True):
             axis.plot(angles[is_datum], scale(found["file"][c][is_datum]), **_data(c))
     _place(row, degrees)
-    whole = np.stack([x[chosen] for x in seen])
+    whole = np.concatenate(seen)
     return float(np.nanmin(np.where(whole > 0, whole, np.nan))), float(np.nanmax(whole))
 
 

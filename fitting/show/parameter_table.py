@@ -12,7 +12,7 @@ from ..results.schema import ParameterResult, Result
 from ..support.numbers import number
 from .style import letters
 
-DIGITS = 2  # of the smaller error
+DIGITS, UNEVEN = 2, 1000.0  # of the smaller error, unless that is so many times smaller than the other one
 LATEX_UNITS = {"1": "", "um": "\\textmu m", "1/sr": "sr$^{-1}$", "deg": "$^\\circ$"}
 HTML_UNITS = {"1": "", "um": "µm"}
 SPECIAL = str.maketrans({
@@ -43,7 +43,8 @@ def cell(result: Result, q: ParameterResult) -> Cell:
         return Cell(number(q.value, 3), note=set_ or "undecided")
     value = known.q50 if q.quantiles else q.value
     above, below = known.q95 - value, value - known.q05
-    least = min(x for x in (above, below, abs(value)) if x > 0) if max(above, below) > 0 else abs(value) or 1.0
+    most = max(above, below)
+    least = min(x for x in (above, below, abs(value)) if x > most / UNEVEN) if most > 0 else abs(value) or 1.0
     places = max(DIGITS - 1 - math.floor(math.log10(least)), 0)
     return Cell(*(f"{x:.{places}f}" for x in (value, above, max(below, 0.0))))
 
@@ -59,13 +60,14 @@ def rows_of(results: Sequence[Result]) -> list[tuple[ParameterResult, list[Cell 
 
 
 def heads(results: Sequence[Result], always: bool = False) -> list[str]:
-    """What each column is of: the material, and the model where materials have several, or ``always``."""
+    """What each column is of: the material, and the model where materials have several, or ``always``; else numbers."""
     names = [result.source.material + (" (edited)" if result.edited_from else "") for result in results]
     twice = {name for name, count in Counter(names).items() if count > 1}
-    return [
+    found = [
         f"{name}, {result.model.name}" if (always or name in twice) and result.model else name
         for name, result in zip(names, results, strict=True)
     ]
+    return [name if found.count(name) == 1 else f"{name} {1 + found[:k].count(name)}" for k, name in enumerate(found)]
 
 
 def notes(results: Sequence[Result]) -> list[str]:

@@ -53,6 +53,8 @@ def scans(subject: Subject) -> Figure:
         axis.text(0.03, 0.94, rf"$\theta_i = {degrees:.3g}^\circ$", transform=axis.transAxes, va="top")
         seen.append(m.values[chosen][:, near])
     values = np.concatenate([x.ravel() for x in seen])
+    if not np.any(values > 0):
+        raise NoPicture("no samples of these channels in a plane of incidence are above 0")
     low, high = (float(end(values[values > 0])) for end in (np.nanmin, np.nanmax))
     panels[0].set(yscale="log", ylim=(max(low, high / 10**DECADES) / 2, 3 * high), xlim=(-99, 99))
     for axis in panels[len(shown) :]:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from merlfit.fitting.commands import cli
 from merlfit.fitting.commands.blender_files import INPUTS
+from merlfit.fitting.commands.materialx_files import to_openpbr
 from merlfit.fitting.commands.nearest_ggx import Angles, openpbr, principled
 from merlfit.fitting.commands.scatter_formulas import FORMULAS
 from merlfit.fitting.results.storage import write_result
@@ -126,6 +127,11 @@ def test_a_gltf_file_is_a_sphere_seen_from_outside(tmp_path):
     normal = np.cross(b - a, c - a)
     assert np.all(np.sum(normal * (a + b + c), 1) > 0)
     assert np.linalg.norm(normal, axis=1).sum() / 2 == pytest.approx(4 * np.pi, rel=3e-3)
+
+
+def test_names_in_materialx_have_its_letters(tmp_path):
+    text = to_openpbr("café-1", {"base_metalness": 1.0}, "a fit", "one number", tmp_path).read_text()
+    assert 'name="m_caf__1"' in text
 
 
 def test_openpbrs_parameters_in_materialx_are_those_of_the_fit(tmp_path):

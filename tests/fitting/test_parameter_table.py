@@ -5,7 +5,7 @@ import pytest
 from merlfit.fitting.pipeline.editing import edited
 from merlfit.fitting.results.schema import Quantiles
 from merlfit.fitting.results.storage import write_result
-from merlfit.fitting.show.parameter_table import as_html, as_latex, cell
+from merlfit.fitting.show.parameter_table import as_html, as_latex, cell, heads
 
 from tests.support.command import call
 from tests.support.made_results import made
@@ -21,6 +21,7 @@ def one(name="beta", **changes):
     [
         ({"laplace": Quantiles(q05=0.0812, q50=0.1, q95=0.1234)}, ("0.100", "0.023", "0.019", "")),
         ({"laplace": Quantiles(q05=0.08, q50=0.1, q95=9.0)}, ("0.100", "8.900", "0.020", "")),
+        ({"laplace": Quantiles(q05=0.1 - 1e-12, q50=0.1, q95=0.2)}, ("0.10", "0.10", "0.00", "")),
         ({"value": 12.0, "laplace": Quantiles(q05=2.0, q50=12.0, q95=52.0)}, ("12", "40", "10", "")),
         ({"quantiles": Quantiles(q05=0.1, q50=0.2, q95=0.5)}, ("0.20", "0.30", "0.10", "")),
         ({"laplace": None}, ("0.1", "", "", "undecided")),
@@ -30,6 +31,10 @@ def one(name="beta", **changes):
 )
 def test_a_value_has_the_digits_that_its_interval_leaves(changes, said):
     assert cell(made(), one(**changes)) == said
+
+
+def test_results_of_one_material_and_model_are_numbered():
+    assert heads([made(), made()]) == ["nickel, two-scale 1", "nickel, two-scale 2"]
 
 
 def test_results_stand_side_by_side_with_what_they_are(tmp_path):

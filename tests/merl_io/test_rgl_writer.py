@@ -45,8 +45,11 @@ def test_samples_that_are_read_are_the_brdf(tmp_path, monkeypatch):
     monkeypatch.setattr(rgl_writer, "NODES", 16)
     monkeypatch.setattr(rgl_writer, "THETA_I", np.radians([0, 30, 60, 75, 90]))
     parts = rgl_writer.fields(brdf)
-    rgl_writer.write(tmp_path / "small_rgb.bsdf", parts, rgl_writer.coloured(parts, np.eye(3)), "small")
+    rgl_writer.write(
+        tmp_path / "small_rgb.bsdf", parts, rgl_writer.coloured(parts, np.eye(3)), "a fit, tabulated by merlfit 1"
+    )
     found = inputs.read(tmp_path / "small_rgb.bsdf")
+    assert found.notes[-1] == "not measured: its description says 'a fit, tabulated by merlfit 1'"
     expected = brdf(*_vectors(found))
     assert found.values.shape[1] > 0.7 * 16 * 16 * 4
     shown = found.theta_o < np.radians(89)  # beyond, it is asked for a little higher
