@@ -146,7 +146,8 @@ def directions(rows: int, columns: int) -> np.ndarray:
 def environment(radiance: np.ndarray) -> Environment:
     """From a map of any size (H, W, 3), linear RGB."""
     rows, columns = (int(np.clip(n, *ends)) for n, ends in zip(radiance.shape, (ROWS, COLUMNS), strict=False))
-    luminance = _averaged(_averaged(radiance @ LUMINANCE, rows).T, columns).T  # not a pixel of a small sun is missed
+    # not a pixel of a small sun is missed, nor what `look`, linear between cells, gives those beside it
+    luminance = _averaged(_averaged(_over_cells(radiance @ LUMINANCE), rows).T, columns).T
     edges = np.cos(np.arange(rows + 1) / rows * np.pi)
     solid_angle = np.broadcast_to((edges[:-1] - edges[1:])[:, None] * 2 * np.pi / columns, luminance.shape)
     mean = np.sum(luminance * solid_angle) / (4 * np.pi)
@@ -158,6 +159,13 @@ def environment(radiance: np.ndarray) -> Environment:
         radiance, _distribution(of_rows), _distribution(share / of_rows[:, None]), share / solid_angle,
         variation / (1 + 2 * variation),
     )))  # fmt: skip
+
+
+def _over_cells(values: np.ndarray) -> np.ndarray:
+    """Means over the cells of a map (H, W) that is linear between their centres."""
+    across = 0.75 * values + 0.125 * (np.roll(values, 1, 1) + np.roll(values, -1, 1))
+    edged = np.pad(across, ((1, 1), (0, 0)), mode="edge")
+    return 0.75 * across + 0.125 * (edged[:-2] + edged[2:])
 
 
 def _distribution(share: np.ndarray) -> np.ndarray:

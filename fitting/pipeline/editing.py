@@ -34,6 +34,10 @@ def edited(path: Path, result: Result, changes: Mapping[str, ArrayLike]) -> Resu
     """
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to edit")
+    if result.changed_by_hand:
+        raise ResultError(
+            f"{path}: was changed by hand: its intervals are not those of its numbers; edit the fit itself, by --set"
+        )
     found: dict[str, float] = {}
     for name, value in changes.items():
         for q, x in zip(*_meant(result, name, value), strict=True):

@@ -88,7 +88,10 @@ def again(result: Result) -> str:
     """What makes an edited material again, in Python; or the command that fitted the file; empty without one."""
     if (origin := result.edited_from) is None:
         return shlex.join(reproducing(result))
-    values = ", ".join(f"{q.name}={q.value:.6g}" for q in result.parameters if q.name in origin.fitted)
+    tied = {q.parameter for q in result.parameters if q.fitted == "tied"}
+    changed = [q for q in result.parameters if q.name in origin.fitted]
+    own = {q.parameter if q.parameter in tied else q.name: q.value for q in changed}
+    values = ", ".join(f"{name}={value!r}" for name, value in own.items())
     return f"merlfit.load({origin.result!r}).edited({values})"
 
 

@@ -9,6 +9,7 @@ from merlfit.fitting.pipeline.editing import edited
 from merlfit.fitting.results.storage import read_result, valid_result, write_result
 from merlfit.fitting.settings.config import Config, ConfigError
 from merlfit.fitting.show.parameter_table import as_latex
+from merlfit.fitting.show.simulated import again
 from merlfit.fitting.support.terminal import BAD_INPUT
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
@@ -52,6 +53,26 @@ def test_it_is_edited_again_from_the_same_fit_and_back(path):
     assert again.result.edited_words == "edited from the fit nickel.json: b 3 -> 2"
     assert again.edited(b=3.0).result.edited_words.endswith("all values are those of the fit again")
     assert once.edited(beta=0.05).result is once.result
+
+
+def test_what_makes_it_again_does(path):
+    """To the last digit, also of a parameter that all channels have in common."""
+    fit = merlfit.load(path)
+    tied = [
+        q.model_copy(update={"fitted": "tied", "value": 1.0}) if q.name in ("n_G", "n_B") else q
+        for q in fit.result.parameters
+    ]
+    whole = fit.result.model_copy(update={"parameters": tied})
+    write_result(path, whole.model_copy(update={"numbers_sha1": whole.digest}))
+    found = merlfit.load(path).edited(n=1.2345678901, beta=0.05)
+    made_again = eval(again(found.result), {"merlfit": merlfit})
+    assert made_again.result.parameters == found.result.parameters
+
+
+def test_what_was_changed_by_hand_is_not_edited(path):
+    path.write_text(path.read_text().replace('"value": 0.1', '"value": 0.11', 1))
+    with pytest.raises(merlfit.ResultError, match="was changed by hand"):
+        merlfit.load(path).edited(beta=0.05)
 
 
 def test_it_is_saved_beside_the_fit_and_read_again(path):

@@ -159,6 +159,16 @@ def test_a_sun_of_one_pixel_is_drawn_as_often_as_it_is_bright():
     assert near.mean() == pytest.approx(sun / (sun + 4 * np.pi), abs=0.02)
 
 
+def test_light_beside_a_sun_is_no_firefly():
+    """Radiance is linear between cells: nearly half of a sun of one pixel is seen in the cells beside it."""
+    radiance = np.full((128, 256, 3), 0.3)
+    radiance[40, 100] = 3e4
+    around = lights.environment(radiance)
+    drawn_ = eqx.filter_jit(around.draw)(np.random.default_rng(0).random((50_000, 2), np.float32))
+    weighed = np.asarray(around.look(drawn_)[:, 0] / around.density(drawn_))
+    assert np.std(weighed) < 1.2 * np.mean(weighed)
+
+
 def test_a_measured_material_looks_like_the_model_it_was_made_from():
     from merlfit.merl_io.grid import merl_grid
 
