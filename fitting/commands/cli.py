@@ -382,7 +382,7 @@ def view(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder for what is saved \\[default: beside each result].")
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page \\[default: any that is free].")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 is any that is free.")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
 ) -> None:
     """Look at fits in the browser and edit them: spheres beside the file's, lobes, a slider for each parameter.

@@ -3,6 +3,7 @@
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Thread
 from typing import get_args
 
 from ..pipeline.draws import NoPicture
@@ -34,10 +35,10 @@ def view_results(paths: Sequence[Path], file: Path | None, out: Path | None, por
     use_persistent_cache()
     shown = [_shown(path, file) for path in paths]
 
-    def ready(address: str) -> None:
+    def ready(address: str, once: str) -> None:
         console.print(f"{address}\nOpen it in a browser of this machine; Ctrl-C ends it.", soft_wrap=True)
-        if browser:
-            webbrowser.open(address)
+        if browser:  # one of a terminal comes back when it is left
+            Thread(target=webbrowser.open, args=[once], daemon=True).start()
 
     try:
         serve(Live(shown, out, get_args(To)), port, ready)

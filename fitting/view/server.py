@@ -1,6 +1,7 @@
 """The live view as a page of a server that only this machine can reach, and that asks nothing of any other.
 
-The address holds a random token; whoever does not know it, another user of the machine say, is refused. The ``Host`` of
+The address holds a random token; whoever does not know it, another user of the machine say, is refused. What a browser
+is started with, everybody can read: that is another address, which leads to the page once. The ``Host`` of
 a request must be the server's own, so that no name that somebody made to point here is taken for it, and so must the
 ``Origin``, so that no other page of the same browser gets an answer.
 """
@@ -16,7 +17,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -37,11 +38,22 @@ HEADERS = {
 """The page's scripts, styles and pictures are its own; nothing is kept, and no other site learns the address."""
 
 
-def application(live: Live, token: str, port: int) -> ASGIApp:
-    """The page under ``/TOKEN/``, and what answers it."""
+def application(live: Live, token: str, port: int, once: str = "") -> ASGIApp:
+    """The page under ``/TOKEN/``, and what answers it; ``/ONCE`` leads there, the first time."""
     pages = [Route(f"/{token}/{name}", _sent(name or "view.html")) for name in ("", "view.js", "page.js", "view.css")]
+    if once:
+        pages.append(Route(f"/{once}", _leading_once(f"/{token}/")))
     whole = Starlette(routes=[*pages, WebSocketRoute(f"/{token}/live", lambda socket: _answered(socket, live))])
     return _Guarded(whole, port)
+
+
+def _leading_once(to: str) -> Callable[[Request], Response]:
+    unused = [True]
+
+    def answer(_: Request) -> Response:
+        return RedirectResponse(to, headers=HEADERS) if unused and unused.pop() else Response(status_code=404)
+
+    return answer
 
 
 class _Guarded:
@@ -94,20 +106,21 @@ async def _answered(socket: WebSocket, live: Live) -> None:
             tasks.cancel_scope.cancel()
 
 
-def serve(live: Live, port: int, ready: Callable[[str], None]) -> None:
+def serve(live: Live, port: int, ready: Callable[[str, str], None]) -> None:
     """Serve until the program is stopped.
 
     Args:
-        port: 0 for any that is free. ready: called with the page's address, which holds the token.
+        port: 0 for any that is free. ready: called with the page's address, which holds the token, and with one that
+            leads there once.
 
     Raises:
         OSError: something else has the port.
     """
     with socket.create_server((LOOPBACK, port)) as listening:
-        port, token = listening.getsockname()[1], secrets.token_urlsafe(16)
+        port, token, once = listening.getsockname()[1], secrets.token_urlsafe(16), secrets.token_urlsafe(16)
         settings = uvicorn.Config(
-            application(live, token, port), log_level="warning", access_log=False, server_header=False,
+            application(live, token, port, once), log_level="warning", access_log=False, server_header=False,
             ws_max_size=LARGEST, timeout_graceful_shutdown=1, proxy_headers=False,
         )  # fmt: skip
-        ready(f"http://{LOOPBACK}:{port}/{token}/")
+        ready(*(f"http://{LOOPBACK}:{port}/{path}" for path in (f"{token}/", once)))
         uvicorn.Server(settings).run(sockets=[listening])

@@ -13,6 +13,7 @@ import sys
 from hashlib import sha1
 from urllib.parse import urlsplit
 
+import anyio
 import numpy as np
 import pytest
 from merlfit.fitting.commands import cli
@@ -22,6 +23,7 @@ from merlfit.fitting.show.prediction import Fitted, all_bins, plane_of_incidence
 from merlfit.fitting.view.discs import SIDE
 from merlfit.fitting.view.frames import Shown
 from merlfit.fitting.view.live import Live
+from merlfit.fitting.view.server import application
 from merlfit.merl_io.binary import write
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import WAVELENGTHS_UM
@@ -296,3 +298,30 @@ def test_a_slider_of_the_page_moves_the_lobe_and_what_is_saved_holds_its_value(s
         "beta",
         "albedo_G",
     }
+
+
+def asked(app, path):
+    """Status and headers of what is answered."""
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "method": "GET",
+        "path": path,
+        "query_string": b"",
+        "headers": [(b"host", b"127.0.0.1:80")],
+    }
+    anyio.run(app, scope, None, send)
+    return sent[0]["status"], dict(sent[0]["headers"])
+
+
+def test_what_a_browser_is_started_with_leads_to_the_page_once():
+    """Everybody on the machine can read it."""
+    app = application(None, "token", 80, "once")
+    status, headers = asked(app, "/once")
+    assert (status, headers[b"location"]) == (307, b"/token/")
+    assert asked(app, "/once")[0] == asked(app, "/")[0] == 404
+    assert asked(app, "/token/")[0] == 200
