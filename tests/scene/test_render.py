@@ -164,9 +164,9 @@ def test_light_beside_a_sun_is_no_firefly():
     radiance = np.full((128, 256, 3), 0.3)
     radiance[40, 100] = 3e4
     around = lights.environment(radiance)
-    drawn_ = eqx.filter_jit(around.draw)(np.random.default_rng(0).random((50_000, 2), np.float32))
-    weighed = np.asarray(around.look(drawn_)[:, 0] / around.density(drawn_))
-    assert np.std(weighed) < 1.2 * np.mean(weighed)
+    beside = lights.directions(4 * 128, 4 * 256)[4 * 39 : 4 * 42, 4 * 99 : 4 * 102].astype(np.float32)
+    weighed = np.asarray(around.look(beside)[..., 0] / around.density(beside))
+    assert weighed.max() < 400  # twenty times the mean of all draws, the light from all around; without the mend 6e5
 
 
 def test_a_measured_material_looks_like_the_model_it_was_made_from():
