@@ -126,7 +126,7 @@ class Fit:
             merlfit.ResultError: the fit failed, there is no material.
         """
         result = edited(self.path, self.result, values)
-        found = Fit(result, edited_file(self.path), self._measured)
+        found = Fit(result, edited_file(self.path) if result is not self.result else self.path, self._measured)
         found._folder = self._folder
         return found
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from merlfit.fitting.fit.weights import weighted_samples
-from merlfit.fitting.pipeline.run import COARSE
+from merlfit.fitting.pipeline.search import COARSE
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin

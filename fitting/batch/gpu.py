@@ -12,7 +12,7 @@ from ...merl_io.binary import MerlError
 from ...merl_io.samples import Samples
 from ..fit.stacked import AT_ONCE
 from ..fit.weights import weighted_samples
-from ..pipeline.run import too_dark
+from ..pipeline.search import too_dark
 from ..pipeline.together import Prepared, fit_together, on_cpu, prepare
 from ..settings.config import Config
 from ..settings.sections import AUTO

@@ -10,65 +10,29 @@ from typing import Annotated
 import typer
 
 from ..support.terminal import Commands, console, fail, run, writable_folder
+from .options import (
+    Dims,
+    Files,
+    Force,
+    Jobs,
+    Measured,
+    Models,
+    Out,
+    Pages,
+    Quantity,
+    Result,
+    SameWeights,
+    Seed,
+    Set,
+    Settings,
+    Weights,
+)
 
 # the commands import what they need: `merlfit --help` does not wait for JAX
 app = typer.Typer(
     name="merlfit", cls=Commands, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
     help="Fit reflectance models to measured BRDFs, with error bars: MERL files, tables, other programs' files.",
 )  # fmt: skip
-
-# typer's own look at a path would end a command at the first file that it may not read: ours name each and go on
-Files = Annotated[
-    list[Path],
-    typer.Argument(
-        help="MERL .binary files, tables (.csv, .npz: docs/tables.md), or other programs' files (docs/formats.md).",
-        readable=False,
-    ),
-]
-Result = Annotated[Path, typer.Argument(help="RESULT.json of a fit.", readable=False)]
-Measured = Annotated[
-    Path | None, typer.Option("--file", help="The MERL file, if it moved since the fit.", readable=False)
-]
-Quantity = Annotated[
-    str | None,
-    typer.Option(
-        help="What the values of tables are: brdf, brdf_cos (times cos theta_o) or reflectance_factor (pi f)."
-    ),
-]
-Settings = Annotated[Path | None, typer.Option(help="TOML settings; see configs/default.toml.", readable=False)]
-Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
-Models = Annotated[
-    str | None,
-    typer.Option(help="Models to fit, by name and with commas between: see `merlfit models` \\[default: all]."),
-]
-Weights = Annotated[
-    str | None,
-    typer.Option(help="compressive (dark bins count, too), log, none (least RMSE) or adaptive (nearest picture)."),
-]
-SameWeights = Annotated[
-    str | None,
-    typer.Option(
-        "--weights", help="compressive (dark bins count, too), log or none (least RMSE): the same for every model."
-    ),
-]
-Dims = Annotated[
-    str | None, typer.Option(help="Bins that MERL-like files may have, if they are not MERL's 90x90x180: 45x45x90.")
-]
-Seed = Annotated[int | None, typer.Option(help="Seed of the sampler.", min=0, max=2**31 - 1)]
-
-
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Edit the fit first: a parameter and its value, or one for each channel: beta=0.05, n_R=0.2, "
-        "n=0.2,0.9,1.1.",
-    ),
-]
-Force = Annotated[
-    bool, typer.Option("--force", help="Write over files that are no earlier output of this command, too.")
-]
 
 
 def main() -> None:
@@ -112,23 +76,6 @@ def _refuse_missing(platforms: str) -> None:
         jax.devices()
     except (RuntimeError, AssertionError):
         raise fail(f"JAX_PLATFORMS={platforms}: JAX finds no such device here; unset it, or set it to cpu") from None
-
-
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        "-j",
-        "--jobs",
-        min=1,
-        help="Files to fit at once, or workers of dask-slurm \\[default: as cores and memory allow].",
-    ),
-]
-
-
-Pages = Annotated[
-    int | None,
-    typer.Option("-j", "--jobs", min=1, help="Pages to make at once \\[default: as cores and memory allow]."),
-]
 
 
 @app.command(epilog="Example: merlfit check nickel.binary gold-metallic-paint2.binary")
@@ -398,7 +345,7 @@ def view(
 def table(
     results: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN_DIR", help="Folder of results; RESULT.json for latex and html.", readable=False),
+        typer.Argument(metavar="RESULTS", help="A folder, or for latex and html RESULT.json of some.", readable=False),
     ],
     kind: Annotated[
         str,
@@ -410,7 +357,7 @@ def table(
     ] = "csv",
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="The file to write \\[default: table.csv, .tex or .html in RUN_DIR]."),
+        typer.Option("-o", "--out", help="The file to write \\[default: table.csv, .tex or .html in the folder]."),
     ] = None,
     force: Force = False,
 ) -> None:

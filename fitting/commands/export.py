@@ -73,7 +73,8 @@ def export(path: Path, to: str, out: Path, changes: Mapping[str, ArrayLike], for
     if changes and result is None:
         raise fail(f"--set is for the RESULT.json of a fit; {path} is a measured file")
     if changes and result is not None:
-        result, path = edited(path, result, changes), edited_file(path)
+        result = edited(path, result, changes)
+        path = edited_file(path) if result.edited_from else path
     if to == "merl":
         refuse_present(out / f"{path.stem}.binary", force)
     writable_folder(out)

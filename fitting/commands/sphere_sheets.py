@@ -244,7 +244,10 @@ def render_results(
         for path in paths:
             say = reporter(progress, progress.add_task(path.name, total=None), path.stem)
             try:
-                stem = edited_file(path).stem if changes else path.stem
+                if path.suffix == ".toml":
+                    raise SceneError(f"{path}: one scene at a time, and no result beside it")
+                result = edited(path, read_result(path), changes)
+                stem = edited_file(path).stem if changes and result.edited_from else path.stem
                 targets = [out / f"{stem}.{varied_by}png"]
                 if studio.radiance is not None and not vary:
                     targets.append(out / f"{stem}.exr")
@@ -253,7 +256,7 @@ def render_results(
                         f"{path}: {targets[0]} is of another result of this command: render them one by one"
                     )
                 refuse_others(targets, force)
-                found = _render_result(path, targets, vary, changes, studio, say)
+                found = _render_result(path, result, targets, vary, studio, say)
                 written |= {*targets}
                 console.print(f"wrote {', '.join(map(str, targets))}; {_said(found)}")
             except Exception as error:  # of any kind: the next result has its turn
@@ -270,12 +273,9 @@ def _said(found: Sequence[Rendered]) -> str:
 
 
 def _render_result(
-    path: Path, targets: Sequence[Path], vary: Sequence[str], changes: Mapping[str, ArrayLike], studio: Studio, say: Say
+    path: Path, result: Result, targets: Sequence[Path], vary: Sequence[str], studio: Studio, say: Say
 ) -> list[Rendered]:
     """Write the sheet of a result, and under an environment's map the material alone; all spheres on them."""
-    if path.suffix == ".toml":
-        raise SceneError(f"{path}: one scene at a time, and no result beside it")
-    result = edited(path, read_result(path), changes)
     if vary:
         found, figure = varied(result, path, vary, studio, say)
         save(figure, targets[0])

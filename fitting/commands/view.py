@@ -2,6 +2,7 @@
 
 import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 from typing import get_args
@@ -41,13 +42,13 @@ def view_results(paths: Sequence[Path], file: Path | None, out: Path | None, por
             Thread(target=webbrowser.open, args=[once], daemon=True).start()
 
     try:
-        serve(Live(shown, out, get_args(To)), port, ready)
+        with suppress(Stopped):  # which is how it ends
+            serve(Live(shown, out, get_args(To)), port, ready)
     except OSError as error:
         raise fail(
             f"--port {port}: {str(error.strerror or error).split(' (')[0]}: choose another, or leave it out"
         ) from None
-    except Stopped:  # which is how it ends
-        console.print("ended")
+    console.print("ended")
 
 
 def _shown(path: Path, file: Path | None) -> Shown:

@@ -31,7 +31,8 @@ from ..fit.problem import Problem, make_problem
 from ..fit.residuals import Objective, predict
 from ..fit.transforms import Layout
 from ..pipeline.models import layout_for, variant
-from ..pipeline.run import AnySamples, assess, last_steps
+from ..pipeline.run import assess, last_steps
+from ..pipeline.search import AnySamples
 from ..results import schema, storage
 from ..settings.choice import FITTED, POINTS, REFERENCE, Choice, choice_of, default_choice
 from ..settings.config import Config, ConfigError

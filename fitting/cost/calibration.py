@@ -25,7 +25,8 @@ from ..fit.outcome import Fitted
 from ..fit.problem import Problem, directions
 from ..fit.residuals import predict
 from ..pipeline.models import layout_for, variant
-from ..pipeline.run import AnySamples, assess, fit_file
+from ..pipeline.run import assess, fit_file
+from ..pipeline.search import AnySamples
 from ..pipeline.synthesis import from_published
 from ..settings.choice import REFERENCE, Choice
 from ..settings.config import Config, load

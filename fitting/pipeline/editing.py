@@ -13,6 +13,8 @@ from ..results.schema import EditedFrom, Fit, Metrics, Model, ParameterResult, R
 from ..results.storage import ResultError, versions
 from ..settings.config import ConfigError
 
+OF_FIT = "of the fit: "  # before its cautions
+
 
 def edited(path: Path, result: Result, changes: Mapping[str, ArrayLike]) -> Result:
     """The same material with other values: without errors, posterior, or intervals of what was changed.
@@ -35,9 +37,7 @@ def edited(path: Path, result: Result, changes: Mapping[str, ArrayLike]) -> Resu
     if result.model is None:
         raise ResultError(f"{path}: the fit failed ({result.fit.status}), it has no material to edit")
     if result.changed_by_hand:
-        raise ResultError(
-            f"{path}: was changed by hand: its intervals are not those of its numbers; edit the fit itself, by --set"
-        )
+        raise ResultError(f"{path}: was changed by hand, so that intervals are not those of its numbers: edit the fit")
     found: dict[str, float] = {}
     for name, value in changes.items():
         for q, x in zip(*_meant(result, name, value), strict=True):
@@ -52,6 +52,13 @@ def edited(path: Path, result: Result, changes: Mapping[str, ArrayLike]) -> Resu
     if parameters == result.parameters:
         return result
     return _of(path, result, parameters)
+
+
+def as_set(result: Result, values: Mapping[str, float]) -> dict[str, float]:
+    """Values by the names of numbers as `edited` takes them: by parameter where all channels are tied."""
+    tied = {q.parameter for q in result.parameters if q.fitted == "tied"}
+    own = {q.name: q.parameter for q in result.parameters}
+    return {own[name] if own[name] in tied else name: value for name, value in values.items()}
 
 
 def edited_file(path: Path) -> Path:
@@ -117,6 +124,7 @@ def _of(path: Path, result: Result, parameters: list[ParameterResult]) -> Result
         status="EDITED", succeeded=result.fit.succeeded, cost=None, cost_per_channel=None, folding_scatter=None,
         message=f"{found.edited_words}; nothing was fitted to these values: they have no errors and no posterior",
         steps=0, relative_offset=None, bins=0, candidates=[],
+        cautions=[said if said.startswith(OF_FIT) else f"{OF_FIT}{said}" for said in result.fit.cautions],
     )  # fmt: skip
     values = {name: jax.device_put(np.asarray(x)) for name, x in found.values().items()}
     model = Model.of(m.measured, values, m.bands, m.colour_space)  # whose loss at grazing angles may follow

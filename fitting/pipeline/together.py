@@ -25,17 +25,16 @@ from ..settings.config import Config
 from ..support.choices import Device
 from ..support.threads import CORES
 from .models import candidates, layout_for
-from .run import (
+from .run import Found, compare
+from .search import (
     CANDIDATE_ORDER,
     COARSE,
     COARSE_ORDER,
     FIRST_ROUND_EACH,
     GRIDS,
-    Found,
     Round,
     Searched,
     cheaper,
-    compare,
     make_coarse,
     searched_for,
     successive_halving,

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from ...merl_io.scattered import ScatteredMeasurement
 from ..fit.total_scatter import incidences_of
 from ..pipeline.draws import NoPicture
 from . import prediction
@@ -14,44 +15,58 @@ SHOWN = 3  # channels that are drawn
 MOST = 8  # panels
 
 
+def beside_plane(m: ScatteredMeasurement, theta_i: float) -> tuple[np.ndarray, np.ndarray]:
+    """Signed angles of samples' viewers (deg), positive on the mirror's side, and which samples are beside the plane.
+
+    Args:
+        theta_i: the incidence (rad).
+    """
+    across = np.degrees(np.arcsin(np.abs(np.sin(m.theta_o) * np.sin(m.phi))))
+    near = (across < BESIDE_DEG) & (np.abs(np.degrees(m.theta_i - theta_i)) < BESIDE_DEG)
+    return np.degrees(m.theta_o) * np.where(np.cos(m.phi) < 0, 1, -1), near
+
+
+def _vectors(m: ScatteredMeasurement, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors of light (towards ``-x``) and viewer of samples, (N, 3) each."""
+    i, o, phi = m.theta_i[rows], m.theta_o[rows], m.phi[rows]
+    light = np.stack([-np.sin(i), np.zeros_like(i), np.cos(i)], -1)
+    return light, np.stack([-np.sin(o) * np.cos(phi), -np.sin(o) * np.sin(phi), np.cos(o)], -1)
+
+
 @printable
 def scans(subject: Subject) -> Figure:
     """A panel an incidence: samples beside the plane of incidence against the signed angle of the viewer, and the fit.
 
-    The angle theta_s is positive on the mirror's side. The fit is as the apparatus would have measured it. Of many
-    channels three are drawn, of many incidences eight, evenly chosen.
+    The fit is drawn for the samples' own directions, up to `BESIDE_DEG` off the plane and off the incidence, as the
+    apparatus would have measured it: a narrow lobe would be another one in the plane itself. Of many channels three are
+    drawn, of many incidences eight, evenly chosen.
     """
     m = subject.scattered
     if m is None:
         raise NoPicture("the file does not hold scattered directions, or is not there")
-    across = np.degrees(np.arcsin(np.abs(np.sin(m.theta_o) * np.sin(m.phi))))  # from the plane
-    theta_s = np.degrees(m.theta_o) * np.where(np.cos(m.phi) < 0, 1, -1)
-    every = [
-        (float(np.degrees(t)), (across < BESIDE_DEG) & (np.abs(np.degrees(m.theta_i - t)) < BESIDE_DEG))
-        for t in incidences_of(m)
-    ]
-    every = [(degrees, near) for degrees, near in every if near.any()]
+    found = [(float(np.degrees(theta_i)), *beside_plane(m, theta_i)) for theta_i in incidences_of(m)]
+    every = [each for each in found if each[2].any()]
     if not every:
         raise NoPicture("no samples of the file lie in a plane of incidence")
     shown = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, MOST).round().astype(int))]
     order = np.argsort(subject.model.wavelengths_um)
     chosen = order[np.unique(np.linspace(0, len(order) - 1, SHOWN).round().astype(int))]
-    rows = -(-len(shown) // 2)
-    figure = new(0.7 + 1.3 * rows)
-    panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False).ravel()
+    down = -(-len(shown) // 2)
+    figure = new(0.7 + 1.3 * down)
+    panels = figure.subplots(down, 2, sharex=True, sharey=True, squeeze=False).ravel()
     seen = []
-    for axis, (degrees, near) in zip(panels, shown, strict=False):
-        angles, _ = prediction.viewers(degrees, np.degrees(subject.grid.theta_h))
-        fit = prediction.predicted_lobe(
-            subject.fitted, *prediction.plane_of_incidence(np.radians(degrees), np.radians(angles))
-        )
+    most = max(int(np.count_nonzero(near)) for _, _, near in shown)  # one compiled program for all panels
+    for axis, (degrees, theta_s, near) in zip(panels, shown, strict=False):
+        rows = np.flatnonzero(near)[np.argsort(theta_s[near])]
+        i, o = _vectors(m, np.pad(rows, (0, most - len(rows)), mode="edge"))
+        fit = prediction.predicted_lobe(subject.fitted, i, o)[:, : len(rows)]
         for c in chosen:
             look = marks(subject.model.channels[c], c, 2.0, 0.5)
-            axis.plot(angles, fit[c], "-", color=look["color"])
-            axis.plot(theta_s[near], np.where(m.values[c] > 0, m.values[c], np.nan)[near], **look)
+            axis.plot(theta_s[rows], fit[c], "-", color=look["color"])
+            axis.plot(theta_s[rows], np.where(m.values[c] > 0, m.values[c], np.nan)[rows], **look)
         at_mirror(axis, degrees)
         axis.text(0.03, 0.94, rf"$\theta_i = {degrees:.3g}^\circ$", transform=axis.transAxes, va="top")
-        seen.append(m.values[chosen][:, near])
+        seen.append(m.values[chosen][:, rows])
     values = np.concatenate([x.ravel() for x in seen])
     if not np.any(values > 0):
         raise NoPicture("no samples of these channels in a plane of incidence are above 0")
@@ -62,7 +77,7 @@ def scans(subject: Subject) -> Figure:
     for axis in panels[max(len(shown) - 2, 0) : len(shown)]:
         axis.set_xlabel(r"$\theta_s$ (deg)")
         axis.tick_params(labelbottom=True)
-    panels[2 * (rows // 2)].set_ylabel("BRDF (1/sr)")
+    panels[2 * (down // 2)].set_ylabel("BRDF (1/sr)")
     handles = [
         panels[0].plot([], [], **{**marks(subject.model.channels[c], c, 2.5, 0.5), "linestyle": "-"},
                        label=f"{subject.channels[c]}: file, fit")[0]

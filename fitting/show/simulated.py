@@ -6,6 +6,7 @@ import numpy as np
 
 from ...merl_io.inputs import SCATTERED
 from ...model.two_scale import TwoScale
+from ..pipeline.editing import as_set
 from ..results.schema import Result
 from .terminal_tables import number
 
@@ -88,10 +89,8 @@ def again(result: Result) -> str:
     """What makes an edited material again, in Python; or the command that fitted the file; empty without one."""
     if (origin := result.edited_from) is None:
         return shlex.join(reproducing(result))
-    tied = {q.parameter for q in result.parameters if q.fitted == "tied"}
-    changed = [q for q in result.parameters if q.name in origin.fitted]
-    own = {q.parameter if q.parameter in tied else q.name: q.value for q in changed}
-    values = ", ".join(f"{name}={value!r}" for name, value in own.items())
+    changed = {q.name: q.value for q in result.parameters if q.name in origin.fitted}
+    values = ", ".join(f"{name}={value!r}" for name, value in as_set(result, changed).items())
     return f"merlfit.load({origin.result!r}).edited({values})"
 
 

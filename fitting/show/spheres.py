@@ -24,6 +24,7 @@ from .subject import Subject
 
 SIDE = 256  # pixels of a picture
 COMPUTED: dict[Lighting, int] = {"lamp": SIDE, "environment": 128}  # pixels that are computed; the others lie between
+RIM = 0.99  # squared radius up to which a sphere is drawn
 LARGEST_SHOWN = 10.0  # CIELAB distance that is brightest in a picture of differences
 INCIDENCE_DEG = 45  # of the lobes of the parts
 LINES = ("-", "--", "-.", ":")
@@ -72,11 +73,15 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
 @cache
 def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
     """Pixels of a square that are inside the sphere's disc, and their weights of all bins."""
-    side = COMPUTED[lighting]
+    positions, inside = square(COMPUTED[lighting])
+    return inside.ravel(), sphere(lighting, positions[inside], dims)
+
+
+def square(side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of the pixels of a square, (side, side, 2), and which of them are inside the sphere's disc."""
     axis = (np.arange(side) + 0.5) / side * 2 - 1
-    positions = np.stack(np.meshgrid(axis, -axis), -1).reshape(-1, 2)
-    inside = np.sum(positions**2, -1) < 0.99
-    return inside, sphere(lighting, positions[inside], dims)
+    positions = np.stack(np.meshgrid(axis, -axis), -1)
+    return positions, np.sum(positions**2, -1) < RIM
 
 
 def _round(colours: np.ndarray, inside: np.ndarray, rim: float = 1.0) -> np.ndarray:

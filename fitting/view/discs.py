@@ -14,11 +14,9 @@ from scipy.sparse import csr_array
 from ...merl_io.binary import Dims
 from ...scene.colour import displayed
 from ...scene.spheres import Lighting, sphere
+from ..show.spheres import COMPUTED, SIDE, square
 
-SIDE = 256  # pixels of a picture
-FINE: dict[Lighting, int] = {"lamp": SIDE, "environment": 128}  # pixels that are computed; the others lie between
-QUICK: dict[Lighting, int] = {"lamp": SIDE, "environment": 80}
-RIM = 0.99  # squared radius up to which a sphere is drawn
+QUICK: dict[Lighting, int] = {"lamp": SIDE, "environment": 80}  # pixels that are computed while something moves
 
 
 @dataclass(frozen=True)
@@ -51,9 +49,7 @@ class Disc:
 @cache
 def disc(lighting: Lighting, side: int, dims: Dims) -> Disc:
     """Made once for all materials."""
-    axis = (np.arange(side) + 0.5) / side * 2 - 1
-    positions = np.stack(np.meshgrid(axis, -axis), -1)
-    inside = np.sum(positions**2, -1) < RIM
+    positions, inside = square(side)
     number = np.cumsum(inside.ravel()).reshape(inside.shape) - 1
     row, column = np.asarray(distance_transform_edt(~inside, return_distances=False, return_indices=True))
     found = sphere(lighting, positions[inside], dims)
@@ -65,7 +61,7 @@ def disc(lighting: Lighting, side: int, dims: Dims) -> Disc:
 
 def pictures(radiance: Mapping[Lighting, np.ndarray], dims: Dims, exposure: float, moving: bool) -> dict[str, str]:
     """Addresses of pictures by lighting."""
-    sides = QUICK if moving else FINE
+    sides = QUICK if moving else COMPUTED
     return {
         lighting: disc(lighting, sides[lighting], dims).encoded(found, exposure, not moving)
         for lighting, found in radiance.items()

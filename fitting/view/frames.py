@@ -24,13 +24,16 @@ from ...scene.colour import cielab, coloured
 from ...scene.effects import COARSE, Effect, Row, effects_of, left_out, without
 from ...scene.spheres import BLACK, Lighting
 from ..fit.weights import within
+from ..pipeline.editing import as_set
 from ..results.schema import Result
 from ..settings.config import ConfigError
 from ..show import prediction
 from ..show.inspection import file_of
 from ..show.prediction import Fitted
+from ..show.scans import beside_plane
+from ..show.spheres import COMPUTED
 from ..show.subject import Subject, subject_of
-from .discs import FINE, QUICK, disc
+from .discs import QUICK, disc
 
 QUICK_BINS = 30, 24  # of theta_d and phi_d, at the most
 BETWEEN = 121  # viewers of a lobe beside those that see a row of theta_h
@@ -74,11 +77,6 @@ class Shown:
         self.planned: Reflectance | None = None  # of which a frame is that moves, once effects were tried
         self._last: dict[str, tuple[object, Any]] = {}
 
-    @property
-    def fitted(self) -> tuple[float, ...]:
-        """Numbers of the fit."""
-        return tuple(q.value for q in self.result.parameters)
-
     def numbers(self, given: Mapping[str, float]) -> tuple[float, ...]:
         """In the order of the result's ``parameters``: those given, what is tied to them, the others as fitted.
 
@@ -92,6 +90,7 @@ class Shown:
             slack = BEYOND * max(abs(q.lower), abs(q.upper))
             if not q.lower - slack <= value <= q.upper + slack:
                 raise ConfigError(f"{name}: {value:g} is outside its bounds, {q.lower:g} to {q.upper:g}")
+        given = {name: min(max(value, free[name].lower), free[name].upper) for name, value in given.items()}
         leading = {q.parameter: given[q.name] for q in free.values() if q.name in given}
         tied = {
             q.name: leading[q.parameter]
@@ -101,13 +100,9 @@ class Shown:
         return tuple({**given, **tied}.get(q.name, q.value) for q in self.result.parameters)
 
     def changes(self, given: Mapping[str, float]) -> dict[str, float]:
-        """What differs from the result, as `editing.edited` takes it: by parameter where all channels are tied."""
-        tied = {q.parameter for q in self.result.parameters if q.fitted == "tied"}
-        return {
-            q.parameter if q.parameter in tied else q.name: value
-            for q, value in zip(self.result.parameters, self.numbers(given), strict=True)
-            if value != q.value
-        }
+        """What differs from the result, as `editing.edited` takes it."""
+        numbers = zip(self.result.parameters, self.numbers(given), strict=True)
+        return as_set(self.result, {q.name: value for q, value in numbers if value != q.value})
 
     def material(self, look: Look) -> Fitted:
         """The material with its tables."""
@@ -130,7 +125,7 @@ class Shown:
         return self._once("radiance", look, lambda: self._radiance(self.material(look), look.moving))
 
     def _radiance(self, fitted: Fitted, moving: bool) -> Radiance:
-        dims, sides = self.dims(moving), QUICK if moving else FINE
+        dims, sides = self.dims(moving), QUICK if moving else COMPUTED
         planes = np.where(self._used(dims), prediction.all_bins(fitted, dims), 0.0)
         return {lighting: self._lit(lighting, sides[lighting], dims, planes) for lighting in sides}
 
@@ -166,13 +161,13 @@ class Shown:
         if self.subject.measurement is None:
             return None
         planes = np.where(self._pictured, folded(self.subject.measurement)[0], 0.0)
-        return {lighting: self._lit(lighting, FINE[lighting], self.subject.dims, planes) for lighting in FINE}
+        return {lighting: self._lit(lighting, COMPUTED[lighting], self.subject.dims, planes) for lighting in COMPUTED}
 
     def apart(self, found: Radiance) -> dict[str, float] | None:
         """Mean CIELAB distance from the file's spheres over pixels that are lit in either, by lighting."""
         if self.measured is None:
             return None
-        return {lighting: _mean_distance(self.measured[lighting], found[lighting]) for lighting in FINE}
+        return {lighting: _mean_distance(self.measured[lighting], found[lighting]) for lighting in COMPUTED}
 
     def lobe(self, look: Look, theta_i: float) -> dict[str, Any]:
         """Curves in the plane of incidence for plots, each a list by channel: what is not there is None.
@@ -195,6 +190,10 @@ class Shown:
             where = prediction.half_difference(i[is_datum], o[is_datum])
             found["at"] = np.round(angles[is_datum], 3).tolist()
             found["file"] = _lists(prediction.measured_lobe(measurement, self.subject.grid, *where))
+        if (m := self.subject.scattered) is not None:  # its own samples rather than what lies between them
+            theta_s, near = beside_plane(m, np.radians(theta_i))
+            found["at"] = np.round(theta_s[near], 3).tolist()
+            found["file"] = _lists(m.values[:, near])
         return i, o, found
 
     def _bands(self, i: np.ndarray, o: np.ndarray) -> dict[str, Any]:

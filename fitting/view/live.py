@@ -58,7 +58,8 @@ class SaveAsked(_Asked):
     """To write what was edited, as a result."""
 
     ask: Literal["save"]
-    name: FileName
+    name: Annotated[FileName, Field(pattern=r"^[^.-]")]
+    """Neither hidden nor like an option of a command."""
 
 
 class ExportAsked(Strict):
@@ -84,6 +85,7 @@ class Live:
     def __init__(self, shown: Sequence[Shown], folder: Path | None = None, exports: Sequence[str] = ()) -> None:
         self.shown, self.folder, self.exports = tuple(shown), folder, tuple(exports)
         self._saved: set[Path] = set()
+        self._exposures: dict[int, float] = {}  # of each file's spheres, as they were last sent
         self._lock = Lock()
 
     @property
@@ -94,12 +96,13 @@ class Live:
 
     def answer(self, message: Mapping[str, Any]) -> dict[str, Any]:
         """What is asked for, with ``answer`` and ``result`` as the message had them; ``error`` where it cannot be."""
-        head = {"answer": message.get("ask"), "result": message.get("result")}
+        head, path = {"answer": message.get("ask"), "result": message.get("result")}, self.shown[0].path
         try:
             asked = _ASKED.validate_python(dict(message))
             if asked.result >= len(self.shown):
                 raise ConfigError(f"there is no result {asked.result}")
             each = self.shown[asked.result]
+            path = each.path
             match asked:
                 case FrameAsked():
                     return head | self._frame(each, asked)
@@ -113,7 +116,7 @@ class Live:
             first = error.errors()[0]
             return head | {"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"}
         except Exception as error:  # of any kind: the view goes on
-            return head | {"error": why_ended(self.shown[0].path, error)}
+            return head | {"error": why_ended(path, error)}
 
     def _frame(self, each: Shown, asked: FrameAsked) -> dict[str, Any]:
         if unknown := set(asked.off) - {effect.name for effect in each.effects}:
@@ -126,8 +129,11 @@ class Live:
                 "pictures": pictures(radiance, dims, asked.exposure, asked.moving), "file": None, "apart": None,
                 "lobe": each.lobe(look, asked.theta_i), "moving": asked.moving,
             }  # fmt: skip
-            if not asked.moving and each.measured is not None:  # which looks the same while something moves
-                found["file"] = pictures(each.measured, dims, asked.exposure, False)
+            # which looks the same while parameters move, but not while the exposure does
+            if each.measured and not (asked.moving and self._exposures.get(asked.result) == asked.exposure):
+                found["file"] = pictures(each.measured, each.dims(False), asked.exposure, False)
+                self._exposures[asked.result] = asked.exposure
+            if not asked.moving:
                 found["apart"] = each.apart(radiance)
         return found | {"ms": round(1e3 * (time.perf_counter() - start), 1)}
 

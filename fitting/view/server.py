@@ -9,6 +9,7 @@ a request must be the server's own, so that no name that somebody made to point 
 import secrets
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.resources import files
 from json import JSONDecodeError
 
@@ -92,12 +93,13 @@ async def _answered(socket: WebSocket, live: Live) -> None:
 
     async def answer(message: dict) -> None:
         found = await anyio.to_thread.run_sync(live.answer, message)
-        async with sending:
-            await socket.send_json(found)
+        with suppress(WebSocketDisconnect, RuntimeError):  # the page was closed meanwhile; Starlette raises either
+            async with sending:
+                await socket.send_json(found)
 
-    await socket.send_json({"about": live.about})
     async with anyio.create_task_group() as tasks:
         try:
+            await socket.send_json({"about": live.about})
             while True:
                 message = await socket.receive_json()
                 if isinstance(message, dict):

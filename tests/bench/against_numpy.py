@@ -8,7 +8,7 @@ import numpy as np
 from merlfit.fitting.fit.levenberg_marquardt import prior_factor
 from merlfit.fitting.fit.problem import energy
 from merlfit.fitting.fit.starts import start_hints, starting_points
-from merlfit.fitting.pipeline.run import (
+from merlfit.fitting.pipeline.search import (
     CANDIDATE_ORDER,
     CANDIDATES,
     COARSE,

@@ -18,11 +18,11 @@ from merlfit.fitting.fit.stacked import AT_ONCE
 from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
-from merlfit.fitting.pipeline.run import (
+from merlfit.fitting.pipeline.run import compare
+from merlfit.fitting.pipeline.search import (
     COARSE,
     GRIDS,
     Searched,
-    compare,
     fit_coarse,
     make_coarse,
     searched_for,

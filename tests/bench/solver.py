@@ -13,7 +13,7 @@ from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.trust_region import TrustRegion
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
-from merlfit.fitting.pipeline.run import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
+from merlfit.fitting.pipeline.search import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
 from merlfit.fitting.settings.config import load
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin

@@ -8,7 +8,7 @@ from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
-from merlfit.fitting.pipeline.run import COARSE_ORDER, cheaper, fit_coarse, make_coarse
+from merlfit.fitting.pipeline.search import COARSE_ORDER, cheaper, fit_coarse, make_coarse
 from merlfit.fitting.settings.config import load
 from merlfit.merl_io.binary import read
 

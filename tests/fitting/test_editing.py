@@ -69,6 +69,21 @@ def test_what_makes_it_again_does(path):
     assert made_again.result.parameters == found.result.parameters
 
 
+def test_cautions_of_the_fit_go_along(path):
+    result = read_result(path)
+    result.fit.cautions.append("n and k are those of no matter")
+    once = edited(path, result, {"beta": 0.05})
+    twice = edited(path, once, {"beta": 0.06})
+    assert once.fit.cautions == twice.fit.cautions == ["of the fit: n and k are those of no matter"]
+
+
+def test_values_that_are_those_of_the_fit_are_no_edit(path, tmp_path):
+    fit = merlfit.load(path).edited(beta=0.1)
+    assert (fit.path, fit.result.edited_from) == (path, None)
+    assert call("export", path, "--to", "json", "--set", "beta=0.1", "-o", tmp_path / "out").exit_code == 0
+    assert (tmp_path / "out" / "nickel.material.json").is_file()
+
+
 def test_what_was_changed_by_hand_is_not_edited(path):
     path.write_text(path.read_text().replace('"value": 0.1', '"value": 0.11', 1))
     with pytest.raises(merlfit.ResultError, match="was changed by hand"):

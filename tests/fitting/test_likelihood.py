@@ -10,7 +10,7 @@ from merlfit.fitting.fit.levenberg_marquardt import solve
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.transforms import layout_of
-from merlfit.fitting.pipeline import run
+from merlfit.fitting.pipeline import run, search
 from merlfit.fitting.posterior import likelihood
 from merlfit.fitting.posterior.coreset import BATCH, STEP
 from merlfit.fitting.posterior.likelihood import LIKELIHOOD_POWER, log_likelihood, stand_in
@@ -57,7 +57,7 @@ def test_the_likelihood_is_that_of_so_many_residuals_of_the_size_at_the_fit(fitt
 
 def test_thinned_grids_see_the_mirror_direction():
     """A lobe narrower than the first kept row would be invisible, and any height of it a perfect fit."""
-    for grid in (run.COARSE, run.CANDIDATES):
+    for grid in (search.COARSE, search.CANDIDATES):
         assert grid[0][:2] == (1, 1)
         assert sum(grid[0]) == 90
 

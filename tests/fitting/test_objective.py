@@ -15,7 +15,7 @@ from merlfit.fitting.fit.residuals import Objective, compact_normal_equations, s
 from merlfit.fitting.fit.starts import start_hints, starting_points
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import weighted_samples
-from merlfit.fitting.pipeline import run
+from merlfit.fitting.pipeline import search
 from merlfit.merl_io.binary import Measurement, read, write
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import thin
@@ -42,7 +42,7 @@ def coarse(tmp_path_factory):
 @pytest.mark.slow
 def test_normal_equations_are_those_of_the_plain_jacobian(coarse):
     """Rows of three azimuths and as many nodes: nothing is gathered but the bins themselves."""
-    samples = thin(coarse[0], (run.COARSE[0], 5, 30))
+    samples = thin(coarse[0], (search.COARSE[0], 5, 30))
     problem = make_problem(samples)
     others = [Measured(TwoScale("plastic"), "derived"), Measured(TwoScale("lambert", order=8), 0.3)]
     for layout in (FREE, *map(layout_of, [*others, TwoScale("lambert", "off", split="conserving")])):
@@ -68,8 +68,8 @@ def test_gathered_azimuths_have_the_normal_equations_of_all_bins(coarse):
 @pytest.mark.parametrize("kind", KINDS, ids=" ".join)
 def test_the_program_of_all_kinds_has_the_normal_equations_of_each(coarse, kind):
     """A dielectric as a conductor with k = 0, a body chosen when the program runs, albedo 0 for none."""
-    problem = make_problem(thin(coarse[0], run.CANDIDATES), 2)
-    layout = run.cheaper(layout_of(Measured(TwoScale(kind[1], index=kind[0]))), 8)
+    problem = make_problem(thin(coarse[0], search.CANDIDATES), 2)
+    layout = search.cheaper(layout_of(Measured(TwoScale(kind[1], index=kind[0]))), 8)
     z = jnp.asarray(np.random.default_rng(3).normal(size=layout.size))
     values, slopes = layout.values_and_slopes(z)
     alone = sum(np.asarray(compact_normal_equations(layout.model, values, part)) for part in problem.parts)

@@ -417,7 +417,7 @@ def test_scans_are_drawn_by_incidence_against_the_signed_angle_of_the_viewer(sub
     value = 0.1 + np.exp(-(((np.tile(signed, 2) - theta_i) / 10) ** 2))
     table = {
         "theta_i_deg": theta_i, "theta_o_deg": np.abs(np.tile(signed, 2)),
-        "phi_deg": np.where(np.tile(signed, 2) >= 0, 180.0, 0.0), "wavelengths_um": [0.645, 0.526, 0.444],
+        "phi_deg": np.where(np.tile(signed, 2) >= 0, 178.5, 0.0), "wavelengths_um": [0.645, 0.526, 0.444],
         "values": np.stack([value] * 3, -1),
     }  # fmt: skip
     figure = PICTURES["scans"].draw(replace(subject, scattered=inputs.read(table), measurement=None))
@@ -427,5 +427,12 @@ def test_scans_are_drawn_by_incidence_against_the_signed_angle_of_the_viewer(sub
         x, y = marked[0].get_data()
         assert sorted(x) == pytest.approx([*signed])
         assert x[np.argmax(y)] == pytest.approx(degrees)
+        azimuth = np.radians(np.where(x >= 0, 178.5, 0.0))  # of the samples, which the fit is drawn for
+        i = np.array([-np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
+        sine, cosine = np.sin(np.radians(np.abs(x))), np.cos(np.radians(x))
+        o = np.stack([-sine * np.cos(azimuth), -sine * np.sin(azimuth), cosine], -1)
+        fit = prediction.predicted_lobe(subject.fitted, np.broadcast_to(i, o.shape), o)
+        (line, *_) = [line for line in axis.lines if line.get_linestyle() == "-" and len(line.get_xdata()) == len(x)]
+        np.testing.assert_allclose(line.get_ydata(), fit[2], rtol=1e-6)  # blue is the first one
     with pytest.raises(NoPicture, match="does not hold scattered directions"):
         PICTURES["scans"].draw(subject)

@@ -20,7 +20,7 @@ from merlfit.fitting.fit.stacked import Start, joined, solve_stacked, stack
 from merlfit.fitting.fit.starts import start_hints
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import weighted_samples
-from merlfit.fitting.pipeline import run, together
+from merlfit.fitting.pipeline import run, search, together
 from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.results.manifest import Ending
 from merlfit.fitting.results.storage import read_result
@@ -136,11 +136,11 @@ def test_whole_fits_are_those_of_single_files():
     ready = [together.prepare(samples, config) for samples in files]
     found = together.fit_together(ready, config, jax.devices()[-1], 1)
     for samples, each in zip(files, found, strict=True):
-        rough = [run.searched_for(layout) for layout in layouts]
-        coarse = run.fit_coarse(rough, start_hints(samples), *run.make_coarse(samples), config)
-        tried = [*map(run.Searched, layouts, rough, coarse)]
-        compared, chosen = run.compare(tried, run.thinned(samples, run.COARSE))
-        problem = make_problem(thin(samples, run.COARSE), 4)
+        rough = [search.searched_for(layout) for layout in layouts]
+        coarse = search.fit_coarse(rough, start_hints(samples), *search.make_coarse(samples), config)
+        tried = [*map(search.Searched, layouts, rough, coarse)]
+        compared, chosen = run.compare(tried, search.thinned(samples, search.COARSE))
+        problem = make_problem(thin(samples, search.COARSE), 4)
         alone = solve(Objective(layouts[chosen], problem), coarse[chosen].z, config.fit.max_steps)
         assert each.layout == layouts[chosen]
         assert [c.cost for c in each.candidates] == pytest.approx([c.cost for c in compared], rel=1e-6)

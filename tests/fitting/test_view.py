@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from hashlib import sha1
 from urllib.parse import urlsplit
 
@@ -20,10 +21,11 @@ from merlfit.fitting.commands import cli
 from merlfit.fitting.fit_object import Fit
 from merlfit.fitting.results.storage import read_result, write_result
 from merlfit.fitting.show.prediction import Fitted, all_bins, plane_of_incidence
-from merlfit.fitting.view.discs import SIDE
-from merlfit.fitting.view.frames import Shown
+from merlfit.fitting.show.spheres import SIDE
+from merlfit.fitting.view.frames import Look, Shown
 from merlfit.fitting.view.live import Live
 from merlfit.fitting.view.server import application
+from merlfit.merl_io import inputs
 from merlfit.merl_io.binary import write
 from merlfit.model.measured import Measured
 from merlfit.model.parameters import WAVELENGTHS_UM
@@ -133,6 +135,29 @@ def test_a_frame_that_moves_is_nearly_the_fine_one(live):
         assert np.quantile(apart, 0.99) < 12
 
 
+def test_the_files_spheres_have_the_exposure_of_the_fits(live):
+    assert live.answer(frame(moving=True, exposure=1.0))["file"]
+    assert live.answer(frame(moving=True, exposure=1.0))["file"] is None  # they look the same
+    brighter = live.answer(frame(moving=True, exposure=2.0))["file"]
+    assert (
+        picture(brighter["environment"]).mean()
+        > picture(live.answer(frame(exposure=1.0))["file"]["environment"]).mean()
+    )
+
+
+def test_samples_of_scattered_directions_are_shown_where_they_lie(fitted):
+    table = {
+        "theta_i_deg": [45.0, 45.0, 45.0, 10.0], "theta_o_deg": [30.0, 45.0, 20.0, 10.0],
+        "phi_deg": [180.0, 179.0, 90.0, 180.0], "values": [[1.0, 2.0, 3.0]] * 4,
+        "wavelengths_um": [0.645, 0.526, 0.444],
+    }  # fmt: skip
+    shown = Shown(fitted, read_result(fitted))
+    shown.subject = replace(shown.subject, scattered=inputs.read(table), measurement=None)
+    lobe = shown.lobe(Look(shown.numbers({})), 45.0)
+    assert lobe["at"] == [30.0, 45.0]  # neither across the plane nor at another incidence
+    assert lobe["file"] == [[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]]
+
+
 def test_an_effect_that_is_off_is_not_simulated(live, shown):
     without = live.answer(frame(off=["diffraction"]))["lobe"]
     plain = Measured(MODEL.material.changed(diffraction="off"))
@@ -153,6 +178,8 @@ def test_an_effect_that_is_off_is_not_simulated(live, shown):
         ({"ask": "dance"}, "Input tag 'dance' found using 'ask' does not match"),
         ({"ask": "save", "result": 0, "values": {}, "name": "x"}, "nothing was changed: there is nothing to save"),
         ({"ask": "save", "result": 0, "values": {"beta": 0.2}, "name": "../x"}, "'../x' is not the name of a file"),
+        ({"ask": "save", "result": 0, "values": {"beta": 0.2}, "name": ".json"}, "name: String should match pattern"),
+        ({"ask": "save", "result": 0, "values": {"beta": 0.2}, "name": "-o"}, "name: String should match pattern"),
         ({"ask": "export", "result": 0, "path": "/etc/passwd", "to": "gltf"}, "save first, and choose a format"),
     ],
 )  # fmt: skip
@@ -218,7 +245,7 @@ def served(fitted, tmp_path):
     running.send_signal(signal.SIGINT)
     printed, said = running.communicate(timeout=60)
     assert running.returncode == 0, said
-    assert printed.endswith("ended\n")
+    assert printed.endswith("ended\n"), (printed, said)
     assert "Traceback" not in said
 
 

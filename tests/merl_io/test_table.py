@@ -4,7 +4,6 @@ import io
 import os
 import tracemalloc
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from merlfit.merl_io.bands import Bands
 from merlfit.merl_io.binary import MerlError
 from merlfit.merl_io.hints import hints
 from merlfit.merl_io.outliers import hot
-from merlfit.merl_io.scattered import ScatteredMeasurement, half_difference, order, scattered, thin
+from merlfit.merl_io.scattered import ScatteredMeasurement, half_difference
 from merlfit.merl_io.table import ANGLES
 
 HEAD = "theta_i_deg,theta_o_deg,phi_deg,450nm,0.55um,650.5nm"
@@ -261,50 +260,6 @@ def test_missing_folder_or_another_file(file, tmp_path):
     assert inputs.read(file, inputs.read(file).sha1).name == "made"
     with pytest.raises(MerlError, match="is not the file that was fitted"):
         inputs.read(file, "0" * 40)
-
-
-def test_runs_of_the_order_are_boxes():
-    """A run of 2^k samples spans 2^k / N of the cube's volume, more or less: not so in the order they came in."""
-    points = np.random.default_rng(0).random((3, 4096))
-    ranked = order(points)
-    assert sorted(ranked) == list(range(4096))
-
-    def spread(columns):
-        boxes = points[:, columns].reshape(3, -1, 64)
-        return np.ptp(boxes, axis=2).mean()
-
-    assert spread(ranked) < 0.3
-    assert spread(np.arange(4096)) > 0.9
-
-
-def test_thinning_keeps_the_shares_of_all(file):
-    measured = inputs.read(file)
-    ones = np.ones_like(measured.values)
-    samples = scattered(measured, measured.values, ones, measured.valid)
-    assert len(samples.theta_h) == 3
-    few = thin(samples, 2)
-    assert few.share.sum() == samples.share.sum() == 3
-    assert set(few.theta_h) <= set(samples.theta_h)
-    assert thin(samples, 3) is samples
-
-
-def test_a_peak_of_little_share_does_not_stand_for_its_neighbours(file):
-    """Samples crowd where a mirror's light goes: among neighbours one may have a peak's value and no share."""
-    measured = inputs.read(file)
-    samples = scattered(measured, measured.values, np.ones_like(measured.values), measured.valid)
-    crowd = replace(samples.taken(np.zeros(30, int)), share=np.ones(30), weight=np.ones((3, 30)))
-    crowd.share[1::3], crowd.weight[:, 1::3], crowd.value[:, 1::3] = 1e-6, 1e-6, 1e3
-    few = thin(crowd, 10)
-    assert few.share.sum() == pytest.approx(crowd.share.sum())
-    energy = [np.sum(x.weight * x.value**2) for x in (crowd, few)]
-    assert energy[1] == pytest.approx(energy[0], rel=0.5)
-
-
-def test_the_mirror_direction_is_at_180_degrees():
-    theta_h, theta_d, _ = half_difference(*np.radians([[30.0], [30.0], [180.0]]))
-    assert theta_h[0] == pytest.approx(0, abs=1e-12)
-    assert np.degrees(theta_d[0]) == pytest.approx(30)
-    assert half_difference(*np.radians([[30.0], [30.0], [0.0]]))[1][0] == pytest.approx(0, abs=1e-12)
 
 
 ALIKE = {

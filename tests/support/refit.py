@@ -5,7 +5,7 @@ from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.fit.weights import weighted_samples
-from merlfit.fitting.pipeline import run
+from merlfit.fitting.pipeline import run, search
 from merlfit.fitting.settings.config import parse
 from merlfit.merl_io.binary import read
 from merlfit.merl_io.samples import thin
@@ -26,7 +26,7 @@ class Material:
         self.measurement = read(path)
         self.samples = weighted_samples(self.measurement)
         self.whole = make_problem(self.samples)
-        self.coarse = make_problem(thin(self.samples, run.COARSE), run.COARSE_AZIMUTHS)
+        self.coarse = make_problem(thin(self.samples, search.COARSE), search.COARSE_AZIMUTHS)
 
     def searched(self, body, max_steps=40):
         """The fit of `merlfit fit` with default effects, one body and the index that is usual over it."""

@@ -90,7 +90,7 @@ class Slider {
   typed() {
     const value = Number(this.number.value.replace(",", "."))
     const good = this.number.value.trim() !== "" && value >= this.q.lower && value <= this.q.upper
-    this.number.toggleAttribute("aria-invalid", !good)
+    good ? this.number.removeAttribute("aria-invalid") : this.number.setAttribute("aria-invalid", "true")
     this.number.title = good ? "" : `a number between ${digits(this.q.lower)} and ${digits(this.q.upper)}`
     if (good) this.set(value, false)
   }
@@ -255,8 +255,8 @@ class Lobes {
 
 /** One result: spheres, lobes, sliders, effects, and what is done with what was edited. */
 class Panel {
-  constructor(result, index, about, common, model, heard) {
-    Object.assign(this, { result, index, common, model, heard, off: new Set(), busy: false, waiting: null })
+  constructor(result, index, about, common, model) {
+    Object.assign(this, { result, index, common, model, off: new Set(), busy: false, waiting: null })
     this.images = {}
     this.lobes = new Lobes(result, common, (theta_i) => common.turn(theta_i))
     this.said = node("p", { class: "said", role: "status" })
@@ -267,20 +267,20 @@ class Panel {
       node("div", { class: "inside" }, node("header", {}, node("h2", {}, result.name), node("p", {}, node("b", {}, result.model), ` · ${result.data}`),
         node("p", { class: "fine" }, result.error, this.badge = node("span", { class: "badge", hidden: true }, "edited"))),
       node("div", { class: "look" }, this.spheres(), this.legend(), this.lobes.el),
-      node("div", { class: "edit" }, parameters, this.effects(about), this.keep(about))))
+      node("div", { class: "edit" }, parameters, this.effects(), this.keep(about))))
   }
   spheres() {
     const shown = this.result.file ? ["fit"] : ["file", "fit"]
     const figures = LIGHTS.flatMap((light) => shown.map((what) => {
       const image = node("img", { alt: `Sphere of the ${what} under the ${light}`, width: 256, height: 256, draggable: "false" })
       this.images[`${what} ${light}`] = image
-            const apart = what === "fit" && !this.result.file ? (this.images[`apart ${light}`] = node("span", { class: "apart", title: "Mean CIELAB distance of the lit pixels from the file's; about 1 is just noticeable" })) : null
-      return node("figure", {}, image, node("figcaption", {}, node("b", {}, what), ` ${light}`, apart))
+      const apart = what === "fit" && !this.result.file ? (this.images[`apart ${light}`] = node("span", { class: "apart", title: "Mean CIELAB distance of the lit pixels from the file's; about 1 is just noticeable" })) : null
+      return node("figure", {}, image, node("figcaption", {}, node("b", {}, what), ` ${what === "file" && this.result.scattered ? "between its samples, " : ""}${light}`, apart))
     }))
     return node("div", { class: `spheres of-${shown.length}` }, ...figures)
   }
   legend() {
-    const scattered = this.result.scattered ? " (between its samples)" : ""
+    const scattered = this.result.scattered ? "'s samples within 2° of the plane" : ""
     const items = [
       this.result.file ? null : node("span", { class: "key marks" }, `file${scattered}`), node("span", { class: "key line" }, "fit as it is now"),
       node("span", { class: "key thin" }, this.result.before), node("span", { class: "key shade" }, "posterior, 5 to 95 %"),
@@ -316,7 +316,7 @@ class Panel {
     if (this.result.fixed.length) el.append(node("p", { class: "fine" }, `Not free: ${this.result.fixed.join(", ")}`))
     return [el, sliders]
   }
-  effects(about) {
+  effects() {
     if (!this.result.effects.length) return null
     this.switches = this.result.effects.map((effect) => {
       const box = node("input", { type: "checkbox", role: "switch", checked: true, onchange: () => {
@@ -409,7 +409,7 @@ class Panel {
       const saves = found.saves > 0.02 ? `${Math.round(100 * found.saves)} % of the time` : "takes no time"
       cost.textContent = [saves, `seen by up to ${digits(found.off_by, 2)} ΔE`, ...(effect.instead === "none" ? [] : [`off: ${effect.instead}`])].join(" · ")
     }
-    this.planned.textContent = left.length ? `Left out while something moves, as no pixel shows it: ${left.join(", ")}.` : "All are kept while something moves: each is seen."
+    this.planned.textContent = left.length ? `Left out while something moves, as no pixel showed it at the values then: ${left.join(", ")}.` : "All are kept while something moves: each is seen."
   }
   state(words, bad = false) { this.said.textContent = words; this.said.classList.toggle("bad", bad) }
 }
