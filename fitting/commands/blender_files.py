@@ -12,7 +12,8 @@ INPUTS = {
     "base_diffuse_roughness": "Diffuse Roughness", "specular_color": "Specular Tint", "coat_weight": "Coat Weight",
     "coat_roughness": "Coat Roughness", "coat_ior": "Coat IOR", "coat_color": "Coat Tint",
 }  # fmt: skip
-"""What the node Principled BSDF calls OpenPBR's inputs; those without a counterpart there are 1 in all fits."""
+"""What the node Principled BSDF calls OpenPBR's inputs. Weights that it lacks are 1 in all fits; darkening by the
+coat, which it lacks, too, is in the base's colour (`principled.blender_inputs`)."""
 SCRIPT = '''# {said}
 """Make the material in Blender, by its node Principled BSDF without light of several bounces between facets.
 
