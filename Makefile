@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.merlfit-installed
 UV := $(shell command -v uv)
 
-.PHONY: report demo quick test proofs test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults endurance cluster-cost spectral measured hard-cases tables lint types install schema docs docs-links clean
+.PHONY: report demo quick test proofs test-slow bench bench-convergence bench-posterior bench-gpu merl100 cost faults endurance cluster-cost spectral measured hard-cases tables lint types install schema docs docs-links package dist clean
 
 install: $(READY)
 
@@ -118,6 +118,21 @@ tables: install
 	for table in hard_cases tier_errors energy energy_splits grazing_exponent; do \
 		$(BIN)/python -m tests.$$table || exit 1; done
 
+# A source distribution and a wheel of it, as they are to be published; dist/. CI runs what README and docs/ show with this wheel.
+package: install
+	rm -rf dist
+	$(BIN)/python -m build $(if $(UV),--installer uv) > $(VENV)/build.log 2>&1 || (cat $(VENV)/build.log; exit 1)
+	$(BIN)/twine check --strict dist/*
+
+# Four minutes: the demo as well, by that wheel, in an empty environment with no folder, setting or compiled program of yours.
+dist: package
+	set -e; there=$$(mktemp -d); trap 'rm -rf "$$there"' EXIT; \
+	$(if $(UV),$(UV) venv --quiet --python $(PYTHON),$(PYTHON) -m venv) "$$there/env"; \
+	$(if $(UV),$(UV) pip install --python "$$there/env/bin/python","$$there/env/bin/python" -m pip install) \
+		--quiet --constraint constraints.txt dist/*.whl; \
+	cd "$$there"; set -x; env -i HOME="$$there" PATH=/usr/bin:/bin env/bin/merlfit --version; \
+	env -i HOME="$$there" PATH=/usr/bin:/bin env/bin/merlfit demo -o demo-out
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -126,4 +141,4 @@ types: install
 	$(BIN)/pyright
 
 clean:
-	rm -rf $(VENV) build *.egg-info demo-out
+	rm -rf $(VENV) build dist *.egg-info demo-out

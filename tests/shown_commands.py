@@ -3,11 +3,11 @@
 Commands (blocks ``sh``) and programs (blocks ``python``; ``py`` is an excerpt) are run each one once, in one fresh
 folder, in the order of `pages`. Where a block ``text`` follows, its lines should be among what was printed; numbers may
 differ. Lines that are not are told, and an error unless `--quick`: the status of a fit is not the same on every
-processor. `--rewrite` puts what was printed into these blocks instead. `--install` first installs merlfit into an empty
-environment. `--quick` is a rehearsal: commands fit GGX from one start on the coarse grid, one file but for the first
-time, sample short chains, draw with few samples; two pages are run at once where neither needs the other (`parts`);
-and what takes minutes all the same is left out, to tests that are named. README's program is run
-as it is: the default fit in an empty environment.
+processor. `--rewrite` puts what was printed into these blocks instead. `--install` first installs merlfit, from here
+or from the wheel that is named, into an empty environment. `--quick` is a rehearsal: commands fit GGX from one start
+on the coarse grid, one file but for the first time, sample short chains, draw with few samples; two pages are run at
+once where neither needs the other (`parts`); and what takes minutes all the same is left out, to tests that are
+named. README's program is run as it is: the default fit in an empty environment.
 """
 
 import argparse
@@ -133,7 +133,7 @@ def unlike(expected: str, printed: str) -> list[str]:
     return [line for line in plain(expected) if line and line != "..." and line not in there]
 
 
-def install(folder: Path) -> Path:
+def install(folder: Path, what: Path) -> Path:
     """An environment of its own with merlfit in it, by uv where it is there; the folder of its programs."""
     env, uv = folder / "env", shutil.which("uv")
     make = [uv, "venv", "--quiet", "--python", sys.executable, env] if uv else [sys.executable, "-m", "venv", env]
@@ -142,7 +142,7 @@ def install(folder: Path) -> Path:
     pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     into = [uv, "pip", "install", "--quiet", "--python", python] if uv else pip
     constraints = ["--constraint", ROOT / "constraints.txt"]
-    subprocess.run([*into, *constraints, f"{ROOT}[arviz]", "jsonschema"], check=True)
+    subprocess.run([*into, *constraints, f"{what.resolve()}[arviz]", "jsonschema"], check=True)
     return env / "bin"
 
 
@@ -240,12 +240,13 @@ def run(folder: Path, programs_in: Path, quick: bool, asked: tuple[list[list[Pat
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("--install", "--quick", "--rewrite"):
+    parser.add_argument("--install", nargs="?", const=ROOT, type=Path, metavar="WHEEL")
+    for name in ("--quick", "--rewrite"):
         parser.add_argument(name, action="store_true")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        programs_in = install(folder) if asked.install else Path(sys.executable).parent
+        programs_in = install(folder, asked.install) if asked.install else Path(sys.executable).parent
         failed = run(folder, programs_in, asked.quick, parts(), rewrite if asked.rewrite else check)
     sys.exit("\n".join(failed) if failed else 0)
 

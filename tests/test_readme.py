@@ -7,6 +7,7 @@ import tomllib
 
 import pytest
 import typer.main
+import yaml
 from merlfit.fitting.commands import cli
 from merlfit.fitting.settings.config import Replaced, load
 from merlfit.model.measured import Measured
@@ -76,6 +77,15 @@ def test_every_parameter_is_explained():
     every = {q.name for e in (Measured(TwoScale("none")), TwoScale("lambert")) for q in e.parameters}
     rows = re.findall(r"^(\|[^|]*\|).*Eq\. ", (ROOT / "docs" / "parameters.md").read_text(), re.MULTILINE)
     assert every == set(re.findall(r"`([a-z_]+)`", "".join(rows)))
+
+
+def test_the_citation_is_of_this_version_and_these_authors():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    said = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert [said[key] for key in ("title", "version", "license")] == [
+        project[k] for k in ("name", "version", "license")
+    ]
+    assert said["authors"] == project["authors"]
 
 
 def test_links_of_the_readme_lead_to_files():
