@@ -19,7 +19,9 @@ from .style import CHANNEL_COLOURS, DEGREES, OKABE_ITO
 Spec = dict[str, Any]
 SCALES = ("cube root", "logarithmic", "linear")
 SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
-WIDTH, HEIGHT = 620, 300
+WIDTH, HEIGHT = 840, 320  # of a plot without a browser, which makes them as wide as the page
+INK, LINE, GRID = "currentColor", "#888c", "#8884"
+COLOURS = (*OKABE_ITO[:-1], INK)
 PADDING = 12  # pixels between marks and the plot's edges
 NARROW = 8.0  # times its lower end, up to which a logarithmic axis has room for a word at each tick
 DIGITS = 5  # of numbers
@@ -83,14 +85,13 @@ def lobes(plane: Rows, parts: Rows, channels: Sequence[str]) -> Spec:
     names, middle = list(dict.fromkeys(row["part"] for row in parts)), channels[len(channels) // 2]
     under = {
         "width": WIDTH, "height": HEIGHT * 2 // 3, "data": _data(parts),
-        "title": {"text": f"What the fit consists of (channel {middle}, without the grazing loss)", "fontSize": 12,
-                  "anchor": "start"},
+        "title": f"What the fit consists of (channel {middle}, without the grazing loss)",
         "transform": [{"filter": "datum.i == incidence"}, {"calculate": _scaled("value"), "as": "y"}],
         "mark": {"type": "line", "strokeWidth": 1.5, "tooltip": True},
         "encoding": {
             "x": across, "y": up | {"field": "y"},
             "color": {"field": "part", "type": "nominal", "title": "part",
-                      "scale": {"domain": names, "range": list(OKABE_ITO[: len(names)])}},
+                      "scale": {"domain": names, "range": list(COLOURS[: len(names)])}},
             "strokeDash": {"field": "part", "type": "nominal", "title": "part", "scale": {"domain": names}},
             "tooltip": [_tip("part", "part", None), _tip("o", "θo (degrees)", ".3~r"), _tip("value", "1/sr")],
         },
@@ -109,12 +110,12 @@ def lobes(plane: Rows, parts: Rows, channels: Sequence[str]) -> Spec:
 def peak(rows: Rows, channels: Sequence[str], theta_d: float) -> Spec:
     """Every datum of the peak; beside it the same over its value at the origin, where widths are compared."""
     return _chart() | {
-        "data": _data(rows),
+        "data": _data(rows), "resolve": {"scale": {"color": "independent"}},
         "hconcat": [
             _peak(channels, "", "BRDF (1/sr)", f"peak, θd = {theta_d:.0f}°", "log", {"type": "log"}, "true"),
             _peak(channels, "_rel", "over its first value", "width by channel", "linear", {"zero": True}, "datum.near"),
         ],
-    }
+    }  # fmt: skip
 
 
 def _peak(channels: Sequence[str], ending: str, up: str, title: str, across: str, scale: Spec, kept: str) -> Spec:
@@ -125,7 +126,7 @@ def _peak(channels: Sequence[str], ending: str, up: str, title: str, across: str
     y = {"type": "quantitative", "title": up, "scale": scale, "axis": {"format": "~g", "tickCount": 6}}
     encoding = {"x": x, "color": _by_channel(channels)}
     return {
-        "width": WIDTH // 2 - 50, "height": HEIGHT * 5 // 6, "title": {"text": title, "fontSize": 12},
+        "width": WIDTH // 2 - 50, "height": HEIGHT * 5 // 6, "title": title,
         "transform": [{"filter": kept}],
         "layer": [
             {"mark": {"type": "line", "strokeWidth": 1.2}, "transform": [{"filter": f"datum.fit{ending} > 0"}],
@@ -245,9 +246,19 @@ def _ranks(last: int) -> list[int]:
 
 
 def _chart() -> Spec:
-    legend = {"orient": "right", "symbolOpacity": 1}  # not as faint as a band
-    config = {"view": {"stroke": "#8884"}, "font": "system-ui, sans-serif", "legend": legend}
-    return {"background": None, "config": config}
+    """What all have in common: colours that are legible on the page, light or dark."""
+    words = {"labelColor": INK, "titleColor": INK, "labelFontSize": 11}
+    axis = words | {"domainColor": LINE, "tickColor": LINE, "gridColor": GRID}
+    legend = words | {
+        "orient": "top",
+        "titleOrient": "left",
+        "symbolOpacity": 1,
+        "columns": 6,
+    }  # not as faint as a band
+    return {"background": None, "config": {
+        "view": {"stroke": GRID}, "font": "system-ui, sans-serif", "axis": axis, "legend": legend,
+        "title": {"color": INK, "fontSize": 12, "anchor": "start"},
+    }}  # fmt: skip
 
 
 def _data(rows: Rows) -> Spec:
@@ -294,5 +305,5 @@ def _shape(channels: Sequence[str]) -> Spec:
 
 def _by_model(rows: Rows) -> Spec:
     names = sorted({str(row["model"]) for row in rows})
-    colours = [OKABE_ITO[k % len(OKABE_ITO)] for k in range(len(names))]
+    colours = [COLOURS[k % len(COLOURS)] for k in range(len(names))]
     return {"field": "model", "type": "nominal", "title": "model", "scale": {"domain": names, "range": colours}}

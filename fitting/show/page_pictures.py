@@ -18,7 +18,7 @@ from .subject import Subject
 
 FIGURES = ("isolines", "errors", "residuals", "corner", "corner-all", "trace")
 DPI = 200  # of a figure that is 8.5 cm wide: 670 pixels
-THUMBNAIL = 64
+THUMBNAIL = 128
 
 
 def write(subject: Subject, out: Path, name: str) -> dict[str, Any]:

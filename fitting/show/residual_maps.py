@@ -108,7 +108,7 @@ def errors(subject: Subject) -> Figure:
     bar = figure.colorbar(drawn, ax=panels[0], ticks=[-2, -1, 0, 1, 2], extend="both", location="bottom")
     bar.ax.set_xticklabels(["1/4", "1/2", "1", "2", "4"])
     bar.set_label("fit over file")
-    drawn = _map(panels[1], subject, absolute, cmap="viridis", vmin=0, vmax=float(np.nanquantile(absolute, 0.995)))
+    drawn = _map(panels[1], subject, absolute, cmap="OrRd", vmin=0, vmax=float(np.nanquantile(absolute, 0.995)))
     figure.colorbar(drawn, ax=panels[1], extend="max", location="bottom").set_label(r"apart (sr$^{-1/3}$)")
     panels[0].set(title="relative", ylabel=r"$\theta_d$ (deg)")
     panels[1].set(title="of cube roots")

@@ -297,6 +297,34 @@ def test_the_slider_of_a_page_changes_its_plot(opened):
     assert page.title() == "nickel - merlfit"
 
 
+def test_the_line_over_a_sphere_follows_the_arrow_keys(opened):
+    page = drawn(opened("materials/nickel.html"))
+    slider = page.get_by_role("slider", name="Share of the sphere under a small lamp that shows the file")
+    fit = page.get_by_alt_text("Sphere: fit, under a small lamp")
+    expect(fit).to_have_css("clip-path", "inset(0px 0px 0px 50%)")
+    slider.press("ArrowRight")
+    expect(fit).to_have_css("clip-path", "inset(0px 0px 0px 51%)")
+    slider.press("Home")
+    expect(fit).to_have_css("clip-path", "inset(0px 0px 0px 0%)")
+    assert page.locator(".wipe").first.bounding_box()["width"] > 250
+
+
+def test_charts_are_as_wide_as_the_page_and_legible_in_the_dark(opened):
+    page = opened("materials/nickel.html", width=1440)
+    page.emulate_media(color_scheme="dark")
+    drawn(page)
+    widths = page.evaluate("[...document.querySelectorAll('svg.marks')].map(x => x.clientWidth)")
+    assert min(widths) > 1250
+    paper, words = page.evaluate(
+        "[getComputedStyle(document.body).backgroundColor,"
+        " getComputedStyle(document.querySelector('#chart-lobes svg.marks text')).fill]"
+    )
+    assert (paper, words) == ("rgb(21, 24, 28)", "rgb(230, 232, 234)")
+    expect(page.get_by_alt_text("Isolines of the BRDF")).to_have_css("mix-blend-mode", "screen")
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.wait_for_function("[...document.querySelectorAll('svg.marks')].every(x => x.clientWidth <= 370)")
+
+
 def test_two_results_side_by_side(opened):
     page = opened("compare.html")
     expect(page.frame_locator("#left-page").locator("h1")).to_have_text("a name")
@@ -310,6 +338,7 @@ def test_two_results_side_by_side(opened):
 
 def test_a_click_from_the_index_opens_a_page_and_no_page_is_wider_than_a_phone(opened):
     page = drawn(opened("index.html", width=390))
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.get_by_role("link", name="white-fabric", exact=True).click()
     drawn(page)
     assert page.title() == "white-fabric - merlfit"
