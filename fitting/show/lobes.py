@@ -125,6 +125,8 @@ def _row(row: np.ndarray, subject: Subject, degrees: float, chosen: Sequence[int
                 axis.plot(angles[drawn], scaled["file"][drawn], **marks(name, c, 1.6, 0.4))
     _place(row, degrees)
     visible, fit = visible[chosen], found["fit"][chosen]
+    if not np.isfinite(visible).any():  # an incidence at which the file has no datum
+        visible = fit
     high = np.nanmax(np.where(np.isfinite(visible), np.fmax(fit, visible), np.nan))
     return float(np.nanmin(np.where(visible > 0, visible, np.nan))), float(high)
 

@@ -403,6 +403,13 @@ def test_models_are_drawn_on_the_same_lobes_and_no_row_is_flattened_by_another(s
             LOBES(other, **wrong)
 
 
+def test_where_the_file_has_no_datum_the_fit_is_drawn_alone(measurement):
+    blank = replace(measurement, values=np.full_like(measurement.values, np.nan))
+    (root, _) = LOBES(Subject(made(model=TwoScale("none")), blank), theta=[80]).axes
+    highest = max(np.nanmax(line.get_ydata()) for line in root.lines if len(line.get_xdata()) > 2)
+    assert root.get_ylim()[1] == pytest.approx(1.1 * highest)
+
+
 def test_a_corner_plot_has_the_parameters_that_were_asked_for(subject):
     figure = PICTURES["corner"].draw(subject, parameters=["eta_R", "beta"])
     assert len(figure.axes) == 4
