@@ -60,7 +60,7 @@ def sphere(lighting: Lighting, positions: np.ndarray, dims: Dims = DIMS) -> csr_
     lit, found = (_by_lamp if lighting == "lamp" else _by_environment), []
     for k in range(0, len(normal), AT_ONCE):
         bins, weights = lit(normal[k : k + AT_ONCE], dims)
-        starts = np.arange(0, bins.size + 1, bins.shape[1])
+        starts = np.arange(0, bins.size + 1, bins.shape[1], dtype=np.int32)  # as bins are: half the memory
         found.append(csr_array((weights.ravel(), bins.ravel(), starts), (len(bins), np.prod(dims) // 2)))
         found[-1].eliminate_zeros()
         found[-1].sum_duplicates()

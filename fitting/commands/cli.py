@@ -390,16 +390,27 @@ def report(
         Path | None, typer.Option(help="Folder with the MERL files, if they moved since the fits.", readable=False)
     ] = None,
     origin: Annotated[str | None, typer.Option(help="What the files are, in words, if the fits were not told.")] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print a sheet of each result, too: sheets/NAME.pdf.")] = False,
+    title: Annotated[str | None, typer.Option(help="Title of the sheet.")] = None,
+    sample: Annotated[
+        str | None, typer.Option(help="What was measured, on the sheet \\[default: the file's name].")
+    ] = None,
+    operator: Annotated[str | None, typer.Option(help="Who measured it, on the sheet.")] = None,
     jobs: Pages = None,
     force: Force = False,
 ) -> None:
     """Write pages that open from disk: an index of all results with pictures, and a page for each one.
 
-    Spheres of file, fit and their difference, lobes, errors over all angles, parameters, posterior. No network is used.
+    Spheres of file, fit and their difference, lobes, scans, errors over all angles, parameters, posterior. No network
+    is used. --pdf prints a sheet for whom it was measured, by Chrome, Chromium or Edge.
     """
+    from ..show.sheet import Head
     from .report import report_on
 
-    report_on(folder, out or folder / "report", files, jobs, origin, force)
+    if not pdf and (title or sample or operator):
+        raise fail("--title, --sample and --operator are of the sheet that --pdf prints: add --pdf")
+    head = Head(title, sample, operator) if pdf else None
+    report_on(folder, out or folder / "report", files, jobs, origin, force, head)
 
 
 @app.command(epilog="Example: merlfit effects configs/scenes/metal.toml")

@@ -90,9 +90,9 @@ def lobes(plane: Rows, parts: Rows, channels: Sequence[str]) -> Spec:
         "mark": {"type": "line", "strokeWidth": 1.5, "tooltip": True},
         "encoding": {
             "x": across, "y": up | {"field": "y"},
-            "color": {"field": "part", "type": "nominal", "title": "part",
+            "color": {"field": "part", "type": "nominal", "title": None,
                       "scale": {"domain": names, "range": list(COLOURS[: len(names)])}},
-            "strokeDash": {"field": "part", "type": "nominal", "title": "part", "scale": {"domain": names}},
+            "strokeDash": {"field": "part", "type": "nominal", "title": None, "scale": {"domain": names}},
             "tooltip": [_tip("part", "part", None), _tip("o", "θo (degrees)", ".3~r"), _tip("value", "1/sr")],
         },
     }  # fmt: skip
@@ -295,7 +295,7 @@ def _scaled_axis() -> Spec:
 def _by_channel(channels: Sequence[str]) -> Spec:
     own = all(channel in CHANNEL_COLOURS for channel in channels)
     scale = {"range": [CHANNEL_COLOURS[c] for c in channels]} if own else {"scheme": "turbo"}
-    return {"field": "channel", "type": "nominal", "title": "channel", "scale": {"domain": list(channels), **scale}}
+    return {"field": "channel", "type": "nominal", "title": None, "scale": {"domain": list(channels), **scale}}
 
 
 def _shape(channels: Sequence[str]) -> Spec:
@@ -306,4 +306,4 @@ def _shape(channels: Sequence[str]) -> Spec:
 def _by_model(rows: Rows) -> Spec:
     names = sorted({str(row["model"]) for row in rows})
     colours = [COLOURS[k % len(COLOURS)] for k in range(len(names))]
-    return {"field": "model", "type": "nominal", "title": "model", "scale": {"domain": names, "range": colours}}
+    return {"field": "model", "type": "nominal", "title": None, "scale": {"domain": names, "range": colours}}

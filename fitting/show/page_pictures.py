@@ -16,7 +16,7 @@ from .spheres import of_file_and_fit, of_parts
 from .style import own_style
 from .subject import Subject
 
-FIGURES = ("isolines", "errors", "residuals", "corner", "corner-all", "trace")
+FIGURES = ("scans", "isolines", "errors", "residuals", "corner", "corner-all", "trace")
 DPI = 200  # of a figure that is 8.5 cm wide: 670 pixels
 THUMBNAIL = 128
 

@@ -31,11 +31,12 @@ from ..support.numbers import median as middle
 from ..support.outputs import is_ours, refuse_others
 from ..support.processes import end_with_parent, jobs_for
 from ..support.terminal import why_ended
-from . import charts, curves, page_pictures
+from . import charts, curves, page_pictures, scans
 from .comparison_table import group_of
 from .corner import UNITS
 from .inspection import file_of
 from .prediction import PEAK_DIFFERENCE_DEG
+from .sheet import Head, NotPrinted, printed
 from .simulated import again, left_out, simulated
 from .style import letters
 from .subject import Subject, subject_of
@@ -58,6 +59,7 @@ class Job:
     Attributes:
         path: of the result. name: of the page, in ``materials/`` of ``out``. file: of the measurement, if it moved.
         before, after: pages beside it. origin: what the file is, in words, whatever its fit was told.
+        head: of the sheet that is printed, if one is.
     """
 
     path: Path
@@ -67,12 +69,13 @@ class Job:
     before: str | None
     after: str | None
     origin: str | None = None
+    head: Head | None = None
 
 
 Made = tuple[list[str], bool]
 """Of a page: what there is not on it, and why, a line each; and whether it could not be made, which the line says."""
 
-FOLDERS = ("materials", "pictures", "assets")
+FOLDERS = ("materials", "pictures", "assets", "sheets")
 LONGEST = 200  # bytes of a page's name
 FIRST = "<!doctype html><title>merlfit</title><p>These pages are being written, or were not written to the end.\n"
 
@@ -92,14 +95,14 @@ def refuse_foreign(out: Path, force: bool = False) -> None:
 
 def write_site(
     rows: Sequence[Row], folder: Path, out: Path, files: Path | None = None, jobs: int | None = None,
-    say: Report = silent, origin: str | None = None,
+    say: Report = silent, origin: str | None = None, head: Head | None = None,
 ) -> list[Made]:  # fmt: skip
     """Pages of all results of a folder; whatever one runs into, the others are made.
 
     Args:
         rows: of the folder's table. files: folder with the measurements, if they are not where the results say.
         jobs: processes; None for as many as cores and memory allow. say: told which page is done. origin: what the
-            files are, in words, if the fits were not told.
+            files are, in words, if the fits were not told. head: of the sheets that are printed, None for none.
 
     Returns:
         the pages, as they were done.
@@ -115,9 +118,12 @@ def write_site(
             k = pages.index(name)
             beside = (pages[k - 1] if k else None), (pages[k + 1] if k + 1 < len(pages) else None)
             file = None if files is None else files / Path(str(row["file"])).name
-            work[name] = Job(folder / str(row["result"]), out, name, file, *beside, origin)
-    for place in FOLDERS:
+            work[name] = Job(folder / str(row["result"]), out, name, file, *beside, origin, head)
+    for place in FOLDERS if head else FOLDERS[:-1]:
         (out / place).mkdir(parents=True, exist_ok=True)
+    write_text(out / "assets" / "vega.js", charts.script())
+    for asset in ("style.css", "charts.js", "index.js", "compare.js"):
+        write_text(out / "assets" / asset, (files_of("merlfit.fitting.show") / "templates" / asset).read_text("utf-8"))
     made: list[Made] = []
     for k, page in enumerate(_made(list(work.values()), jobs_for(len(work), jobs)), 1):
         made.append(page)
@@ -126,9 +132,6 @@ def write_site(
         rows = [{**row, "data": f"{origin} (stated, not checked)"} if row["genuine_merl"] == "no" else row
                 for row in rows]  # fmt: skip
     shown = [_index_row(row, name, out) for row, name in zip(rows, names, strict=True)]
-    write_text(out / "assets" / "vega.js", charts.script())
-    for asset in ("style.css", "charts.js", "index.js", "compare.js"):
-        write_text(out / "assets" / asset, (files_of("merlfit.fitting.show") / "templates" / asset).read_text("utf-8"))
     write_csv(rows, out / "table.csv")
     write_text(out / "index.html", _index(folder, shown))
     write_text(
@@ -155,6 +158,8 @@ def make_page(job: Job) -> Made:
     """Write the page of a result, and its pictures; where that fails a page that says so, to which links lead."""
     try:
         return [f"{job.name}: {why}" for why in _page(job)], False
+    except NotPrinted as error:
+        return [f"{job.name}: {error}"], True
     except Exception as error:  # of any kind: said with its name, and the next page has its turn
         said = why_ended(job.path, error)
         why = f"<!doctype html><title>{escape(job.name)}</title><p>{escape(said)}<p><a href='../index.html'>index</a>\n"
@@ -178,10 +183,17 @@ def _page(job: Job) -> list[str]:
         said = {"measurement": "the file is not shown", "chain": "the posterior is not shown"}
         lacks = [f"{said[what]}: {why}" for what, why in subject.lacks.items() if what != "chain" or result.posterior]
         if subject.scattered is not None and subject.measurement is not None:
-            lacks.append("the file is interpolated between its samples; `merlfit inspect` draws the samples themselves")
+            lacks.append("spheres, lobes and isolines of the file are interpolated between its samples")
         page |= _charts(subject) | page_pictures.write(subject, job.out, job.name)
+        if "scans" in page["pictures"]:
+            page["scans"] = scans.in_numbers(subject)
     page["lacks"] = lacks
     write_text(_html(job), _templates().get_template("material.html").render(page))
+    if job.head is not None and result.model is not None:
+        sheet = job.out / "sheets" / f"{job.name}.html"
+        head = job.head.of(result.source.material)
+        write_text(sheet, _templates().get_template("sheet.html").render(page, head=head))
+        printed(sheet, sheet.with_suffix(".pdf"))
     return lacks
 
 
@@ -191,9 +203,10 @@ def _page_of(job: Job, result: Result) -> Page:
     json_file = os.path.relpath(job.path, job.out / "materials")
     return {
         "result": result, "name": job.name, "before": job.before, "after": job.after, "json": json_file,
+        "sheet": None if job.head is None or m is None else f"../sheets/{quote(job.name)}.pdf",
         "json_link": quote(os.fsencode(json_file)), "fitted": None if m is None else fitted_line(m), "number": number,
         "interval": interval, "median": median, "unit": unit, "symbol": letters,
-        "spec": {}, "svg": {}, "pictures": {}, "widths": [],
+        "spec": {}, "svg": {}, "pictures": {}, "scans": {}, "widths": [],
         "words": [] if result.identifiability is None else in_words(result.identifiability),
         "accuracy": None if result.accuracy is None else accuracy_line(result.accuracy),
         "at_bound": [q.name for q in result.parameters if q.at_bound != "no"],

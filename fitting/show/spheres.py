@@ -22,7 +22,7 @@ from .curves import added, part_name
 from .style import DECADES, OKABE_ITO, at_mirror, new, printable
 from .subject import Subject
 
-SIDE = 256  # pixels of a picture
+SIDE = 384  # pixels of a picture
 COMPUTED: dict[Lighting, int] = {"lamp": SIDE, "environment": 128}  # pixels that are computed; the others lie between
 RIM = 0.99  # squared radius up to which a sphere is drawn
 LARGEST_SHOWN = 10.0  # CIELAB distance that is brightest in a picture of differences

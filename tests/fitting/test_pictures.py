@@ -10,7 +10,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from merlfit.fitting.pipeline.draws import NoPicture
-from merlfit.fitting.show import corner, inspection, prediction, style
+from merlfit.fitting.show import corner, inspection, prediction, scans, style
 from merlfit.fitting.show import residual_maps as residuals
 from merlfit.fitting.show.labelled import labelled
 from merlfit.fitting.show.lobes import INCIDENCES_DEG
@@ -239,8 +239,8 @@ def test_a_fit_that_is_the_file_is_a_sphere_without_difference(measurement):
     vars(same)["predicted"] = np.ones((3, 90, 90, 90)) * FILE[:, None, None, None]
     for pictures in of_file_and_fit(same).values():
         np.testing.assert_array_equal(pictures["file"], pictures["fit"])
-        assert pictures["fit"].shape == (256, 256, 4)
-        opaque = pictures["fit"][128, :8, 3]  # a rim without steps, where data begin
+        assert pictures["fit"].shape == (384, 384, 4)
+        opaque = pictures["fit"][192, :12, 3]  # a rim without steps, where data begin
         assert opaque[0] == 0
         assert opaque[-1] == 255
         assert np.any((opaque > 0) & (opaque < 255))
@@ -441,5 +441,11 @@ def test_scans_are_drawn_by_incidence_against_the_signed_angle_of_the_viewer(sub
         fit = prediction.predicted_lobe(subject.fitted, np.broadcast_to(i, o.shape), o)
         (line, *_) = [line for line in axis.lines if line.get_linestyle() == "-" and len(line.get_xdata()) == len(x)]
         np.testing.assert_allclose(line.get_ydata(), fit[2], rtol=1e-6)  # blue is the first one
+    told = scans.in_numbers(replace(subject, scattered=inputs.read(table), measurement=None))
+    assert (told["channel"], [row["degrees"] for row in told["table"]]) == ("G", pytest.approx([10, 40]))
+    for row, rows in zip(told["table"], told["samples"], strict=True):
+        assert (row["count"], row["brightest"], row["at"]) == (29, pytest.approx(1.1), pytest.approx(row["degrees"]))
+        ratios = [fit / file for _, file, fit in rows["rows"]]
+        assert row["median"] == pytest.approx(np.median(ratios))
     with pytest.raises(NoPicture, match="does not hold scattered directions"):
         PICTURES["scans"].draw(subject)

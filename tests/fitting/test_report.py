@@ -16,10 +16,11 @@ from merlfit.fitting.commands import cli
 from merlfit.fitting.pipeline.draws import chain_of
 from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.fitting.results.manifest import Ending, Journal
+from merlfit.fitting.results.schema_parameters import Quantiles, TotalScatter
 from merlfit.fitting.results.schema_posterior import sha1_of_draws
 from merlfit.fitting.results.storage import write_result
 from merlfit.fitting.settings.config import Config
-from merlfit.fitting.show import charts, curves
+from merlfit.fitting.show import charts, curves, sheet
 from merlfit.fitting.show.site import _units
 from merlfit.fitting.show.subject import Subject
 from merlfit.merl_io.binary import read, write
@@ -28,6 +29,7 @@ from merlfit.model.reflectance import contributions
 from merlfit.model.rivals.ggx import GGX
 from merlfit.model.two_scale import TwoScale
 from playwright.sync_api import expect, sync_playwright
+from pypdf import PdfReader
 from typer.testing import CliRunner
 
 from tests.support import chromium
@@ -115,6 +117,53 @@ def test_every_link_leads_to_a_file_of_the_site(made_now, request):
             assert not re.match(r"(https?:)?//", link), link
             if not link.startswith(("#", "data:")):
                 assert (page.parent / unquote(link.split("?")[0])).resolve().is_file(), f"{page}: {link}"
+
+
+def test_a_sheet_is_printed_with_what_is_written_over_it(browser, tmp_path):
+    """Of scattered directions: texts, TIS with its interval, and the scans beside the fit."""
+    table = tmp_path / "paint.csv"
+    signed = np.arange(-70.0, 71.0, 10.0)
+    lines = [
+        f"{i:g},{abs(s):g},{180 if s >= 0 else 0},0.1,{0.3 if s == i else 0.1},0.1" for i in (20, 40) for s in signed
+    ]
+    table.write_text("\n".join(["theta_i_deg,theta_o_deg,phi_deg,R,G,B", *lines]) + "\n")
+    result = made("paint", str(table), model=GGX(), sha1=hashlib.sha1(table.read_bytes()).hexdigest())
+    result.source.format, result.source.quantity, result.source.genuine_merl = "table", "brdf", None
+    result.tis = [
+        TotalScatter(
+            theta_i_deg=20.0, channel="G", value=0.123, laplace=Quantiles(q05=0.111, q50=0.123, q95=0.137),
+            quantiles=None, file=0.131, stated=None,
+        )
+    ]  # fmt: skip
+    write_result(tmp_path / "paint.json", result)
+    words = ["--title", "Scatter report 7", "--sample", "paint <B>", "--operator", "A. Meyer"]
+    done = CliRunner().invoke(cli.app, ["report", str(tmp_path), "-j", "1", "--pdf", *words])
+    assert done.exit_code == 0, done.output
+    pages = PdfReader(tmp_path / "report" / "sheets" / "paint.pdf").pages
+    assert (float(pages[0].mediabox.width), float(pages[0].mediabox.height)) == pytest.approx((595, 842), abs=1)
+    text = " ".join(" ".join(page.extract_text() for page in pages).split()).replace("\ufb01", "fi")
+    for said in ("Scatter report 7", "sample paint <B>", "operator A. Meyer", "20° G 0.123 0.111 .. 0.137 0.131 -",
+                 "40° 15 0.3 40° "):  # fmt: skip
+        assert said in text, said
+    assert sum(len(page.images) for page in pages) >= 1
+    assert "../sheets/paint.pdf" in links(tmp_path / "report" / "materials" / "paint.html").found
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--operator", "A."], "add --pdf"), (["--pdf", "--sample", "A"], "--sample A: is of one result, and")],
+)
+def test_words_of_a_sheet_that_nothing_is_made_of(run, words, said):
+    done = CliRunner().invoke(cli.app, ["report", str(run), "-o", str(run / "none"), *words])
+    assert done.exit_code == 2
+    assert said in " ".join(done.stderr.split())
+    assert not (run / "none").exists()
+
+
+def test_without_a_browser_a_sheet_says_how_it_is_printed(monkeypatch, tmp_path):
+    monkeypatch.setattr(sheet, "BROWSERS", ())
+    with pytest.raises(sheet.NotPrinted, match=r"a\.html in any browser and print it"):
+        sheet.printed(tmp_path / "a.html", tmp_path / "a.pdf")
 
 
 def test_text_from_results_is_text(site):
