@@ -25,10 +25,9 @@ DOCS = Path(__file__).parents[1] / "docs" / "report"
 EXAMPLE = ("gray-plastic", "nickel")
 SHOTS = {  # page, width, height, colour scheme
     "index-desktop": ("index.html", 1280, 900, "light"),
-    "index-phone": ("index.html", 390, 844, "light"),
-    "page-desktop": ("materials/{material}.html", 1280, 1900, "light"),
     "page-phone": ("materials/{material}.html", 390, 1500, "light"),
     "page-dark": ("materials/{material}.html", 1280, 1500, "dark"),
+    "sheet": ("sheets/{material}.html", 800, 1000, "light"),
 }
 
 
@@ -44,7 +43,7 @@ def fit_and_report(out):
 
 
 def pictures(site, out, material=EXAMPLE[1]):
-    """Screenshots as small PNGs, and the page as it is printed."""
+    """Screenshots as small PNGs."""
     out.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium.found(), args=list(chromium.OPTIONS))
@@ -52,18 +51,17 @@ def pictures(site, out, material=EXAMPLE[1]):
             context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
             opened = context.new_page()
             opened.goto((site / page.format(material=material)).resolve().as_uri())
-            opened.wait_for_function("document.documentElement.dataset.charts === 'drawn'", timeout=120_000)
+            if name != "sheet":  # of paper: what is drawn stays as it is
+                opened.wait_for_function("document.documentElement.dataset.charts === 'drawn'", timeout=120_000)
             opened.screenshot(path=out / f"{name}.png")
-            if name == "page-desktop":
-                opened.pdf(path=out / "printed.pdf", format="A4", print_background=False)
             context.close()
             shrink(out / f"{name}.png")
         browser.close()
 
 
 def shrink(path):
-    """Of 128 colours: a quarter of the size, and nothing is lost that a reader would miss."""
-    Image.open(path).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+    """Without transparency: a palette would change the channels' colours, or the spheres'."""
+    Image.open(path).convert("RGB").save(path, optimize=True)
 
 
 def example(results, out):
@@ -78,13 +76,14 @@ def example(results, out):
         for material in EXAMPLE:
             result = read_result(results / f"{material}.json")
             result.source.path = f"{material}.binary"
+            result.config["input"] = {**result.config.get("input", {}), "origin": ORIGIN}
             result.run.folder = None
             result.run.command = ["merlfit", "fit", result.source.path, "-o", "fits", "--origin", ORIGIN]
             write_result(kept / f"{material}.json", result)
             shutil.copy(results / result.posterior.chain_file, kept)
         shutil.rmtree(out, ignore_errors=True)
         shutil.copytree(kept, out)
-        subprocess.run([MERLFIT, "report", str(out), "-o", str(out), "-j", "1", "--files", files], check=True)
+        subprocess.run([MERLFIT, "report", str(out), "-o", str(out), "-j", "1", "--files", files, "--pdf"], check=True)
         for chain in out.glob("*.npz"):
             chain.unlink()
 

@@ -378,6 +378,7 @@ def test_two_results_side_by_side(opened):
     page = opened("compare.html")
     expect(page.frame_locator("#left-page").locator("h1")).to_have_text("a name")
     page.locator("#right").select_option("white-fabric")
+    expect(page.get_by_alt_text("Sphere: right result, under an environment")).to_have_js_property("naturalWidth", 384)
     errors = page.locator("#numbers tr", has_text="RMSE")
     expect(errors.locator("td")).to_have_text(["0.1", "0.001"])
     expect(errors.locator("strong")).to_have_text("0.001")

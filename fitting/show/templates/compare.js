@@ -15,7 +15,7 @@ function compare() {
     const known = values.every((x) => typeof x === "number");
     const cells = values.map((x, k) => {
       const cell = document.createElement("td");
-      cell.className = typeof x === "number" ? "n" : "";
+      cell.className = part === "words" ? "" : "n";
       const text = typeof x === "number" ? Number(x.toPrecision(4)).toString() : x ?? "-";
       const kind = part === "errors" && known && x < values[1 - k] ? "strong" : "span";
       cell.append(Object.assign(document.createElement(kind), { textContent: text }));
@@ -25,6 +25,12 @@ function compare() {
     return row;
   }));
   table.hidden = false;
+  for (const picture of document.querySelectorAll("#both img")) {
+    const choice = document.getElementById(picture.dataset.side);
+    picture.src = `pictures/${encodeURIComponent(choice.value)}.${picture.dataset.light}-fit.webp`;
+  }
+  for (const each of document.querySelectorAll("#both .wipe")) each.querySelectorAll("b").forEach((word, k) => (word.textContent = sides[k].value));
+  document.getElementById("both").hidden = !pair.every((each) => each.words.model);
 }
 
 sides.forEach((choice, k) => {
