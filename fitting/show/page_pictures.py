@@ -33,7 +33,7 @@ def write(subject: Subject, out: Path, name: str) -> dict[str, Any]:
     def keep(what: str, picture: Image.Image, lossless: bool = False) -> str:
         path = out / "pictures" / f"{name}.{what}.webp"
         write_atomically(
-            path, lambda file: picture.save(file, "WEBP", quality=50 if lossless else 90, lossless=lossless)
+            path, lambda file: picture.save(file, "WEBP", quality=50 if lossless else 90, lossless=lossless, method=2)
         )
         return f"../pictures/{quote(path.name)}"
 

@@ -38,12 +38,12 @@ def of_file_and_fit(subject: Subject) -> dict[Lighting, dict[str, np.ndarray]]:
     """
     grid, fit, rim = subject.grid, subject.predicted, 1.0
     if subject.measurement is None:
-        planes = {"fit": np.where(grid.above[..., : fit.shape[-1]], fit, 0.0)}
+        planes = {"fit": _where(grid.above[..., : fit.shape[-1]], fit)}
     else:
         values, valid = folded(subject.measurement)
         used = valid & within(grid, subject.theta_max)[..., : fit.shape[-1]]
         rim = float(np.sin(subject.theta_max))  # past it nothing is compared
-        planes = {"file": np.where(used, values, 0.0), "fit": np.where(used, fit, 0.0)}
+        planes = {"file": _where(used, values), "fit": _where(used, fit)}
     found: dict[Lighting, dict[str, np.ndarray]] = {}
     for lighting in COMPUTED:
         inside, lit = _sphere(lighting, subject.dims)
@@ -63,7 +63,7 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
     """
     inside, lit = _sphere("environment", subject.dims)
     above = subject.grid.above[..., : subject.dims[2] // 2]
-    radiance = {name: render(lit, np.where(above, brdf, 0.0)) for name, brdf in subject.parts.items()}
+    radiance = {name: render(lit, _where(above, brdf)).astype(np.float64) for name, brdf in subject.parts.items()}
     total = sum(radiance.values(), np.zeros(1)).sum(0)
     seen = {name: coloured(pixels.T, subject.model.bands).T for name, pixels in radiance.items()}
     pictures = {name: _round(displayed(pixels), inside) for name, pixels in seen.items()}
@@ -74,7 +74,12 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
 def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
     """Pixels of a square that are inside the sphere's disc, and their weights of all bins."""
     positions, inside = square(COMPUTED[lighting])
-    return inside.ravel(), sphere(lighting, positions[inside], dims)
+    return inside.ravel(), csr_array(sphere(lighting, positions[inside], dims), dtype=np.float32)
+
+
+def _where(used: np.ndarray, brdf: np.ndarray) -> np.ndarray:
+    """Values of some bins, as exact as a picture of bytes needs them."""
+    return np.where(used, brdf, 0.0).astype(np.float32)
 
 
 def square(side: int) -> tuple[np.ndarray, np.ndarray]:
