@@ -7,25 +7,22 @@ much of a direction's knowledge is the data's: at 1 as much as the prior's, belo
 import numpy as np
 
 from ..results import schema
-from .laplace import laplace_covariance, likelihood_precision
+from .noise import Noise
 from .transforms import Layout
 
 NAMED = 0.3  # of a unit vector: smaller components of a direction are not named
 STRONG = 0.9  # correlations beyond this are put into words
 
 
-def identifiability(
-    layout: Layout, normal: np.ndarray, cost: float, count: float, covariance: np.ndarray
-) -> schema.Identifiability:
+def identifiability(layout: Layout, noise: Noise, covariance: np.ndarray) -> schema.Identifiability:
     """Correlations, contraction of the prior, and directions that the data do not determine.
 
     Args:
-        normal, cost, count: as for `laplace`. covariance: of the physical values (P, P).
+        noise: of the fit. covariance: of the physical values (P, P).
     """
-    precision = likelihood_precision(normal, cost, count)
-    values, vectors = np.linalg.eigh((precision + precision.T) / 2)
+    values, vectors = np.linalg.eigh((noise.precision + noise.precision.T) / 2)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    names, left = layout.coordinates, np.sqrt(np.diag(laplace_covariance(normal, cost, count)))
+    names, left = layout.coordinates, np.sqrt(np.diag(noise.covariance))
     return schema.Identifiability(
         names=list(layout.names),
         covariance=covariance.tolist(),

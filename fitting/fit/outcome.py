@@ -14,9 +14,9 @@ from ...model.two_scale import TwoScale
 from ..results import schema
 from ..support.choices import EXPONENT, Exponent, Weights
 from . import error_metrics, plausible
-from .laplace import laplace_covariance
 from .largest_albedo import largest_albedo
 from .levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
+from .noise import Noise
 from .selection import VISIBLE, alike, lost
 from .total_scatter import of_values
 from .transforms import ODDS, Layout
@@ -41,7 +41,7 @@ class Fitted:
     Attributes:
         layout: what was fitted, and in which coordinates.
         solution: where it ended, with the cost of all bins and the normal equations of the last grid.
-        costs: of all bins, by channel (C,). count: effective sample count of the residuals. errors: metrics.
+        costs: of all bins, by channel (C,). noise: of the residuals. errors: metrics.
         candidates: models and their variants that were compared on the coarse grid.
         exponent: of the weights that it was made with. model_error: that these assume beside the file's uncertainties
             (1/sr); None where it states none.
@@ -50,7 +50,7 @@ class Fitted:
     layout: Layout
     solution: Solution
     costs: np.ndarray
-    count: float
+    noise: Noise
     errors: error_metrics.Errors
     candidates: list[schema.Candidate]
     exponent: Exponent = EXPONENT
@@ -61,6 +61,11 @@ class Fitted:
         """What was fitted, without the apparatus."""
         return self.layout.material
 
+    @property
+    def count(self) -> float:
+        """N, how many independent residuals those of all bins are worth."""
+        return self.noise.count
+
     @cached_property
     def values(self) -> np.ndarray:
         """Physical values, (P,)."""
@@ -70,7 +75,7 @@ class Fitted:
     def covariance(self) -> np.ndarray:
         """Covariance of the physical values, by the Laplace approximation, (P, P)."""
         slopes = np.asarray(self.layout.slopes(self.solution.z))
-        return slopes @ laplace_covariance(self.solution.normal, self.solution.cost, self.count) @ slopes.T
+        return slopes @ self.noise.covariance @ slopes.T
 
     @cached_property
     def standard_errors(self) -> np.ndarray:

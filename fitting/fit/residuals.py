@@ -79,6 +79,24 @@ class Objective:
     def _sum(self, of_part: Callable[[Part], Array]) -> Array:
         return reduce(add, side_by_side(of_part, self.problem.parts), self.problem.rest)
 
+    @property
+    def target(self) -> np.ndarray:
+        """Of the weighted measurement, (M,)."""
+        return np.concatenate([np.asarray(part.target).ravel() for part in self.problem.parts])
+
+    def weighed(self, points: np.ndarray) -> np.ndarray:
+        """Weighted predictions (N, M) at points (N, F), in the precision of the problem."""
+
+        def found(values: Mapping[str, Array], part: Part) -> np.ndarray:
+            return np.asarray(_weighted(self.layout.model, values, part)).ravel()
+
+        parts, each = self.problem.parts, [self.layout.values(z) for z in points]
+        if len(parts) == 1:  # cores share the data of a point where it is much, and points where it is not
+            return np.stack(side_by_side(lambda values: found(values, parts[0]), each))
+        return np.stack(
+            [np.concatenate(side_by_side(lambda part, values=values: found(values, part), parts)) for values in each]
+        )
+
     def normal_equations(self, z: ArrayLike) -> np.ndarray:
         """(J|r)^T W (J|r) per channel, shape (C, F+1, F+1): J = d predicted/dz, r = measured - predicted.
 
@@ -117,6 +135,12 @@ def _cost(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
         return total + jnp.sum(residual**2, (1, 2, 3), dtype=jnp.float64), None
 
     return jax.lax.scan(step, jnp.zeros(part.target.shape[1]), part)[0]
+
+
+@kept()
+def _weighted(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
+    values = with_tables(model, values, part.directions)
+    return jax.lax.map(lambda b: weigh(b.root, evaluate_block(model, values, b.directions)), part)
 
 
 def weighted_prediction(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:

@@ -71,7 +71,7 @@ def make_result(
         ],
     )  # fmt: skip
     errors = schema.Metrics(**{name: storage.finite(x) for name, x in asdict(fitted.errors).items()})
-    found = identifiability(fitted.layout, s.normal, s.cost, fitted.count, fitted.covariance)
+    found = identifiability(fitted.layout, fitted.noise, fitted.covariance)
     result = schema.Result(
         model=_model_part(fitted.layout, s.z, measurement.colour_space), parameters=parameter_results(fitted),
         fit=fit_part, metrics=errors, identifiability=found, posterior=None,

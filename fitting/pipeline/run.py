@@ -20,6 +20,7 @@ from ...model.two_scale import TwoScale
 from ..fit import error_metrics, plausible, scattered_errors
 from ..fit.largest_albedo import largest_albedo
 from ..fit.levenberg_marquardt import UNEXPLAINED_COST, Solution, solve
+from ..fit.noise import noise_of
 from ..fit.outcome import Fitted
 from ..fit.problem import Problem, make_problem
 from ..fit.published_errors import assess_prediction
@@ -348,12 +349,13 @@ def valued(layout: Layout, z: np.ndarray) -> dict[str, np.ndarray]:
 def assess(
     layout: Layout, solution: Solution, measurement: Input, samples: AnySamples, theta_max: float = THETA_MAX
 ) -> Fitted:
-    """A solution with its cost on all bins, its errors and the effective count of its residuals."""
+    """A solution with its cost on all bins, its errors and the noise of its residuals."""
     predicted = predict_samples(layout, solution.z, samples)
     errors, costs = assess_prediction(predicted, measurement, samples, theta_max)
     whole = replace(solution, cost=float(costs.sum()))
     error = samples.model_error if isinstance(samples, ScatteredSamples) else None
-    return Fitted(layout, whole, costs, count_of(samples, predicted), errors, [], model_error=error)
+    noise = noise_of(samples, predicted, solution.z, count_of(samples, predicted), partial(predict_samples, layout))
+    return Fitted(layout, whole, costs, noise, errors, [], model_error=error)
 
 
 def predict_samples(layout: Layout, z: np.ndarray, samples: AnySamples) -> np.ndarray:

@@ -19,7 +19,7 @@ from ..fit.transforms import Layout
 from .diagnosis import diagnose
 from .emulator import MOST_EVER, Emulator, log_posterior
 from .hamiltonian import STEP_SIZES, Hamiltonian
-from .likelihood import StandIn
+from .likelihood import Likelihood
 
 WALKERS = 32  # or two for each parameter, which differential evolution needs
 CHECK_EVERY = 100  # steps between looks at the chain
@@ -173,7 +173,7 @@ def spread_over(total: int, count: int, begun: int = 0) -> np.ndarray:
 class _Recorder:
     """The log posterior of a stand-in, its likelihood tempered, which remembers what it was asked."""
 
-    def __init__(self, few: StandIn, temperature: float) -> None:
+    def __init__(self, few: Likelihood, temperature: float) -> None:
         self.few = replace(few, scale=few.scale / temperature)
         self.points: list[np.ndarray] = []
         self.found: list[np.ndarray] = []
@@ -192,7 +192,7 @@ class _Recorder:
 
 
 def begin(
-    few: StandIn, layout: Layout, fit: np.ndarray, covariance: np.ndarray, seed: int, progress: Progress
+    few: Likelihood, layout: Layout, fit: np.ndarray, covariance: np.ndarray, seed: int, progress: Progress
 ) -> tuple[Chain, Emulator]:
     """A chain with walkers in place, and the emulator that leads them.
 
@@ -245,7 +245,7 @@ def _root(states: np.ndarray) -> np.ndarray:
 
 
 def extend(
-    chain: Chain, few: StandIn, layout: Layout, emulator: Emulator, max_steps: int, progress: Progress,
+    chain: Chain, few: Likelihood, layout: Layout, emulator: Emulator, max_steps: int, progress: Progress,
     keep: Callable[[Chain], None], least: int = 0,
 ) -> Chain:  # fmt: skip
     """Go on until the chain is good enough (`diagnosis`) and has ``least`` steps, or to ``max_steps``.

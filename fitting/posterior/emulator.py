@@ -2,15 +2,16 @@
 
 Weighted residuals of a channel are smooth functions of the few coordinates that it depends on. Their principal
 components over the training points (a proper orthogonal decomposition) are interpolated by cubic radial basis
-functions with a quadratic polynomial, of distances that count most where they are curved; the sum of their squares is
-the cost. Walkers are led by its gradient (`hamiltonian.Hamiltonian`) and the stand-in itself accepts or refuses: the
+functions with a quadratic polynomial, of distances that count most where they are curved; the cost is a quadratic form
+of them. Walkers are led by its gradient (`hamiltonian.Hamiltonian`) and the stand-in itself accepts or refuses: the
 emulator's accuracy only decides how often a step is accepted.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ import numpy as np
 from jax import Array
 
 from ..fit.transforms import Layout
-from .likelihood import StandIn
+from .likelihood import Likelihood
 
 NEGLECTED = 1e-2  # of log L, on average over the training points: components that matter less are left out
 MOST, MOST_EVER = 1024, 2048  # points, and where the posterior is too crooked for them (`chain.extend`)
@@ -81,17 +82,22 @@ def _kernel(x: Array, centres: Array) -> Array:
     return jnp.where(apart, squares * jnp.sqrt(jnp.where(apart, squares, 1.0)), 0.0)
 
 
-Channels = list[dict[str, Array]]
+class Channels(NamedTuple):
+    """What is interpolated of each channel, and how residuals count that parameters could undo (P, P)."""
+
+    each: list[dict[str, Array]]
+    excess: Array
 
 
 def cost_at(points: Array, channels: Channels) -> Array:
-    """Sum of squares of all channels at points (N, P): (N,)."""
-    total = jnp.zeros(len(points))
-    for c in channels:
+    """The cost of the residuals of all channels at points (N, P): (N,)."""
+    total, undone = jnp.zeros(len(points)), jnp.zeros((len(points), len(channels.excess)))
+    for c in channels.each:
         x = (points[:, c["own"]] - c["middle"]) @ c["whiten"]
         components = _kernel(x, c["centres"]) @ c["weights"] + _tail(x) @ c["polynomial"]
         total += jnp.sum(components**2 + 2 * components * c["mean"], 1) + c["constant"]
-    return total
+        undone += components @ c["along"] + c["offset"]
+    return total + jnp.sum(undone @ channels.excess * undone, 1)
 
 
 @jax.jit
@@ -106,34 +112,38 @@ class Emulator:
 
     Attributes:
         points: where it was computed, (N, P). residuals: weighted, (N, C, M). own: coordinates of every channel.
-        scale: of the stand-in.
+        scale: of the stand-in. along, excess: of it, (C, M, P) and (P, P).
     """
 
     points: np.ndarray
     residuals: np.ndarray
     own: Sequence[np.ndarray]
     scale: float
+    along: np.ndarray
+    excess: np.ndarray
 
     @classmethod
-    def of(cls, few: StandIn, layout: Layout, points: np.ndarray) -> "Emulator":
+    def of(cls, few: Likelihood, layout: Layout, points: np.ndarray) -> "Emulator":
         """From the stand-in at ``points`` (N, P), those where it is not finite left out."""
         own = coordinates_of(layout, points[0])
-        found = cls(points[:0], np.empty((0, len(own), len(few.target) // len(own))), own, few.scale)
+        along = few.along.reshape(len(own), -1, few.along.shape[1])
+        found = cls(points[:0], np.empty((0, *along.shape[:2])), own, few.scale, along, few.excess)
         return found.with_points(few, points, MOST_EVER)
 
-    def with_points(self, few: StandIn, points: np.ndarray, most: int = MOST) -> "Emulator":
+    def with_points(self, few: Likelihood, points: np.ndarray, most: int = MOST) -> "Emulator":
         """The same with more points, the oldest forgotten beyond so many; twice the same counts once."""
         residuals = (few.weighed(points) - few.target).reshape(len(points), len(self.own), -1)
         points = np.concatenate([self.points, points])[-most:]
         residuals = np.concatenate([self.residuals, residuals])[-most:]
         _, first = np.unique(points, axis=0, return_index=True)
         first = np.sort(first[np.isfinite(residuals[first]).all((1, 2))])
-        return Emulator(points[first], residuals[first], self.own, self.scale)
+        return replace(self, points=points[first], residuals=residuals[first])
 
     @cached_property
     def channels(self) -> Channels:
         """What :func:`cost_at` needs."""
-        found = []
+        found, (squares, axes) = [], np.linalg.eigh(self.excess)
+        root = axes * np.sqrt(np.abs(squares))
         for k, own in enumerate(self.own):
             given = self.points[:, own]
             middle, spread = given.mean(0), np.atleast_2d(np.cov(given.T))
@@ -141,7 +151,9 @@ class Emulator:
             x = (given - middle) @ whiten
             mean = self.residuals[:, k].mean(0)
             left, size, basis = np.linalg.svd(self.residuals[:, k] - mean, full_matrices=False)
-            rest = np.append(np.cumsum(size[::-1] ** 2)[::-1], 0.0) * self.scale / len(x)
+            weight = basis @ self.along[k] @ root
+            undone = np.cumsum(((left * size)[..., None] * weight)[:, ::-1], 1)[:, ::-1]
+            rest = np.append(np.cumsum(size[::-1] ** 2)[::-1] + np.sum(undone**2, (0, 2)), 0.0) * self.scale / len(x)
             rank = max(int(np.argmax(rest < NEGLECTED)), 1)
             parts = left[:, :rank] * size[:rank]
             stretch = _stretched(x, parts)
@@ -157,5 +169,6 @@ class Emulator:
                 "weights": np.pad(solved[: len(x)], ((0, more), (0, wider))),
                 "polynomial": np.pad(solved[len(x) :], ((0, 0), (0, wider))),
                 "mean": np.pad(basis[:rank] @ mean, (0, wider)), "constant": mean @ mean,
+                "along": np.pad(basis[:rank] @ self.along[k], ((0, wider), (0, 0))), "offset": mean @ self.along[k],
             })  # fmt: skip
-        return jax.device_put(found)
+        return jax.device_put(Channels(found, jnp.asarray(self.excess)))

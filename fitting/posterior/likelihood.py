@@ -1,9 +1,13 @@
 """The likelihood of the posterior, on all bins and on a few (docs/statistics.md derives it).
 
 Residuals of a measured material are mostly model error, smooth over the grid, not independent noise. All of them are
-worth N independent ones (`error_metrics.effective_count`) of the size that they have at the fit, z_0:
+worth N independent ones of the size S_0/N that they have at the fit. Those that a change of the parameters could undo
+count by how well the data determine that change (`fit.noise`):
 
-    log L(z) = - N/2 S(z) / S(z_0),    S the cost of Eq. 56.
+    log L(z) = -N/(2 S_0) (|e|^2 + d^T (S_0/N G - H) d),    d = H^-1 J^T e,
+
+e being the weighted residuals at z, J their Jacobian at the fit, H = J^T J, and G the precision there. Near the fit
+that is -(z - z_0)^T G (z - z_0) / 2; far away it is where the model is that counts, not where its tangent would be.
 
 A chain asks for it a hundred thousand times, so that it walks on a stand-in of a few bins, and is corrected afterwards
 (`importance`).
@@ -11,19 +15,17 @@ A chain asks for it a hundred thousand times, so that it walks on a stand-in of 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...model.reflectance import of_order
 from ..fit.levenberg_marquardt import Solution
+from ..fit.noise import STEP, Noise
 from ..fit.problem import Problem
 from ..fit.residuals import Objective
 from ..fit.transforms import Layout
-from ..support.threads import side_by_side
 from .coreset import few_rows
 
 ORDER = 12  # of the convolution
@@ -32,57 +34,29 @@ COMPARED, ALIKE = 8, 0.05  # draws by which that is seen, and the largest standa
 LIKELIHOOD_POWER = 0.85  # power of the stand-in: where it errs in the tails, weights of all bins are not large for that
 
 
-def log_likelihood(layout: Layout, points: np.ndarray, problem: Problem, count: float, lowest: float) -> np.ndarray:
-    """log L at points (N, P) in free coordinates, (N,); -inf where the model is not finite.
-
-    Args:
-        count: effective sample count N. lowest: S at the fit.
-    """
-    objective = Objective(layout, problem)
-
-    def cost(z: np.ndarray) -> float:
-        return float(jnp.sum(objective.costs(layout.values(z))))
-
-    # cores share the data of a point where it is much, and points where it is not
-    costs = side_by_side(cost, points) if len(problem.parts) == 1 else [cost(z) for z in points]
-    found = -count / 2 * np.array(costs) / lowest
-    return np.where(np.isfinite(found), found, -np.inf)
-
-
-def likelihood_of_all(
-    layout: Layout, some: np.ndarray, problem: Problem, count: float, lowest: float
-) -> Callable[[np.ndarray], np.ndarray]:
-    """:func:`log_likelihood` up to a constant, by a convolution of a lower order where that says the same.
-
-    Args:
-        some: points of the posterior, by which it is seen.
-    """
-    quick, full = (
-        partial(log_likelihood, replace(layout, model=model), problem=problem, count=count, lowest=lowest)
-        for model in (of_order(layout.model, ALL_ORDER), layout.model)
-    )
-    if of_order(layout.model, ALL_ORDER) == layout.model:
-        return full
-    apart = quick(some) - full(some)
-    return quick if np.std(apart[np.isfinite(apart)]) <= ALIKE and np.isfinite(apart).any() else full
-
-
 @dataclass(frozen=True)
-class StandIn:
-    """The likelihood on a few bins.
+class Likelihood:
+    """That of some bins, or all.
 
     Attributes:
         weighed: weighted predictions (N, M) of points (N, P). target: of the weighted measurement, (M,).
-        scale: with which the sum of squares becomes minus log L.
+        scale: with which the cost becomes minus log L.
+        along, excess: of :meth:`.noise.Noise.along`, (M, P) and (P, P): how residuals count that the parameters could
+            undo.
     """
 
     weighed: Callable[[np.ndarray], np.ndarray]
     target: np.ndarray
     scale: float
+    along: np.ndarray
+    excess: np.ndarray
 
     def log_likelihood(self, points: np.ndarray) -> np.ndarray:
         """log L, up to a constant, of points (N, P); -inf where the model is not finite."""
-        found = -self.scale * np.sum((self.weighed(points) - self.target) ** 2, 1)
+        residuals = self.weighed(points) - self.target
+        undone = (residuals @ self.along).astype(float)
+        squares = np.einsum("nm,nm->n", residuals, residuals, dtype=float)
+        found = -self.scale * (squares + np.einsum("np,pq,nq->n", undone, self.excess, undone))
         return np.where(np.isfinite(found), found, -np.inf)
 
     def log_posterior(self, points: np.ndarray) -> np.ndarray:
@@ -90,7 +64,33 @@ class StandIn:
         return self.log_likelihood(points) - np.sum(points**2, 1) / 2
 
 
-def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solution, count: float) -> StandIn:
+def likelihood_of_all(
+    layout: Layout, z: np.ndarray, problem: Problem, noise: Noise, some: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """log L of points (N, P), up to a constant, (N,): by a convolution of a lower order where that says the same.
+
+    Args:
+        z: the fit, (P,). some: points of the posterior, by which it is seen.
+    """
+    full = on_all(layout, z, problem, noise)
+    lower = of_order(layout.model, ALL_ORDER)
+    if lower == layout.model:
+        return full.log_likelihood
+    quick = replace(full, weighed=Objective(replace(layout, model=lower), problem).weighed)
+    apart = quick.log_likelihood(some) - full.log_likelihood(some)
+    alike = np.isfinite(apart).any() and np.std(apart[np.isfinite(apart)]) <= ALIKE
+    return (quick if alike else full).log_likelihood
+
+
+def on_all(layout: Layout, z: np.ndarray, problem: Problem, noise: Noise) -> Likelihood:
+    """That of all bins, but for what no smooth function of the azimuth explains: a constant."""
+    objective = Objective(layout, problem)
+    steps = STEP * np.eye(len(z))
+    jacobian = ((objective.weighed(z + steps) - objective.weighed(z - steps)) / (2 * STEP)).T
+    return Likelihood(objective.weighed, objective.target, 1 / (2 * noise.least), *noise.along(jacobian))
+
+
+def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solution, noise: Noise) -> Likelihood:
     """The likelihood on `coreset.few_rows`, in float32, with the gradient at the fit that all bins have.
 
     It is that to the power `LIKELIHOOD_POWER`: a proposal that is wider than the target has weights that are bounded.
@@ -99,9 +99,10 @@ def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solu
     target + J a, a = (J^T J + S_0/N)^-1 (g - J^T r), g the gradient J^T r of all bins. So the noise of the few bins,
     which the others average out, does not move the maximum.
     """
-    least = solution.cost / count
+    least = noise.least
     rows = few_rows(replace(layout, model=of_order(layout.model, ORDER)), samples, solution.z, least)
     at, jacobian = rows.tangent(solution.z)
     lacking = solution.normal.sum(0)[:-1, -1] - jacobian.T @ (rows.target - at)
     moved = np.linalg.solve(jacobian.T @ jacobian + least * np.eye(len(solution.z)), lacking)
-    return StandIn(rows.predicted, rows.target + jacobian @ moved, LIKELIHOOD_POWER * count / (2 * solution.cost))
+    scale = LIKELIHOOD_POWER / (2 * least)
+    return Likelihood(rows.predicted, rows.target + jacobian @ moved, scale, *noise.along(jacobian))

@@ -16,7 +16,6 @@ from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...merl_io.source import opened
 from ...model.derived import derived
-from ..fit.laplace import laplace_covariance
 from ..fit.outcome import Fitted
 from ..fit.problem import make_problem
 from ..fit.transforms import Layout
@@ -29,6 +28,7 @@ from .emulator import Emulator
 from .importance import Posterior, correct
 from .likelihood import COMPARED, likelihood_of_all, stand_in
 
+LIKELIHOOD = "residuals of a covariance"  # which one a chain is of: that of another version is not gone on with
 DRAWN = ("draws_free", "weights", "log_ratio", "log_likelihood", "values")  # arrays of a finished chain
 
 
@@ -82,7 +82,7 @@ def draw(
         merlfit.fitting.posterior.chain.ChainError: there is no chain to go on with, it is damaged, or of another fit.
     """
     layout, solution = fitted.layout, fitted.solution
-    few = stand_in(layout, samples, solution, fitted.count)
+    few = stand_in(layout, samples, solution, fitted.noise)
 
     def say(done: int, most: int) -> None:
         words = f"step {done} of at most {most}" if most else f"tuning, step {done}"
@@ -97,14 +97,13 @@ def draw(
             chain = replace(chain, retrainings=0)  # one that was long enough once is not given up
         emulator = Emulator.of(few, layout, chain.training_points)
     else:
-        covariance = laplace_covariance(solution.normal, solution.cost, fitted.count)
-        chain, emulator = begin(few, layout, solution.z, covariance, seed, say)
+        chain, emulator = begin(few, layout, solution.z, fitted.noise.covariance, seed, say)
 
     def keep(chain: Chain) -> None:
         if said := _unwritten(path, {**_names(layout), **drawn, **chain.arrays()}):
             report(f"posterior: {said}")
 
-    problem, lowest = make_problem(samples, precision="float32"), solution.cost  # 1e-6 of S is 1e-6 N of log L
+    problem = make_problem(samples, precision="float32")  # 1e-6 of S is 1e-6 N of log L
 
     def say_draw(done: int, most: int) -> None:
         report(Stage(f"posterior: all data, draw {done} of {most}", done / most))
@@ -114,7 +113,7 @@ def draw(
         chain = extend(chain, few, layout, emulator, max_steps, say, keep, least)
         if whole is None:
             some = chain.states[-1, :COMPARED]
-            whole = likelihood_of_all(layout, some, problem, fitted.count, lowest)
+            whole = likelihood_of_all(layout, solution.z, problem, fitted.noise, some)
         found = correct(chain, few.log_likelihood, whole, layout.coordinates, say_draw)
         if not len(chain.states) < min(found.wanted, max_steps):
             return found
@@ -157,14 +156,15 @@ def refuse_other_model(path: Path, layout: Layout) -> None:
         other = True
     if other:
         raise ChainError(
-            f"{path}: is the chain of a fit with other settings or wavelengths: fit again, into another folder"
+            f"{path}: is the chain of a fit with other settings or wavelengths, or of another version of merlfit: "
+            "fit again, into another folder"
         )
 
 
 def _model(layout: Layout) -> str:
-    """What a layout's model is, without its parameters."""
+    """What a layout's model is, without its parameters, and of which likelihood its chains are."""
     settings: Any = asdict(layout.model)  # pyright: ignore[reportArgumentType] - models are dataclasses
-    return json.dumps([layout.material.name, settings, list(layout.bands.wavelengths_um)])
+    return json.dumps([layout.material.name, settings, list(layout.bands.wavelengths_um), LIKELIHOOD])
 
 
 def _names(layout: Layout) -> dict[str, np.ndarray]:

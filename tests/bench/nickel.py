@@ -11,6 +11,7 @@ from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.run import fit
+from merlfit.fitting.posterior.likelihood import on_all
 from merlfit.fitting.posterior.sampling import draw
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.support.weighted import quantiles
@@ -76,8 +77,9 @@ def measure(path):
     config, measurement = load(body="none"), read(path)
     samples = weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
     fitted, problem = fit(measurement, samples, config), make_problem(samples)
-    layout, least = fitted.layout, fitted.solution.cost
-    rows = [("fit", least, layout.values(jnp.asarray(fitted.solution.z)))]
+    layout, least, z = fitted.layout, fitted.solution.cost, fitted.solution.z
+    likelihood = on_all(layout, z, problem, fitted.noise).log_likelihood
+    rows = [("fit", least, layout.values(jnp.asarray(z)))]
     rows += [(name, *lowest(layout, problem, fixed)) for name, fixed in READINGS.items()]
     with tempfile.TemporaryDirectory() as folder:
         drawn = draw(fitted, samples, config.posterior.max_steps, config.seed, Path(folder) / "chain.npz")
@@ -86,7 +88,7 @@ def measure(path):
     return {
         "rows": [
             {"held": name, **{q: float(v[q]) for q in ("beta", "p", "b", "c", "sigma_s")}, "cost": s,
-             "log L": -fitted.count / 2 * (s / least - 1)}
+             "log L": float(np.diff(likelihood(np.stack([z, layout.free(v)])))[0])}
             for name, s, v in rows
         ],
         "count": fitted.count, "message": drawn.message, "sufficient": drawn.sufficient,
@@ -102,9 +104,9 @@ def run(folder, out, every):
         "nickel", "Nickel beside HP17", RECONSTRUCTIONS,
         [f"HP17 Fig. 16-17 print {', '.join(f'{k} {v}' for k, v in PRINTED.items())} (lengths in um). Median and 90 % "
          f"interval of ours: {told if seen['sufficient'] else 'none'} ({seen['message']}).",
-         "Each row: some of the three held, every other parameter searched; cost as the fit's, and the logarithm of "
-         f"the likelihood relative to the fit's (N = {seen['count']:.1f}, docs/statistics.md). sigma_s for Q/2: times "
-         "sqrt(2), as Eq. 33 is evaluated with Q/2 in place of the printed Q."],
+         "Each row: some of the three held, every other parameter searched; the least cost, and the logarithm "
+         f"of the likelihood there relative to the fit's (N = {seen['count']:.1f}, docs/statistics.md). sigma_s for "
+         "Q/2: times sqrt(2), as Eq. 33 is evaluated with Q/2 in place of the printed Q."],
         folder=out,
     )  # fmt: skip
     for row in seen["rows"]:

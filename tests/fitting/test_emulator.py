@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from merlfit.fitting.posterior import emulator as emulators
 from merlfit.fitting.posterior.emulator import Emulator, coordinates_of
-from merlfit.fitting.posterior.likelihood import StandIn
 
-from tests.support.stand_ins import LAYOUT, OWN, banana, gentle, trained
+from tests.support.stand_ins import LAYOUT, OWN, banana, gentle, plain, trained
 
 cost_at = jax.jit(emulators.cost_at)
 
@@ -84,7 +83,7 @@ def test_idle_centres_and_components_are_idle(count, monkeypatch):
 def test_distances_count_along_what_is_curved(monkeypatch):
     """Of five coordinates one is: an emulator that knows which errs by a fraction of one that does not."""
     rng = np.random.default_rng(7)
-    few = StandIn(lambda z: np.stack([np.cos(2 * z[:, 0] + 0.5), z[:, 1] - z[:, 2]], 1), np.zeros(2), 2.0)
+    few = plain(lambda z: np.stack([np.cos(2 * z[:, 0] + 0.5), z[:, 1] - z[:, 2]], 1), np.zeros(2), 2.0)
     points, at = rng.normal(size=(150, 5)), 0.7 * rng.normal(size=(300, 5))
 
     def error():
@@ -96,7 +95,7 @@ def test_distances_count_along_what_is_curved(monkeypatch):
 
 
 def test_residuals_that_are_straight_have_no_axes():
-    few = StandIn(lambda z: z @ np.array([[1.0, 0.5], [0.0, 2.0]]), np.zeros(2), 2.0)
+    few = plain(lambda z: z @ np.array([[1.0, 0.5], [0.0, 2.0]]), np.zeros(2), 2.0)
     rng = np.random.default_rng(8)
     points, at = rng.normal(size=(2, 40, 2))
     for known in (few.weighed(points), np.ones((40, 2)), np.zeros((40, 2))):

@@ -18,7 +18,7 @@ from merlfit.fitting.posterior.importance import LARGEST_K, MOST_DRAWS, correct,
 from merlfit.fitting.support.weighted import quantiles
 from merlfit.model.derived import quantities
 
-from tests.support.stand_ins import LAYOUT
+from tests.support.stand_ins import LAYOUT, uncorrelated
 
 SIZE = LAYOUT.size
 NORMAL = np.random.RandomState(0).get_state()[1:]
@@ -41,7 +41,8 @@ def corrected(chain, few, whole):
 
 def a_fit():
     solution = Solution(np.zeros(SIZE), 0.1, np.stack([np.eye(SIZE + 1)] * 3), 1, 0.0, True)
-    return Fitted(LAYOUT, solution, np.full(3, 0.1 / 3), 20.0, Errors(*(0.0,) * 6), [])
+    noise = uncorrelated(solution.normal, solution.cost, 20.0)
+    return Fitted(LAYOUT, solution, np.full(3, 0.1 / 3), noise, Errors(*(0.0,) * 6), [])
 
 
 def quantiles_of(posterior):

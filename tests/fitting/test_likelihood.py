@@ -1,22 +1,25 @@
 """The likelihood on a few bins against that on all of them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.fit.laplace import laplace_covariance
 from merlfit.fitting.fit.levenberg_marquardt import solve
+from merlfit.fitting.fit.noise import STEP
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run, search
 from merlfit.fitting.posterior import likelihood
-from merlfit.fitting.posterior.coreset import BATCH, STEP
-from merlfit.fitting.posterior.likelihood import LIKELIHOOD_POWER, log_likelihood, stand_in
+from merlfit.fitting.posterior.coreset import BATCH
+from merlfit.fitting.posterior.likelihood import LIKELIHOOD_POWER, Likelihood, on_all, stand_in
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold
 from merlfit.model.two_scale import TwoScale
+
+from tests.support.stand_ins import uncorrelated
 
 LAYOUT = layout_of(TwoScale("lambert", "off"))
 TRUTH = {
@@ -40,19 +43,38 @@ def fitted():
     return samples, problem, best
 
 
-def near(best, count, size):
+def near(noise, z, size):
     """Draws from the Laplace approximation."""
-    covariance = laplace_covariance(best.normal, best.cost, count)
-    return np.random.default_rng(7).multivariate_normal(best.z, covariance, size=size, method="eigh")
+    return np.random.default_rng(7).multivariate_normal(z, noise.covariance, size=size, method="eigh")
 
 
-def test_the_likelihood_is_that_of_so_many_residuals_of_the_size_at_the_fit(fitted):
+def unlike(best, count, least, most):
+    """The noise of residuals of which directions in turn are known so many times as well as by equal ones."""
+    noise = uncorrelated(best.normal, best.cost, count)
+    root = np.linalg.cholesky(noise.precision)
+    times = np.where(np.arange(len(root)) % 2, most, least)
+    return replace(noise, precision=root * times @ root.T)
+
+
+@pytest.mark.parametrize(("least", "most"), [(1.0, 1.0), (0.6, 5.0)])
+def test_near_the_fit_it_has_the_precision_of_the_noise_and_far_away_it_is_the_model_that_counts(fitted, least, most):
     _, problem, best = fitted
-    assert log_likelihood(LAYOUT, best.z[None], problem, COUNT, best.cost) == pytest.approx(-COUNT / 2)
-    z = best.z + 0.1
-    expected = -COUNT / 2 * float(jnp.sum(Objective(LAYOUT, problem).costs(LAYOUT.values(jnp.asarray(z))))) / best.cost
-    assert log_likelihood(LAYOUT, z[None], problem, COUNT, best.cost) == pytest.approx(expected)
-    assert log_likelihood(LAYOUT, np.full((1, len(z)), np.nan), problem, COUNT, best.cost) == -np.inf
+    noise = unlike(best, COUNT, least, most)
+    whole = on_all(LAYOUT, best.z, problem, noise).log_likelihood
+    steps = 0.1 / np.sqrt(np.diag(noise.precision)) * np.eye(len(best.z))
+    at, *around = whole(np.concatenate([best.z[None], best.z + steps, best.z - steps]))
+    curvature = -(np.array(around).reshape(2, -1).sum(0) - 2 * at) / np.diag(steps) ** 2
+    np.testing.assert_allclose(curvature, np.diag(noise.precision), rtol=0.15)
+    z, objective, hessian = best.z + 0.5, Objective(LAYOUT, problem), best.normal.sum(0)[:-1, :-1]
+    residual = objective.weighed(z[None])[0] - objective.target
+    costs = objective.costs(LAYOUT.values(jnp.asarray(z))) - problem.rest
+    assert float(residual @ residual) == pytest.approx(float(jnp.sum(costs)))
+    steps = STEP * np.eye(len(z))
+    jacobian = (objective.weighed(best.z + steps) - objective.weighed(best.z - steps)).T / (2 * STEP)
+    step = np.linalg.solve(hessian, jacobian.T @ residual)
+    cost = residual @ residual + step @ (noise.least * noise.precision - hessian) @ step
+    assert whole(z[None])[0] == pytest.approx(-COUNT / 2 * cost / best.cost, rel=0.01)
+    assert whole(np.full((1, len(z)), np.nan)) == -np.inf
 
 
 def test_thinned_grids_see_the_mirror_direction():
@@ -69,7 +91,7 @@ def test_points_of_a_batch_are_what_they_are_one_by_one(fitted, diffraction):
     layout, rng = layout_of(TwoScale("lambert", diffraction)), np.random.default_rng(8)
     z = np.concatenate([best.z, np.zeros(layout.size - len(best.z))]) if diffraction != "off" else best.z
     normal = np.stack([np.eye(len(z) + 1)] * 3)
-    few = stand_in(layout, samples, replace(best, z=z, normal=normal), COUNT)
+    few = stand_in(layout, samples, replace(best, z=z, normal=normal), uncorrelated(normal, best.cost, COUNT))
     points = z + 0.3 * rng.normal(size=(2 * BATCH + 5, len(z)))
     together = few.weighed(points)
     alone = np.concatenate([few.weighed(point[None]) for point in points])
@@ -82,20 +104,21 @@ def test_points_of_a_batch_are_what_they_are_one_by_one(fitted, diffraction):
 def test_its_slope_at_the_fit_is_that_of_all_bins(fitted):
     """So that the maximum is elsewhere by little of the posterior's width."""
     samples, _, best = fitted
-    few = stand_in(LAYOUT, samples, best, COUNT)
+    noise = uncorrelated(best.normal, best.cost, COUNT)
+    few = stand_in(LAYOUT, samples, best, noise)
     steps = STEP * np.eye(len(best.z))
     jacobian = (few.weighed(best.z + steps) - few.weighed(best.z - steps)).T / (2 * STEP)
     slope = 2 * few.scale * jacobian.T @ (few.target - few.weighed(best.z[None])[0])
     expected = LIKELIHOOD_POWER * COUNT / best.cost * best.normal.sum(0)[:-1, -1]
-    covariance = laplace_covariance(best.normal, best.cost, COUNT)
-    assert np.all(np.abs(covariance @ (slope - expected)) < 0.05 * np.sqrt(np.diag(covariance)))
+    assert np.all(np.abs(noise.covariance @ (slope - expected)) < 0.05 * np.sqrt(np.diag(noise.covariance)))
 
 
-@pytest.mark.parametrize("count", [10.0, COUNT, 1000.0])
-def test_near_the_fit_it_is_that_of_all_bins_a_little_flatter(fitted, count):
+@pytest.mark.parametrize(("count", "least", "most"), [(10.0, 1.0, 1.0), (1000.0, 1.0, 1.0), (COUNT, 0.6, 5.0)])
+def test_near_the_fit_it_is_that_of_all_bins_a_little_flatter(fitted, count, least, most):
     samples, problem, best = fitted
-    few, draws = stand_in(LAYOUT, samples, best, count), near(best, count, 40)
-    whole = log_likelihood(LAYOUT, draws, problem, count, best.cost)
+    noise = unlike(best, count, least, most)
+    few, draws = stand_in(LAYOUT, samples, best, noise), near(noise, best.z, 40)
+    whole = on_all(LAYOUT, best.z, problem, noise).log_likelihood(draws)
     assert np.std(few.log_likelihood(draws) - LIKELIHOOD_POWER * whole) < 0.5
     assert np.std(whole) > 1
     prior = few.log_posterior(draws) - few.log_likelihood(draws)
@@ -104,7 +127,7 @@ def test_near_the_fit_it_is_that_of_all_bins_a_little_flatter(fitted, count):
 
 def test_where_the_model_is_not_finite_nothing_is_likely(fitted):
     samples, _, best = fitted
-    few = stand_in(LAYOUT, samples, best, COUNT)
+    few = stand_in(LAYOUT, samples, best, uncorrelated(best.normal, best.cost, COUNT))
     found = few.log_likelihood(np.stack([best.z, np.full(len(best.z), np.nan)]))
     assert np.isfinite(found[0])
     assert found[1] == -np.inf
@@ -114,12 +137,18 @@ def test_where_the_model_is_not_finite_nothing_is_likely(fitted):
 def test_a_lower_order_is_taken_of_all_bins_where_it_says_the_same_up_to_a_constant(monkeypatch, error, order):
     asked = []
 
-    def said(layout, points, **_):
-        asked.append(layout.model.order)
-        return points[:, 0] + (layout.model.order < 32) * (5 + error * points[:, 1])
+    def said(model):
+        def weighed(points):
+            asked.append(model.order)
+            found = 40 + points[:, 0] + (model.order < 32) * (5 + error * points[:, 1])
+            return np.sqrt(found)[:, None]
 
-    monkeypatch.setattr(likelihood, "log_likelihood", said)
+        return weighed
+
+    monkeypatch.setattr(likelihood, "Objective", lambda layout, _: SimpleNamespace(weighed=said(layout.model)))
+    layout, nothing = layout_of(TwoScale("lambert")), np.zeros((1, 1))
+    full = Likelihood(said(layout.model), np.zeros(1), 1.0, nothing, nothing)
+    monkeypatch.setattr(likelihood, "on_all", lambda *_: full)
     some = np.random.default_rng(9).normal(size=(likelihood.COMPARED, 2))
-    of_all = likelihood.likelihood_of_all(layout_of(TwoScale("lambert")), some, None, COUNT, 1.0)
-    of_all(some)
+    likelihood.likelihood_of_all(layout, np.zeros(2), None, None, some)(some)
     assert asked[-1] == order

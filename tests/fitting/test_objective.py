@@ -121,5 +121,5 @@ def test_equations_that_are_not_finite_are_a_failure(coarse):
     solution = solve(Objective(LOBE, spoiled), np.zeros(LOBE.size))
     assert not solution.converged
     assert np.isnan(solution.cost)
-    fitted = Fitted(LOBE, solution, np.full(3, np.nan), np.ones(3), Errors(*(0.0,) * 6), [])
+    fitted = Fitted(LOBE, solution, np.full(3, np.nan), None, Errors(*(0.0,) * 6), [])
     assert fitted.status is Status.NON_FINITE

@@ -24,6 +24,8 @@ from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
 from scipy.stats import norm
 
+from tests.support.stand_ins import uncorrelated
+
 LAYOUT = layout_of(Measured(TwoScale("lambert", index="complex")))
 VALUES = {
     "beta": 0.1, "p": 0.8, "b": 3.0, "c": 2.0, "sigma_s": 0.02, "grazing_exponent": 0.4,
@@ -37,7 +39,7 @@ def fitted(values=VALUES, cost=0.01, candidates=(), errors=GOOD, converged=True)
     z = LAYOUT.free(values)
     normal = np.tile(np.diag([*np.full(len(z), 0.1 * cost), cost / 3]), (3, 1, 1))
     solution = Solution(z, cost, normal, 9, 1e-4, converged)
-    return Fitted(LAYOUT, solution, np.full(3, cost / 3), 100.0, errors, list(candidates))
+    return Fitted(LAYOUT, solution, np.full(3, cost / 3), uncorrelated(normal, cost, 100.0), errors, list(candidates))
 
 
 def said(one, **given):
@@ -75,6 +77,7 @@ def test_the_costs_of_all_bins_leave_the_matrix_of_the_last_grid_alone(monkeypat
     monkeypatch.setattr(run, "predict_samples", lambda *_: None)
     monkeypatch.setattr(run, "assess_prediction", lambda *_: (GOOD, costs))
     monkeypatch.setattr(run, "count_of", lambda *_: 100.0)
+    monkeypatch.setattr(run, "noise_of", lambda *_: None)
     found = run.assess(LAYOUT, solution, None, None)
     assert found.costs is costs
     assert found.solution.cost == pytest.approx(0.7)
@@ -104,10 +107,8 @@ def test_normal_equations_that_are_not_finite_are_no_fit():
 
 def test_what_is_well_determined_beside_a_bound_is_not_at_it():
     one = fitted({**VALUES, "p": 0.2005})
-    sharp = replace(
-        one.solution, normal=one.solution.normal * np.where(np.arange(one.layout.size + 1) < one.layout.size, 1e7, 1.0)
-    )
-    assert set(replace(one, solution=sharp).at_bound) == {"no"}
+    sharp = replace(one.noise, precision=1e7 * one.noise.precision)
+    assert set(replace(one, noise=sharp).at_bound) == {"no"}
 
 
 def test_an_albedo_is_at_no_bound():
@@ -146,7 +147,9 @@ def test_intervals_are_those_of_the_free_coordinates():
 
 
 def test_where_the_prior_says_more_than_the_data_there_is_no_interval():
-    undecided = [replace(fitted(), count=count).laplace for count in (3.0, 4.0)]  # precisions 0.9 and 1.2
+    one = fitted()
+    known = [replace(one.noise, precision=precision * np.eye(one.layout.size)) for precision in (0.9, 1.2)]
+    undecided = [replace(one, noise=noise).laplace for noise in known]
     assert set(undecided[0]) == {None}
     assert None not in undecided[1]
 

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from merlfit.fitting.fit.laplace import laplace_covariance
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.posterior import chain as sampler
 from merlfit.fitting.posterior import diagnosis, sampling
@@ -30,7 +29,7 @@ from merlfit.model.measured import Measured
 from merlfit.model.registry import made as made_model
 from scipy.optimize import minimize
 
-from tests.support.stand_ins import LAYOUT, banana, gentle, trained
+from tests.support.stand_ins import LAYOUT, banana, gentle, trained, uncorrelated
 
 LOOK = 25  # steps between looks, where only that counts what is done at them
 NOBODY = np.random.RandomState(0).get_state()[1:]
@@ -43,7 +42,7 @@ def silent(*_):
 def test_directions_without_data_are_held_by_the_prior():
     normal = np.zeros((2, 3, 3))
     normal[0, 0, 0] = 4.0
-    covariance = laplace_covariance(normal, 0.5, 10.0)
+    covariance = uncorrelated(normal, 0.5, 10.0).covariance
     assert covariance[0, 0] == pytest.approx(1 / (10 * 4.0 / 0.5 + 1))
     assert covariance[1, 1] == pytest.approx(1)
 
@@ -241,13 +240,13 @@ def test_a_chain_goes_on_while_its_weighted_draws_want_more_steps(tmp_path, monk
 
     nothing = SimpleNamespace(log_likelihood=None)
     for name, found in {
-        "stand_in": nothing, "laplace_covariance": None, "begin": (whole, None), "make_problem": None,
+        "stand_in": nothing, "begin": (whole, None), "make_problem": None, "likelihood_of_all": None,
     }.items():  # fmt: skip
         monkeypatch.setattr(sampling, name, lambda *_, found=found, **__: found)
     monkeypatch.setattr(sampling, "extend", extended)
     monkeypatch.setattr(sampling, "correct", lambda chain, *_: SimpleNamespace(chain=chain, wanted=next(wanted)))
     solution = SimpleNamespace(z=np.zeros(1), normal=None, cost=1.0)
-    fitted = SimpleNamespace(layout=LAYOUT, solution=solution, count=9.0)
+    fitted = SimpleNamespace(layout=LAYOUT, solution=solution, noise=SimpleNamespace(covariance=None))
     found = sampling.draw(fitted, None, 6000, 0, tmp_path / "x.npz")
     assert asked == [(0, 5), (500, 0), (9000, 0)]
     assert len(found.chain.states) == 6000

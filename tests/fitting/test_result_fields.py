@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.fit.identifiability import identifiability, priors
-from merlfit.fitting.fit.laplace import laplace_covariance
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline.models import layout_for, two_scale
 from merlfit.fitting.pipeline.run import fit_file
@@ -21,6 +20,7 @@ from merlfit.model.two_scale import TwoScale
 from scipy.stats import norm
 
 from tests import result_schema
+from tests.support.stand_ins import uncorrelated
 
 
 def test_every_field_of_the_schema_is_described():
@@ -40,8 +40,9 @@ def found():
     root = np.random.default_rng(0).normal(size=(3, LAYOUT.size + 1, 4 * LAYOUT.size))
     normal, z, cost = root @ root.transpose(0, 2, 1), jnp.linspace(-1, 1, LAYOUT.size), 5.0
     slopes = np.asarray(LAYOUT.slopes(z))
-    covariance = slopes @ laplace_covariance(normal, cost, 10.0) @ slopes.T
-    return covariance, identifiability(LAYOUT, normal, cost, 10.0, covariance)
+    noise = uncorrelated(normal, cost, 10.0)
+    covariance = slopes @ noise.covariance @ slopes.T
+    return covariance, identifiability(LAYOUT, noise, covariance)
 
 
 def test_the_covariance_is_in_physical_units_and_agrees_with_the_correlations(found):

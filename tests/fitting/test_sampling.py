@@ -45,10 +45,10 @@ def test_a_chain_of_other_settings_or_wavelengths_is_refused_though_its_coordina
     sampling.refuse_other_model(path, layout_of(Model.model_validate_json(told).measured))
     for other in (layout_of(Measured(TwoScale("none", masking="none"))), layout_of(layout.model, bands=bands)):
         assert other.names == layout.names
-        with pytest.raises(ChainError, match="of a fit with other settings or wavelengths: fit again"):
+        with pytest.raises(ChainError, match="of a fit with other settings or wavelengths, or of another version"):
             sampling.refuse_other_model(path, other)
     np.savez(path, names=layout.names)
-    with pytest.raises(ChainError, match="of a fit with other settings or wavelengths: fit again"):
+    with pytest.raises(ChainError, match="of a fit with other settings or wavelengths, or of another version"):
         sampling.refuse_other_model(path, layout)
 
 

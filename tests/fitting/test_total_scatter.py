@@ -23,6 +23,7 @@ from merlfit.model.registry import models
 from merlfit.model.two_scale import TwoScale
 
 from tests.support.compiled import directional_albedo
+from tests.support.stand_ins import uncorrelated
 
 GGX = models()["ggx"]()
 TRUTH = {"alpha": 0.2, "F0": np.array([0.05, 0.5, 0.2]), "albedo": np.array([0.2, 0.1, 0.05])}
@@ -103,14 +104,15 @@ def test_an_interval_holds_what_draws_of_the_approximation_hold():
     z = layout.free(TRUTH)
     normal = np.tile(np.diag([*np.full(len(z), 1.0), 0.003]), (3, 1, 1))
     solution = Solution(z, 0.01, normal, 9, 1e-4, converged=True)
-    fitted = Fitted(layout, solution, np.full(3, 0.003), 2.0, Errors(*(0.1,) * 6), [])
+    noise = uncorrelated(normal, 0.01, 2.0)
+    fitted = Fitted(layout, solution, np.full(3, 0.003), noise, Errors(*(0.1,) * 6), [])
     theta_i = np.radians([5.0, 70.0])
     at_fit, ends = fitted.total_scatter(theta_i)
     spread = 1 / np.sqrt(1 + 2.0 * 3 / 0.01)  # of every free coordinate
     draws = z + spread * np.random.default_rng(1).standard_normal((1500, len(z)))
     scatter = of_draws(layout, draws, theta_i)
     np.testing.assert_allclose(ends, np.quantile(scatter, [0.05, 0.95], axis=0), rtol=0.01)
-    loose = replace(fitted, solution=replace(solution, normal=1e-4 * normal))
+    loose = replace(fitted, noise=uncorrelated(1e-4 * normal, 0.01, 2.0))
     assert np.isnan(loose.total_scatter(theta_i)[1]).all(), "where the prior says more than the data"
     assert at_fit.shape == (3, 2)
 

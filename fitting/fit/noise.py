@@ -1,0 +1,210 @@
+"""The noise of a fit's residuals: what it leaves uncertain of the parameters (docs/statistics.md derives it).
+
+A fit is where the gradient J^T e of the weighted residuals e is zero. So what it is uncertain by is what that gradient
+scatters by. The covariance of the gradient,
+
+    B = sum over pairs of bins of J(a) <e(a) e(b)> J(b)^T,
+
+needs that of residuals, which are neither independent nor equal: their channels have a covariance S, and along
+each angle they correlate over many bins. Both are read from the residuals, as a product of S and a correlation along
+each axis. With the Gauss-Newton matrix H = J^T J the likelihood then has the precision G = H B^-1 H (Godambe 1960): a
+quantity that all channels share is known as well as their common noise permits, one of a single channel as well as its
+own does, and a sharp highlight's width better than a slope over the whole grid.
+
+Residuals lack what the fit took from the noise: all that looks like a change of parameters. Of noise that is smooth
+over the grid that is most of it. So S and the correlations are those of the residuals plus the fit's own expected
+error J dz, dz ~ N(0, (G + 1)^-1), found again until B stays (the expectation step of an EM algorithm).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from scipy.stats import t as student
+
+from ...merl_io.samples import Samples, runs_for, thin
+from ...merl_io.scattered import ScatteredSamples
+from ...merl_io.scattered import thin as thin_scattered
+from .problem import energy
+
+RUNS = (1, 5, 15)  # bins of theta_h, theta_d, phi_d that are taken together: J hardly changes over them
+CONSIDERED = 2048  # of scattered samples: runs of neighbours that are taken together
+STEP, FORWARD = 0.02, 1e-5  # of differences of both sides in float32, of one in float64, in prior deviations
+ROUNDS, SETTLED = 12, 0.01  # of finding what the fit took: at most, and the change of B after which it stays
+LEAST_PAIRS = 20  # of bins at one lag: fewer say nothing of a correlation
+OPEN = 1e-3  # of S_0/N: curvature below which the data leave a direction open
+BEST = 10.0  # times the precision by N independent residuals: no direction is held to be known better than that
+NINETY = 0.95  # quantile at which Student's t and the normal distribution shall agree
+TINY = 1e-12
+LEAST_COUNT = 1.5  # residuals: of fewer Student's t would say nothing
+Predict = Callable[[np.ndarray, Samples | ScatteredSamples], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What residuals at a fit say of their noise.
+
+    Attributes:
+        cost: S_0, of all bins. count: N, how many independent residuals they are worth.
+        precision: G, of the likelihood in free coordinates at the fit, (P, P).
+    """
+
+    cost: float
+    count: float
+    precision: np.ndarray
+
+    @property
+    def least(self) -> float:
+        """S_0/N, the variance of one of N residuals."""
+        return max(self.cost, 1e-30) / self.count
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the Gaussian approximation of the posterior in free coordinates, (P, P).
+
+        To the precision of the likelihood the prior, standard normal in these coordinates, adds one. Directions that
+        the data leave open are thus held by the prior.
+        """
+        return np.linalg.inv(np.eye(len(self.precision)) + self.precision)
+
+    def along(self, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How residuals that the parameters could undo count, beside the others: U (M, P) and V (P, P).
+
+        With it the cost of residuals e is |e|^2 + (U^T e)^T V (U^T e): U^T e is the step of the parameters that e
+        looks like, and N/2 S_0 times the cost has the curvature G where |e|^2 alone has N/S_0 J^T J.
+
+        Args:
+            jacobian: of weighted predictions by free coordinates at the fit, (M, P).
+        """
+        hessian = jacobian.T.astype(float) @ jacobian
+        settled = np.linalg.inv(hessian + OPEN * self.least * np.eye(len(hessian)))
+        return jacobian @ settled, self.least * self.precision - hessian
+
+
+def noise_of(
+    samples: Samples | ScatteredSamples, predicted: np.ndarray, z: np.ndarray, count: float, predict: Predict
+) -> Noise:
+    """That of a fit.
+
+    Args:
+        predicted: of all samples, of the shape of their values. z: the fit, in free coordinates, (P,).
+        count: N. predict: predictions at other z, of samples.
+    """
+    unit = np.sqrt(energy(samples))
+    root = np.sqrt(samples.weight) / unit
+    cost = float(np.sum((root * (samples.value - predicted)) ** 2))
+    few, together = _together(samples)
+    mass = together(samples.weight)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        of_run = np.where(mass > 0, 1 / np.sqrt(mass), 0.0)
+    residual = of_run * together(samples.weight * (samples.value - predicted)) / unit
+    at = predict(z, few)
+    rates = [(predict(z + step, few) - at) / FORWARD for step in FORWARD * np.eye(len(z))]
+    jacobian = np.sqrt(mass) / unit * np.stack(rates)
+    jacobian = np.where(np.isfinite(jacobian) & (mass > 0), jacobian, 0.0)
+    known = cost / count / BEST
+    if isinstance(samples, ScatteredSamples):
+        known = max(known, (samples.model_error or 0.0) ** 2 / unit**2, samples.repeatability / unit**2)
+    return Noise(cost, count, precision_of(jacobian, residual, mass > 0, count, known))
+
+
+def _together(
+    samples: Samples | ScatteredSamples,
+) -> tuple[Samples | ScatteredSamples, Callable[[np.ndarray], np.ndarray]]:
+    """A sample for each run of neighbours; and sums of an array (C, ...) over these runs."""
+    if isinstance(samples, ScatteredSamples):
+        few, size = thin_scattered(samples, CONSIDERED), len(samples.theta_h)
+        edges = np.unique(np.round(np.linspace(0, size, len(few.theta_h) + 1)).astype(int))[:-1]
+        return few, lambda x: np.add.reduceat(x, edges, axis=1)
+    runs = runs_for(samples, RUNS)
+    lengths = [(r,) * (n // r) if isinstance(r, int) else r for r, n in zip(runs, samples.cos_i.shape, strict=True)]
+    starts = [np.cumsum(each) - each for each in map(np.asarray, lengths)]
+    return thin(samples, runs), lambda x: reduce(
+        lambda y, axis: np.add.reduceat(y, starts[axis], axis=axis + 1), range(3), x
+    )
+
+
+def precision_of(
+    jacobian: np.ndarray, residual: np.ndarray, used: np.ndarray, count: float, known: float = 0.0
+) -> np.ndarray:
+    """G = H B^-1 H, (P, P), of residuals in rows of channels along one axis or more.
+
+    Args:
+        jacobian: (P, C, ...). residual: (C, ...). used: which of them count, (C, ...). count: N, from which the noise
+            is known; of Student's t with so many degrees of freedom G has the 90 % intervals.
+        known: variance that residuals have at the least.
+    """
+    residual, jacobian = np.where(used, residual, 0.0), np.where(used, jacobian, 0.0)
+    columns = jacobian.reshape(len(jacobian), -1)
+    hessian = columns @ columns.T
+    if not (np.isfinite(residual).all() and np.isfinite(hessian).all()):
+        return np.full_like(hessian, np.nan)
+    hessian += TINY * max(np.trace(hessian), TINY) * np.eye(len(hessian))
+    noise, rates, pairs = _moments(residual[None]), _moments(jacobian), _moments(used[None].astype(float))
+    error, found = np.zeros_like(hessian), np.full_like(hessian, np.inf)
+    for _ in range(ROUNDS):
+        moments = [x[0, 0] + np.tensordot(error, y, 2) for x, y in zip(noise, rates, strict=True)]
+        before, found = found, _gradient_covariance(jacobian, moments, [x[0, 0] for x in pairs])
+        if np.all(np.abs(found - before) <= SETTLED * np.abs(found).max()):
+            break
+        error = np.linalg.inv(hessian @ np.linalg.solve(found, hessian) + np.eye(len(hessian)))
+    heavier = (student.ppf(NINETY, max(count, LEAST_COUNT)) / student.ppf(NINETY, np.inf)) ** 2
+    found = _at_least(heavier * _concentration(residual[used]) * found, known * hessian)
+    return hessian @ np.linalg.solve(found, hessian)
+
+
+def _moments(fields: np.ndarray) -> list[np.ndarray]:
+    """Sums of products of fields (F, C, ...) with each other.
+
+    The first, (F, F, C, C), is over all places, of channels with each other; the others, (F, F, L), are by lag along an
+    axis, over channels and places.
+    """
+    flat = fields.reshape(len(fields) * fields.shape[1], -1)
+    each = (flat @ flat.T).reshape(fields.shape[:2] * 2).swapaxes(1, 2)
+    return [each, *(_lagged(fields, axis) for axis in range(2, fields.ndim))]
+
+
+def _lagged(fields: np.ndarray, axis: int) -> np.ndarray:
+    size = fields.shape[axis]
+    spectra = np.fft.rfft(np.moveaxis(fields, axis, 0).reshape(size, len(fields), -1), 2 * size, 0)
+    return np.moveaxis(np.fft.irfft(spectra.conj() @ spectra.swapaxes(1, 2), 2 * size, 0)[:size], 0, -1)
+
+
+def _gradient_covariance(jacobian: np.ndarray, moments: list[np.ndarray], pairs: list[np.ndarray]) -> np.ndarray:
+    """B, (P, P), of residuals with these moments; ``pairs`` are those of which residuals count."""
+    many = np.diag(pairs[0])
+    covariance = moments[0] / np.maximum(np.sqrt(many[:, None] * many), 1)
+    smooth = jacobian
+    for axis, (products, count) in enumerate(zip(moments[1:], pairs[1:], strict=True), 2):
+        lags = np.abs(np.subtract.outer(*(np.arange(len(products)),) * 2))
+        smooth = np.moveaxis(np.tensordot(_correlation(products, count)[lags], smooth, (1, axis)), 0, axis)
+    mixed = np.tensordot(jacobian, covariance, (1, 0))  # (P, ..., D)
+    flat, smooth, alone = (x.reshape(len(jacobian), -1) for x in (np.moveaxis(mixed, -1, 1), smooth, jacobian))
+    found = flat @ smooth.T
+    return _at_least((found + found.T) / 2, flat @ alone.T)
+
+
+def _correlation(products: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """By lag, until the first that is not positive (Geyer's initial positive sequence)."""
+    kept = np.where(pairs >= LEAST_PAIRS, products, 0.0) / np.maximum(pairs, 1)
+    if not kept[0] > 0:
+        return np.eye(len(kept))[0]
+    positive = np.logical_and.accumulate(kept > 0)
+    return np.where(positive, np.minimum(kept / kept[0], 1.0), 0.0)
+
+
+def _concentration(residual: np.ndarray) -> float:
+    """How many residuals there are for each that carries the cost: n / (3 (sum e^2)^2 / sum e^4), 1 at the least."""
+    squares = residual**2
+    return max(squares.size * float(np.sum(squares**2)) / max(3 * float(squares.sum()) ** 2, TINY), 1.0)
+
+
+def _at_least(found: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """A covariance that is nowhere below another one: no direction is known better than with that one."""
+    ridge = TINY * max(np.trace(other), np.trace(found), TINY) * np.eye(len(other))
+    root = np.linalg.cholesky(other + ridge)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ found @ inverse.T)
+    turned = root @ vectors
+    return (turned * np.maximum(values, 1.0)) @ turned.T

@@ -1,0 +1,82 @@
+"""The precision that residuals leave, against what many draws of noise of a known covariance do to a linear fit."""
+
+import numpy as np
+import pytest
+from merlfit.fitting.fit.noise import precision_of
+from scipy.linalg import toeplitz
+
+SHAPE = (3, 40, 12, 6)  # channels, and bins of three axes
+LENGTHS = (3.0, 4.0, 20.0)  # of correlations, in bins
+ALIKE = 0.8  # correlation of channels
+ROOTS = [
+    np.linalg.cholesky(toeplitz(0.5 ** (np.arange(n) / length))) for n, length in zip(SHAPE[1:], LENGTHS, strict=True)
+]
+
+
+def draw(rng, alike=ALIKE):
+    """Noise of variance 1 that correlates along the axes and over the channels."""
+    white = rng.normal(size=(4, *SHAPE[1:]))
+    white = np.sqrt(alike) * white[3] + np.sqrt(1 - alike) * white[:3]
+    return np.einsum("ha,db,pc,kabc->khdp", *ROOTS, white, optimize=True)
+
+
+def rates():
+    """Of a coordinate that all channels share, one of a narrow peak in all, and one of each channel, (5, ...)."""
+    h, d, p = np.meshgrid(*(np.linspace(0, 1, n) for n in SHAPE[1:]), indexing="ij")
+    found = np.zeros((5, *SHAPE))
+    found[0] = 1 + h + 0 * p
+    found[1] = np.exp(-((h / 0.05) ** 2)) * (1 + d)
+    for channel in range(3):
+        found[2 + channel, channel] = np.cos(2 * d)
+    return found
+
+
+def errors_of(jacobian, noises):
+    """Of the least-squares fit of every noise, (N, P); and what it leaves of it."""
+    flat = jacobian.reshape(len(jacobian), -1)
+    found = np.linalg.lstsq(flat.T, np.stack(noises).reshape(len(noises), -1).T, rcond=None)[0].T
+    return found, [noise - np.tensordot(error, jacobian, 1) for noise, error in zip(noises, found, strict=True)]
+
+
+def test_deviations_of_shared_local_and_single_coordinates_are_those_of_many_fits():
+    rng, jacobian = np.random.default_rng(1), rates()
+    errors, left = errors_of(jacobian, [draw(rng) for _ in range(300)])
+    known = [np.linalg.inv(precision_of(jacobian, r, np.ones(SHAPE, bool), np.inf)) for r in left[:30]]
+    said = np.sqrt(np.median([np.diag(x) for x in known], 0))
+    np.testing.assert_allclose(said, errors.std(0), rtol=0.2)
+    equal = [np.sum(r**2) / r.size * np.linalg.inv(np.tensordot(jacobian, jacobian, [range(1, 5)] * 2)) for r in left]
+    assert errors.std(0)[0] / np.sqrt(np.median(equal, 0)[0, 0]) > 4, "as if the bins were independent"
+
+
+def test_what_few_residuals_show_is_held_by_student_s_t_and_what_the_file_states():
+    rng, jacobian, all_of_them = np.random.default_rng(2), rates(), np.ones(SHAPE, bool)
+    _, (left,) = errors_of(jacobian, [draw(rng)])
+    sure = precision_of(jacobian, left, all_of_them, np.inf)
+    assert precision_of(jacobian, left, all_of_them, 10.0) == pytest.approx(sure / (1.8125 / 1.6449) ** 2, rel=1e-3)
+    hessian = np.tensordot(jacobian, jacobian, [range(1, 5)] * 2)
+    stated = precision_of(jacobian, 1e-6 * left, all_of_them, np.inf, known=0.5)
+    np.testing.assert_allclose(stated, hessian / 0.5, rtol=1e-6, atol=1e-6)
+
+
+def test_bins_that_do_not_count_say_nothing():
+    rng, jacobian = np.random.default_rng(3), rates()
+    _, (left,) = errors_of(jacobian, [draw(rng)])
+    used = np.ones(SHAPE, bool)
+    used[:, :, 6:] = False
+    spoiled = np.where(used, left, 1e6)
+    np.testing.assert_allclose(
+        precision_of(np.where(used, jacobian, 1e6), spoiled, used, 20.0),
+        precision_of(jacobian[:, :, :, :6], left[:, :, :6], used[:, :, :6], 20.0), rtol=0.02,
+    )  # fmt: skip
+
+
+def test_what_is_no_number_leaves_none():
+    residual = np.full(SHAPE, np.nan)
+    assert np.isnan(precision_of(rates(), residual, np.ones(SHAPE, bool), 10.0)).all()
+
+
+def test_a_fit_that_leaves_nothing_is_certain():
+    jacobian = rates()
+    precision = precision_of(jacobian, np.zeros(SHAPE), np.ones(SHAPE, bool), 10.0)
+    assert np.isfinite(precision).all()
+    assert np.diag(precision).min() > 1e9
