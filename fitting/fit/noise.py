@@ -142,15 +142,15 @@ def precision_of(
         return np.full_like(hessian, np.nan)
     hessian += TINY * max(np.trace(hessian), TINY) * np.eye(len(hessian))
     noise, rates, pairs = _moments(residual[None]), _moments(jacobian), _moments(used[None].astype(float))
-    error, found = np.zeros_like(hessian), np.full_like(hessian, np.inf)
+    error, found, fewer = np.zeros_like(hessian), np.full_like(hessian, np.inf), _concentration(residual[used])
     for _ in range(ROUNDS):
         moments = [x[0, 0] + np.tensordot(error, y, 2) for x, y in zip(noise, rates, strict=True)]
-        before, found = found, _gradient_covariance(jacobian, moments, [x[0, 0] for x in pairs])
+        before, found = found, fewer * _gradient_covariance(jacobian, moments, [x[0, 0] for x in pairs])
         if np.all(np.abs(found - before) <= SETTLED * np.abs(found).max()):
             break
         error = np.linalg.inv(hessian @ np.linalg.solve(found, hessian) + np.eye(len(hessian)))
     heavier = (student.ppf(NINETY, max(count, LEAST_COUNT)) / student.ppf(NINETY, np.inf)) ** 2
-    found = _at_least(heavier * _concentration(residual[used]) * found, known * hessian)
+    found = _at_least(heavier * found, known * hessian)
     return hessian @ np.linalg.solve(found, hessian)
 
 
