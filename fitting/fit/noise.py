@@ -13,7 +13,7 @@ own does, and a sharp highlight's width better than a slope over the whole grid.
 
 Residuals lack what the fit took from the noise: all that looks like a change of parameters. Of noise that is smooth
 over the grid that is most of it. So S and the correlations are those of the residuals plus the fit's own expected
-error J dz, dz ~ N(0, (G + 1)^-1), found again until B stays (the expectation step of an EM algorithm).
+error J dz, dz ~ N(0, (G + 1)^-1), found again until B stays: a fixed point.
 """
 
 from collections.abc import Callable
@@ -26,15 +26,18 @@ from scipy.stats import t as student
 from ...merl_io.samples import Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredSamples
 from ...merl_io.scattered import thin as thin_scattered
+from .levenberg_marquardt import Solution
 from .problem import energy
 
 RUNS = (1, 5, 15)  # bins of theta_h, theta_d, phi_d that are taken together: J hardly changes over them
 CONSIDERED = 2048  # of scattered samples: runs of neighbours that are taken together
 STEP, FORWARD = 0.02, 1e-5  # of differences of both sides in float32, of one in float64, in prior deviations
-ROUNDS, SETTLED = 12, 0.01  # of finding what the fit took: at most, and the change of B after which it stays
+ROUNDS, SETTLED = 100, 2e-3  # of finding what the fit took: at most, and the change of B after which it stays
 LEAST_PAIRS = 20  # of bins at one lag: fewer say nothing of a correlation
 OPEN = 1e-3  # of S_0/N: curvature below which the data leave a direction open
-BEST = 10.0  # times the precision by N independent residuals: no direction is held to be known better than that
+# No direction is held to be known better than by so many times N independent residuals: of few samples, which show no
+# correlation, than by N.
+BEST, FEW = 10.0, 100
 NINETY = 0.95  # quantile at which Student's t and the normal distribution shall agree
 TINY = 1e-12
 LEAST_COUNT = 1.5  # residuals: of fewer Student's t would say nothing
@@ -68,29 +71,37 @@ class Noise:
         """
         return np.linalg.inv(np.eye(len(self.precision)) + self.precision)
 
-    def along(self, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How residuals that the parameters could undo count, beside the others: U (M, P) and V (P, P).
+    def step(self, hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """Steps of the parameters that residuals with these gradients J^T e, (P, ...), look like."""
+        return np.linalg.solve(hessian + OPEN * self.least * np.eye(len(hessian)), gradient)
 
-        With it the cost of residuals e is |e|^2 + (U^T e)^T V (U^T e): U^T e is the step of the parameters that e
-        looks like, and N/2 S_0 times the cost has the curvature G where |e|^2 alone has N/S_0 J^T J.
+    def counted(self, jacobian: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """How residuals e count: a, U (M, P) and V (P, P) of -log L = a (|e|^2 + d^T V d), d = U^T e.
+
+        d is the step of the parameters that e looks like. a is N/2S_0, or less by what the least known direction has
+        less than its part of N residuals: so V has no negative eigenvalue, and no z is more likely than where |e| is
+        least. At the fit the curvature is G.
 
         Args:
             jacobian: of weighted predictions by free coordinates at the fit, (M, P).
         """
         hessian = jacobian.T.astype(float) @ jacobian
-        settled = np.linalg.inv(hessian + OPEN * self.least * np.eye(len(hessian)))
-        return jacobian @ settled, self.least * self.precision - hessian
+        ridge = OPEN * self.least * np.eye(len(hessian))
+        root = np.linalg.inv(np.linalg.cholesky(hessian + ridge))
+        share = min(1.0, float(np.linalg.eigvalsh(root @ (self.least * self.precision + ridge) @ root.T)[0]))
+        excess = self.least * self.precision / share - hessian
+        return share / (2 * self.least), jacobian @ self.step(hessian, np.eye(len(hessian))), excess
 
 
 def noise_of(
-    samples: Samples | ScatteredSamples, predicted: np.ndarray, z: np.ndarray, count: float, predict: Predict
+    samples: Samples | ScatteredSamples, predicted: np.ndarray, solution: Solution, count: float, predict: Predict
 ) -> Noise:
     """That of a fit.
 
     Args:
-        predicted: of all samples, of the shape of their values. z: the fit, in free coordinates, (P,).
-        count: N. predict: predictions at other z, of samples.
+        predicted: of all samples, of the shape of their values. count: N. predict: predictions at other z, of samples.
     """
+    z, slopes = np.asarray(solution.z), np.diag(solution.normal.sum(0))[:-1]
     unit = np.sqrt(energy(samples))
     root = np.sqrt(samples.weight) / unit
     cost = float(np.sum((root * (samples.value - predicted)) ** 2))
@@ -103,7 +114,10 @@ def noise_of(
     rates = [(predict(z + step, few) - at) / FORWARD for step in FORWARD * np.eye(len(z))]
     jacobian = np.sqrt(mass) / unit * np.stack(rates)
     jacobian = np.where(np.isfinite(jacobian) & (mass > 0), jacobian, 0.0)
-    known = cost / count / BEST
+    squares = np.sum(jacobian.reshape(len(z), -1) ** 2, 1)  # of all bins they are those of the normal equations
+    ratio = np.sqrt(slopes / np.where(squares > 0, squares, 1.0))
+    jacobian *= np.where(squares > 0, ratio, 1.0).reshape(-1, *(1,) * mass.ndim)
+    known = cost / count / (BEST if residual[0].size >= FEW else 1.0)
     if isinstance(samples, ScatteredSamples):
         known = max(known, (samples.model_error or 0.0) ** 2 / unit**2, samples.repeatability / unit**2)
     return Noise(cost, count, precision_of(jacobian, residual, mass > 0, count, known))
@@ -137,10 +151,10 @@ def precision_of(
     """
     residual, jacobian = np.where(used, residual, 0.0), np.where(used, jacobian, 0.0)
     columns = jacobian.reshape(len(jacobian), -1)
-    hessian = columns @ columns.T
-    if not (np.isfinite(residual).all() and np.isfinite(hessian).all()):
-        return np.full_like(hessian, np.nan)
-    hessian += TINY * max(np.trace(hessian), TINY) * np.eye(len(hessian))
+    plain = columns @ columns.T
+    if not (np.isfinite(residual).all() and np.isfinite(plain).all() and not np.isnan(count + known)):
+        return np.full_like(plain, np.nan)
+    hessian = plain + TINY * max(np.trace(plain), TINY) * np.eye(len(plain))
     noise, rates, pairs = _moments(residual[None]), _moments(jacobian), _moments(used[None].astype(float))
     error, found, fewer = np.zeros_like(hessian), np.full_like(hessian, np.inf), _concentration(residual[used])
     for _ in range(ROUNDS):
@@ -151,7 +165,8 @@ def precision_of(
         error = np.linalg.inv(hessian @ np.linalg.solve(found, hessian) + np.eye(len(hessian)))
     heavier = (student.ppf(NINETY, max(count, LEAST_COUNT)) / student.ppf(NINETY, np.inf)) ** 2
     found = _at_least(heavier * found, known * hessian)
-    return hessian @ np.linalg.solve(found, hessian)
+    rooted = np.linalg.solve(np.linalg.cholesky(found), plain)  # exactly zero where nothing depends on a coordinate
+    return rooted.T @ rooted
 
 
 def _moments(fields: np.ndarray) -> list[np.ndarray]:

@@ -143,7 +143,7 @@ class Emulator:
     def channels(self) -> Channels:
         """What :func:`cost_at` needs."""
         found, (squares, axes) = [], np.linalg.eigh(self.excess)
-        root = axes * np.sqrt(np.abs(squares))
+        root = axes * np.sqrt(np.maximum(squares, 0.0))
         for k, own in enumerate(self.own):
             given = self.points[:, own]
             middle, spread = given.mean(0), np.atleast_2d(np.cov(given.T))
@@ -152,8 +152,8 @@ class Emulator:
             mean = self.residuals[:, k].mean(0)
             left, size, basis = np.linalg.svd(self.residuals[:, k] - mean, full_matrices=False)
             weight = basis @ self.along[k] @ root
-            undone = np.cumsum(((left * size)[..., None] * weight)[:, ::-1], 1)[:, ::-1]
-            rest = np.append(np.cumsum(size[::-1] ** 2)[::-1] + np.sum(undone**2, (0, 2)), 0.0) * self.scale / len(x)
+            matters = size**2 * (1 + np.sum(weight**2, 1))
+            rest = np.append(np.cumsum(matters[::-1])[::-1], 0.0) * self.scale / len(x)
             rank = max(int(np.argmax(rest < NEGLECTED)), 1)
             parts = left[:, :rank] * size[:rank]
             stretch = _stretched(x, parts)

@@ -4,10 +4,11 @@ Residuals of a measured material are mostly model error, smooth over the grid, n
 worth N independent ones of the size S_0/N that they have at the fit. Those that a change of the parameters could undo
 count by how well the data determine that change (`fit.noise`):
 
-    log L(z) = -N/(2 S_0) (|e|^2 + d^T (S_0/N G - H) d),    d = H^-1 J^T e,
+    log L(z) = -a |e|^2 - d^T (G/2 - a H) d,    d = H^-1 J^T e,
 
-e being the weighted residuals at z, J their Jacobian at the fit, H = J^T J, and G the precision there. Near the fit
-that is -(z - z_0)^T G (z - z_0) / 2; far away it is where the model is that counts, not where its tangent would be.
+e being the weighted residuals at z, J their Jacobian at the fit, H = J^T J, G the precision there, and a N/2S_0 or as
+much of it as leaves G/2 - a H without a negative eigenvalue. Near the fit that is -(z - z_0)^T G (z - z_0) / 2; far
+away it is where the model is that counts, not where its tangent would be.
 
 A chain asks for it a hundred thousand times, so that it walks on a stand-in of a few bins, and is corrected afterwards
 (`importance`).
@@ -40,9 +41,7 @@ class Likelihood:
 
     Attributes:
         weighed: weighted predictions (N, M) of points (N, P). target: of the weighted measurement, (M,).
-        scale: with which the cost becomes minus log L.
-        along, excess: of :meth:`.noise.Noise.along`, (M, P) and (P, P): how residuals count that the parameters could
-            undo.
+        scale, along, excess: of :meth:`.noise.Noise.counted`, (M, P) and (P, P): how residuals count.
     """
 
     weighed: Callable[[np.ndarray], np.ndarray]
@@ -87,7 +86,7 @@ def on_all(layout: Layout, z: np.ndarray, problem: Problem, noise: Noise) -> Lik
     objective = Objective(layout, problem)
     steps = STEP * np.eye(len(z))
     jacobian = ((objective.weighed(z + steps) - objective.weighed(z - steps)) / (2 * STEP)).T
-    return Likelihood(objective.weighed, objective.target, 1 / (2 * noise.least), *noise.along(jacobian))
+    return Likelihood(objective.weighed, objective.target, *noise.counted(jacobian))
 
 
 def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solution, noise: Noise) -> Likelihood:
@@ -96,13 +95,13 @@ def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solu
     It is that to the power `LIKELIHOOD_POWER`: a proposal that is wider than the target has weights that are bounded.
 
     Its measurement is moved for that along the tangent space of the model, by no more than the posterior is wide:
-    target + J a, a = (J^T J + S_0/N)^-1 (g - J^T r), g the gradient J^T r of all bins. So the noise of the few bins,
-    which the others average out, does not move the maximum.
+    target + J a, a = (G + 1)^-1 G (d - d'), d and d' the steps that the residuals of all bins and of the few look like.
+    So the noise of the few bins, which the others average out, does not move the maximum.
     """
-    least = noise.least
-    rows = few_rows(replace(layout, model=of_order(layout.model, ORDER)), samples, solution.z, least)
+    rows = few_rows(replace(layout, model=of_order(layout.model, ORDER)), samples, solution.z, noise.least)
     at, jacobian = rows.tangent(solution.z)
-    lacking = solution.normal.sum(0)[:-1, -1] - jacobian.T @ (rows.target - at)
-    moved = np.linalg.solve(jacobian.T @ jacobian + least * np.eye(len(solution.z)), lacking)
-    scale = LIKELIHOOD_POWER / (2 * least)
-    return Likelihood(rows.predicted, rows.target + jacobian @ moved, scale, *noise.along(jacobian))
+    scale, along, excess = noise.counted(jacobian)
+    normal = solution.normal.sum(0)
+    lacking = noise.step(normal[:-1, :-1], normal[:-1, -1]) - along.T @ (rows.target - at)
+    target = rows.target + jacobian @ (noise.covariance @ noise.precision @ lacking)
+    return Likelihood(rows.predicted, target, LIKELIHOOD_POWER * scale, along, excess)

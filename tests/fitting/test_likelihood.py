@@ -1,13 +1,15 @@
 """The likelihood on a few bins against that on all of them."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from merlfit.fitting.fit import noise as noise_module
 from merlfit.fitting.fit.levenberg_marquardt import solve
-from merlfit.fitting.fit.noise import STEP
+from merlfit.fitting.fit.noise import STEP, noise_of
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.transforms import layout_of
@@ -72,8 +74,11 @@ def test_near_the_fit_it_has_the_precision_of_the_noise_and_far_away_it_is_the_m
     steps = STEP * np.eye(len(z))
     jacobian = (objective.weighed(best.z + steps) - objective.weighed(best.z - steps)).T / (2 * STEP)
     step = np.linalg.solve(hessian, jacobian.T @ residual)
-    cost = residual @ residual + step @ (noise.least * noise.precision - hessian) @ step
-    assert whole(z[None])[0] == pytest.approx(-COUNT / 2 * cost / best.cost, rel=0.01)
+    scale = least * COUNT / (2 * best.cost) if least < 1 else COUNT / (2 * best.cost)
+    cost = scale * residual @ residual + step @ (noise.precision / 2 - scale * hessian) @ step
+    assert whole(z[None])[0] == pytest.approx(-cost, rel=0.02)
+    far = best.z + np.random.default_rng(3).normal(size=(200, len(z)))
+    assert np.all(whole(far) < whole(best.z[None]) + 0.01), "the fit is the most likely"
     assert whole(np.full((1, len(z)), np.nan)) == -np.inf
 
 
@@ -101,16 +106,34 @@ def test_points_of_a_batch_are_what_they_are_one_by_one(fitted, diffraction):
     np.testing.assert_array_equal(few.weighed(points[::-1])[::-1], together)
 
 
-def test_its_slope_at_the_fit_is_that_of_all_bins(fitted):
+@pytest.mark.parametrize(("least", "most"), [(1.0, 1.0), (0.6, 5.0)])
+def test_its_slope_at_the_fit_is_that_of_all_bins(fitted, least, most):
     """So that the maximum is elsewhere by little of the posterior's width."""
+    samples, problem, best = fitted
+    noise = unlike(best, COUNT, least, most)
+    steps = 0.02 * np.sqrt(np.diag(noise.covariance)) * np.eye(len(best.z))
+
+    def slope(likelihood):
+        ahead, behind = (likelihood.log_likelihood(best.z + sign * steps) for sign in (1, -1))
+        return (ahead - behind) / (2 * np.diag(steps))
+
+    few, whole = slope(stand_in(LAYOUT, samples, best, noise)), slope(on_all(LAYOUT, best.z, problem, noise))
+    apart = noise.covariance @ (few - LIKELIHOOD_POWER * whole)
+    assert np.all(np.abs(apart) < 0.05 * np.sqrt(np.diag(noise.covariance)))
+
+
+def test_what_is_taken_together_has_the_slopes_and_the_residuals_of_all_bins(fitted, monkeypatch):
     samples, _, best = fitted
-    noise = uncorrelated(best.normal, best.cost, COUNT)
-    few = stand_in(LAYOUT, samples, best, noise)
-    steps = STEP * np.eye(len(best.z))
-    jacobian = (few.weighed(best.z + steps) - few.weighed(best.z - steps)).T / (2 * STEP)
-    slope = 2 * few.scale * jacobian.T @ (few.target - few.weighed(best.z[None])[0])
-    expected = LIKELIHOOD_POWER * COUNT / best.cost * best.normal.sum(0)[:-1, -1]
-    assert np.all(np.abs(noise.covariance @ (slope - expected)) < 0.05 * np.sqrt(np.diag(noise.covariance)))
+    predicted, given = run.predict_samples(LAYOUT, best.z, samples), []
+    monkeypatch.setattr(noise_module, "precision_of", lambda *seen: given.extend(seen))
+    noise_of(samples, predicted, best, COUNT, partial(run.predict_samples, LAYOUT))
+    jacobian, residual = (x.reshape(-1, given[1].size) for x in given[:2])
+    hessian, gradient = best.normal.sum(0)[:-1, :-1], best.normal.sum(0)[:-1, -1]
+    deviation = np.sqrt(np.diag(hessian))
+    np.testing.assert_allclose(
+        jacobian @ jacobian.T / deviation / deviation[:, None], hessian / deviation / deviation[:, None], atol=0.1
+    )
+    assert np.all(np.abs(jacobian @ residual[0] - gradient) < 0.05 * deviation * np.sqrt(best.cost))
 
 
 @pytest.mark.parametrize(("count", "least", "most"), [(10.0, 1.0, 1.0), (1000.0, 1.0, 1.0), (COUNT, 0.6, 5.0)])

@@ -58,6 +58,16 @@ def test_what_few_residuals_show_is_held_by_student_s_t_and_what_the_file_states
     np.testing.assert_allclose(stated, hessian / 0.5, rtol=1e-6, atol=1e-6)
 
 
+def test_a_coordinate_on_which_nothing_depends_is_the_prior_s_however_little_a_fit_leaves():
+    rng, jacobian = np.random.default_rng(4), rates()
+    jacobian[1] = 0
+    _, (left,) = errors_of(jacobian[[0, 2, 3, 4]], [draw(rng)])
+    for size in (1.0, 1e-8):
+        precision = precision_of(jacobian, size * left, np.ones(SHAPE, bool), 20.0)
+        assert np.all(precision[1] == 0)
+        assert np.linalg.inv(precision + np.eye(5))[1, 1] == pytest.approx(1)
+
+
 def test_bins_that_do_not_count_say_nothing():
     rng, jacobian = np.random.default_rng(3), rates()
     _, (left,) = errors_of(jacobian, [draw(rng)])

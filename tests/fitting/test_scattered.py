@@ -152,7 +152,7 @@ def test_a_spectral_file_of_rgls_is_fitted(tmp_path):
     assert (tmp_path / "glossy_spec.ggx.samples.png").stat().st_size > 10_000
     reported = call("report", tmp_path)
     assert reported.exit_code == 0
-    assert "interpolated between its samples; `merlfit inspect` draws" in " ".join(reported.stderr.split())
+    assert "isolines of the file are interpolated between its samples" in " ".join(reported.stderr.split())
 
 
 def test_wavelengths_that_are_not_fitted_are_told(file):

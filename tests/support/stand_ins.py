@@ -23,7 +23,7 @@ def plain(weighed, target, scale):
 
 
 def gentle(seed=0, channels=OWN):
-    """Three channels of smooth residuals of the coordinates of `LAYOUT`, or of others; two of them count less."""
+    """Three channels of smooth residuals of the coordinates of `LAYOUT`, or of others; two of them count for more."""
     rng = np.random.default_rng(seed)
     slopes = [rng.normal(size=(len(own), ROWS)) for own in channels]
     bends = [0.3 * rng.normal(size=(len(own), ROWS)) for own in channels]
@@ -33,7 +33,7 @@ def gentle(seed=0, channels=OWN):
         return np.concatenate([points[:, own] @ a + np.sin(points[:, own]) ** 2 @ b for own, a, b in each], 1)
 
     target, along = 0.3 * rng.normal(size=3 * ROWS), np.linalg.qr(rng.normal(size=(3 * ROWS, 2)))[0]
-    return Likelihood(weighed, target, 2.0, along, np.array([[-0.5, 0.2], [0.2, 1.0]]))
+    return Likelihood(weighed, target, 2.0, along, np.array([[0.5, 0.2], [0.2, 1.0]]))
 
 
 def banana():
