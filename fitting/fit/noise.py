@@ -30,8 +30,8 @@ from .levenberg_marquardt import Solution
 from .problem import energy
 
 RUNS = (1, 5, 15)  # bins of theta_h, theta_d, phi_d that are taken together: J hardly changes over them
-CONSIDERED = 2048  # of scattered samples: runs of neighbours that are taken together
-STEP, FORWARD = 0.02, 1e-5  # of differences of both sides in float32, of one in float64, in prior deviations
+SCATTERED_RUNS = 2048  # of neighbouring scattered samples
+STEP = 1e-5  # of the differences that make a Jacobian, in standard deviations of the prior
 ROUNDS, SETTLED = 100, 2e-3  # of finding what the fit took: at most, and the change of B after which it stays
 LEAST_PAIRS = 20  # of bins at one lag: fewer say nothing of a correlation
 OPEN = 1e-3  # of S_0/N: curvature below which the data leave a direction open
@@ -58,8 +58,8 @@ class Noise:
     precision: np.ndarray
 
     @property
-    def least(self) -> float:
-        """S_0/N, the variance of one of N residuals."""
+    def variance(self) -> float:
+        """S_0/N, of one of N residuals."""
         return max(self.cost, 1e-30) / self.count
 
     @property
@@ -73,7 +73,7 @@ class Noise:
 
     def step(self, hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Steps of the parameters that residuals with these gradients J^T e, (P, ...), look like."""
-        return np.linalg.solve(hessian + OPEN * self.least * np.eye(len(hessian)), gradient)
+        return np.linalg.solve(hessian + OPEN * self.variance * np.eye(len(hessian)), gradient)
 
     def counted(self, jacobian: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """How residuals e count: a, U (M, P) and V (P, P) of -log L = a (|e|^2 + d^T V d), d = U^T e.
@@ -86,11 +86,11 @@ class Noise:
             jacobian: of weighted predictions by free coordinates at the fit, (M, P).
         """
         hessian = jacobian.T.astype(float) @ jacobian
-        ridge = OPEN * self.least * np.eye(len(hessian))
+        ridge = OPEN * self.variance * np.eye(len(hessian))
         root = np.linalg.inv(np.linalg.cholesky(hessian + ridge))
-        share = min(1.0, float(np.linalg.eigvalsh(root @ (self.least * self.precision + ridge) @ root.T)[0]))
-        excess = self.least * self.precision / share - hessian
-        return share / (2 * self.least), jacobian @ self.step(hessian, np.eye(len(hessian))), excess
+        share = min(1.0, float(np.linalg.eigvalsh(root @ (self.variance * self.precision + ridge) @ root.T)[0]))
+        excess = self.variance * self.precision / share - hessian
+        return share / (2 * self.variance), jacobian @ self.step(hessian, np.eye(len(hessian))), excess
 
 
 def noise_of(
@@ -99,28 +99,27 @@ def noise_of(
     """That of a fit.
 
     Args:
-        predicted: of all samples, of the shape of their values. count: N. predict: predictions at other z, of samples.
+        predicted: of all samples, of the shape of their values. solution: with the cost of all of them. count: N.
+        predict: predictions at other z, of samples.
     """
     z, slopes = np.asarray(solution.z), np.diag(solution.normal.sum(0))[:-1]
     unit = np.sqrt(energy(samples))
-    root = np.sqrt(samples.weight) / unit
-    cost = float(np.sum((root * (samples.value - predicted)) ** 2))
     few, together = _together(samples)
     mass = together(samples.weight)
     with np.errstate(invalid="ignore", divide="ignore"):
         of_run = np.where(mass > 0, 1 / np.sqrt(mass), 0.0)
     residual = of_run * together(samples.weight * (samples.value - predicted)) / unit
     at = predict(z, few)
-    rates = [(predict(z + step, few) - at) / FORWARD for step in FORWARD * np.eye(len(z))]
+    rates = [(predict(z + step, few) - at) / STEP for step in STEP * np.eye(len(z))]
     jacobian = np.sqrt(mass) / unit * np.stack(rates)
     jacobian = np.where(np.isfinite(jacobian) & (mass > 0), jacobian, 0.0)
     squares = np.sum(jacobian.reshape(len(z), -1) ** 2, 1)  # of all bins they are those of the normal equations
     ratio = np.sqrt(slopes / np.where(squares > 0, squares, 1.0))
     jacobian *= np.where(squares > 0, ratio, 1.0).reshape(-1, *(1,) * mass.ndim)
-    known = cost / count / (BEST if residual[0].size >= FEW else 1.0)
+    floor = solution.cost / count / (BEST if residual[0].size >= FEW else 1.0)
     if isinstance(samples, ScatteredSamples):
-        known = max(known, (samples.model_error or 0.0) ** 2 / unit**2, samples.repeatability / unit**2)
-    return Noise(cost, count, precision_of(jacobian, residual, mass > 0, count, known))
+        floor = max(floor, (samples.model_error or 0.0) ** 2 / unit**2, samples.repeatability / unit**2)
+    return Noise(solution.cost, count, precision_of(jacobian, residual, mass > 0, count, floor))
 
 
 def _together(
@@ -128,7 +127,7 @@ def _together(
 ) -> tuple[Samples | ScatteredSamples, Callable[[np.ndarray], np.ndarray]]:
     """A sample for each run of neighbours; and sums of an array (C, ...) over these runs."""
     if isinstance(samples, ScatteredSamples):
-        few, size = thin_scattered(samples, CONSIDERED), len(samples.theta_h)
+        few, size = thin_scattered(samples, SCATTERED_RUNS), len(samples.theta_h)
         edges = np.unique(np.round(np.linspace(0, size, len(few.theta_h) + 1)).astype(int))[:-1]
         return few, lambda x: np.add.reduceat(x, edges, axis=1)
     runs = runs_for(samples, RUNS)
@@ -140,32 +139,32 @@ def _together(
 
 
 def precision_of(
-    jacobian: np.ndarray, residual: np.ndarray, used: np.ndarray, count: float, known: float = 0.0
+    jacobian: np.ndarray, residual: np.ndarray, used: np.ndarray, count: float, floor: float = 0.0
 ) -> np.ndarray:
     """G = H B^-1 H, (P, P), of residuals in rows of channels along one axis or more.
 
     Args:
         jacobian: (P, C, ...). residual: (C, ...). used: which of them count, (C, ...). count: N, from which the noise
             is known; of Student's t with so many degrees of freedom G has the 90 % intervals.
-        known: variance that residuals have at the least.
+        floor: variance that residuals have at the least.
     """
     residual, jacobian = np.where(used, residual, 0.0), np.where(used, jacobian, 0.0)
     columns = jacobian.reshape(len(jacobian), -1)
     plain = columns @ columns.T
-    if not (np.isfinite(residual).all() and np.isfinite(plain).all() and not np.isnan(count + known)):
+    if not (np.isfinite(residual).all() and np.isfinite(plain).all() and not np.isnan(count + floor)):
         return np.full_like(plain, np.nan)
     hessian = plain + TINY * max(np.trace(plain), TINY) * np.eye(len(plain))
     noise, rates, pairs = _moments(residual[None]), _moments(jacobian), _moments(used[None].astype(float))
-    error, found, fewer = np.zeros_like(hessian), np.full_like(hessian, np.inf), _concentration(residual[used])
-    for _ in range(ROUNDS):
+    error, scatter, fewer = np.zeros_like(hessian), np.full_like(hessian, np.inf), _concentration(residual[used])
+    for _ in range(ROUNDS):  # error: covariance of the fit's; scatter: B
         moments = [x[0, 0] + np.tensordot(error, y, 2) for x, y in zip(noise, rates, strict=True)]
-        before, found = found, fewer * _gradient_covariance(jacobian, moments, [x[0, 0] for x in pairs])
-        if np.all(np.abs(found - before) <= SETTLED * np.abs(found).max()):
+        before, scatter = scatter, fewer * _gradient_covariance(jacobian, moments, [x[0, 0] for x in pairs])
+        if np.all(np.abs(scatter - before) <= SETTLED * np.abs(scatter).max()):
             break
-        error = np.linalg.inv(hessian @ np.linalg.solve(found, hessian) + np.eye(len(hessian)))
-    heavier = (student.ppf(NINETY, max(count, LEAST_COUNT)) / student.ppf(NINETY, np.inf)) ** 2
-    found = _at_least(heavier * found, known * hessian)
-    rooted = np.linalg.solve(np.linalg.cholesky(found), plain)  # exactly zero where nothing depends on a coordinate
+        error = np.linalg.inv(hessian @ np.linalg.solve(scatter, hessian) + np.eye(len(hessian)))
+    student_factor = (student.ppf(NINETY, max(count, LEAST_COUNT)) / student.ppf(NINETY, np.inf)) ** 2
+    scatter = _at_least(student_factor * scatter, floor * hessian)
+    rooted = np.linalg.solve(np.linalg.cholesky(scatter), plain)  # exactly zero where nothing depends on a coordinate
     return rooted.T @ rooted
 
 

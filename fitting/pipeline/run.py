@@ -354,7 +354,7 @@ def assess(
     errors, costs = assess_prediction(predicted, measurement, samples, theta_max)
     whole = replace(solution, cost=float(costs.sum()))
     error = samples.model_error if isinstance(samples, ScatteredSamples) else None
-    noise = noise_of(samples, predicted, solution, count_of(samples, predicted), partial(predict_samples, layout))
+    noise = noise_of(samples, predicted, whole, count_of(samples, predicted), partial(predict_samples, layout))
     return Fitted(layout, whole, costs, noise, errors, [], model_error=error)
 
 

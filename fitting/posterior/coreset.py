@@ -15,7 +15,6 @@ from jax import Array
 from ...merl_io import scattered
 from ...merl_io.samples import Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredSamples
-from ..fit.noise import STEP
 from ..fit.problem import Part, energy, make_problem
 from ..fit.residuals import weighted_prediction
 from ..fit.transforms import Layout
@@ -27,6 +26,7 @@ COLUMNS, AZIMUTHS = 10, 2  # of theta_d: the length of a run; nodes of a row of 
 CONSIDERED, KEPT = 2048, 288  # of scattered samples: those whose leverage is looked at, and those that are kept
 UNIFORM_SHARE = 0.5  # of what a row holds, the part that is not leverage
 BATCH = 16  # points of one call
+STEP = 0.02  # of the differences that make a Jacobian, in standard deviations of the prior
 
 
 @kept()

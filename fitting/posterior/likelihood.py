@@ -23,11 +23,11 @@ from ...merl_io.samples import Samples
 from ...merl_io.scattered import ScatteredSamples
 from ...model.reflectance import of_order
 from ..fit.levenberg_marquardt import Solution
-from ..fit.noise import STEP, Noise
+from ..fit.noise import Noise
 from ..fit.problem import Problem
 from ..fit.residuals import Objective
 from ..fit.transforms import Layout
-from .coreset import few_rows
+from .coreset import STEP, few_rows
 
 ORDER = 12  # of the convolution
 ALL_ORDER = 20  # of it on all data, where log L differs from that of the fit's order by 0.02 from draw to draw, or less
@@ -98,7 +98,7 @@ def stand_in(layout: Layout, samples: Samples | ScatteredSamples, solution: Solu
     target + J a, a = (G + 1)^-1 G (d - d'), d and d' the steps that the residuals of all bins and of the few look like.
     So the noise of the few bins, which the others average out, does not move the maximum.
     """
-    rows = few_rows(replace(layout, model=of_order(layout.model, ORDER)), samples, solution.z, noise.least)
+    rows = few_rows(replace(layout, model=of_order(layout.model, ORDER)), samples, solution.z, noise.variance)
     at, jacobian = rows.tangent(solution.z)
     scale, along, excess = noise.counted(jacobian)
     normal = solution.normal.sum(0)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from merlfit.fitting.fit import noise as noise_module
 from merlfit.fitting.fit.levenberg_marquardt import solve
-from merlfit.fitting.fit.noise import STEP, noise_of
+from merlfit.fitting.fit.noise import noise_of
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
 from merlfit.fitting.fit.transforms import layout_of
 from merlfit.fitting.pipeline import run, search
 from merlfit.fitting.posterior import likelihood
-from merlfit.fitting.posterior.coreset import BATCH
+from merlfit.fitting.posterior.coreset import BATCH, STEP
 from merlfit.fitting.posterior.likelihood import LIKELIHOOD_POWER, Likelihood, on_all, stand_in
 from merlfit.merl_io.grid import merl_grid
 from merlfit.merl_io.samples import fold

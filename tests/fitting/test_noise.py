@@ -54,7 +54,7 @@ def test_what_few_residuals_show_is_held_by_student_s_t_and_what_the_file_states
     sure = precision_of(jacobian, left, all_of_them, np.inf)
     assert precision_of(jacobian, left, all_of_them, 10.0) == pytest.approx(sure / (1.8125 / 1.6449) ** 2, rel=1e-3)
     hessian = np.tensordot(jacobian, jacobian, [range(1, 5)] * 2)
-    stated = precision_of(jacobian, 1e-6 * left, all_of_them, np.inf, known=0.5)
+    stated = precision_of(jacobian, 1e-6 * left, all_of_them, np.inf, floor=0.5)
     np.testing.assert_allclose(stated, hessian / 0.5, rtol=1e-6, atol=1e-6)
 
 
