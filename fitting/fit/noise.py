@@ -158,12 +158,12 @@ def precision_of(
     error, scatter, fewer = np.zeros_like(hessian), np.full_like(hessian, np.inf), _concentration(residual[used])
     for _ in range(ROUNDS):  # error: covariance of the fit's; scatter: B
         moments = [x[0, 0] + np.tensordot(error, y, 2) for x, y in zip(noise, rates, strict=True)]
-        before, scatter = scatter, fewer * _gradient_covariance(jacobian, moments, [x[0, 0] for x in pairs])
+        before, scatter = scatter, _gradient_covariance(jacobian, moments, [x[0, 0] for x in pairs])
         if np.all(np.abs(scatter - before) <= SETTLED * np.abs(scatter).max()):
             break
         error = np.linalg.inv(hessian @ np.linalg.solve(scatter, hessian) + np.eye(len(hessian)))
     student_factor = (student.ppf(NINETY, max(count, LEAST_COUNT)) / student.ppf(NINETY, np.inf)) ** 2
-    scatter = _at_least(student_factor * scatter, floor * hessian)
+    scatter = _at_least(student_factor * fewer * scatter, floor * hessian)
     rooted = np.linalg.solve(np.linalg.cholesky(scatter), plain)  # exactly zero where nothing depends on a coordinate
     return rooted.T @ rooted
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from merlfit.fitting.fit import noise
 from merlfit.fitting.fit.noise import precision_of
 from scipy.linalg import toeplitz
 
@@ -66,6 +67,22 @@ def test_a_coordinate_on_which_nothing_depends_is_the_prior_s_however_little_a_f
         precision = precision_of(jacobian, size * left, np.ones(SHAPE, bool), 20.0)
         assert np.all(precision[1] == 0)
         assert np.linalg.inv(precision + np.eye(5))[1, 1] == pytest.approx(1)
+
+
+def test_few_large_residuals_widen_by_as_many_times_as_they_are_fewer(monkeypatch):
+    """And no more: what a fit took from its noise is not found larger for them, until all is as wide as the prior."""
+    rng = np.random.default_rng(5)
+    h = np.linspace(0, np.pi, SHAPE[1])[:, None, None]
+    jacobian = np.concatenate([rates(), [np.cos(k * h) * np.ones(SHAPE) for k in range(3, 12)]])
+    spots = np.where(rng.uniform(size=SHAPE) < 0.01, 30.0, 1.0)
+    _, (left,) = errors_of(jacobian, [spots * draw(rng)])
+    squares = left**2
+    fewer = squares.size * np.sum(squares**2) / (3 * squares.sum() ** 2)
+    assert fewer > 5
+    widened = np.linalg.inv(precision_of(jacobian, left, np.ones(SHAPE, bool), np.inf))
+    monkeypatch.setattr(noise, "_concentration", lambda _: 1.0)
+    plain = np.linalg.inv(precision_of(jacobian, left, np.ones(SHAPE, bool), np.inf))
+    np.testing.assert_allclose(np.diag(widened) / np.diag(plain), fewer, rtol=1e-6)
 
 
 def test_bins_that_do_not_count_say_nothing():
