@@ -37,7 +37,7 @@ LEAST_PAIRS = 20  # of bins at one lag: fewer say nothing of a correlation
 OPEN = 1e-3  # of S_0/N: curvature below which the data leave a direction open
 # No direction is held to be known better than by so many times N independent residuals: of few samples, which show no
 # correlation, than by N.
-BEST, FEW = 10.0, 100
+BEST, FEW = 4.0, 100
 NINETY = 0.95  # quantile at which Student's t and the normal distribution shall agree
 TINY = 1e-12
 LEAST_COUNT = 1.5  # residuals: of fewer Student's t would say nothing
