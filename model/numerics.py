@@ -5,15 +5,27 @@ Rule: substitute before computing, mask after (a double ``where``). Nothing else
 """
 
 import math
+from types import ModuleType
 
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 Real = Float[Array, "..."]  # of any shape; float64 by default, float32 where the caller's arrays are
 Scalar = Float[Array, ""]
+Numbers = Float[Array | np.ndarray, "..."] | np.floating  # of NumPy or JAX (:func:`namespace_of`)
 
 TINY = 1e-300  # smallest substitute; far below any square of an angle or reflectance in float64
+
+
+def namespace_of(x: ArrayLike) -> ModuleType:
+    """JAX for what it traces, otherwise NumPy.
+
+    What is small and computed by itself needs no program then, which would take longer to load than it runs.
+    """
+    return jnp if isinstance(x, Tracer) else np
 
 
 def floats(*numbers: ArrayLike) -> tuple[Array, ...]:

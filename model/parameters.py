@@ -5,22 +5,31 @@ light. Priors are weak: log-normal ones, cut at the bounds, say of what order a 
 the square of their factor either way.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.typing import ArrayLike
 
-from .diffraction import renormalisation
 from .ndf.epd import HALF
-from .numerics import Real
+from .numerics import Numbers, Real, namespace_of
 from .priors import LogNormal
 
 WAVELENGTHS_UM = (0.645, 0.526, 0.444)  # HP17 Section 5: one wavelength stands for each MERL channel
-Shift = Callable[[Mapping[str, Array], float], Array]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """By how much the logarithm of a prior's median moves with the values of other parameters.
+
+    Attributes:
+        of: names of these parameters, none of which moves itself.
+        moved: the shift, and its rate by each of their values; given the wavelength (um) of the middle channel first.
+    """
+
+    of: tuple[str, ...]
+    moved: Callable[..., tuple[Numbers, ...]]
 
 
 @dataclass(frozen=True)
@@ -39,8 +48,7 @@ class Parameter:
             :class:`merlfit.model.priors.Priors`.
         alike: whether it is nearly the same in all channels: then the prior in the middle one is its own, that in the
             others of the ratio to the middle one (``Priors.dispersion``).
-        shift: by how much the logarithm of the prior's median moves with the values of other parameters, none of which
-            moves itself; also given the wavelength (um) of the middle channel.
+        shift: by how much the logarithm of the prior's median moves.
     """
 
     name: str
@@ -79,19 +87,28 @@ class Parameter:
         return np.asarray(1 / (upper - lower) if self.scale == "linear" else 1 / (value * np.log(upper / lower)))
 
 
-def half_width_shift(v: Mapping[str, Array], middle_um: float) -> Array:
+def _to_beta(_: float, p: Numbers) -> tuple[Numbers, ...]:
     """From the half width, beta (ln 2)^(1/(2 p)), to beta."""
-    return -HALF / v["p"]
+    return -HALF / p, HALF / p**2
 
 
-def sigma_rel_shift(v: Mapping[str, Array], middle_um: float) -> Array:
-    """From the height that diffracts into directions that exist (HP17 Eq. 17), at normal incidence, to sigma_s."""
-    return -jnp.log(renormalisation(jnp.zeros(()), v["b"] / middle_um, v["c"])) / 2
+def _to_sigma_s(middle_um: float, b: Numbers, c: Numbers) -> tuple[Numbers, ...]:
+    """From the height that diffracts into directions that exist (HP17 Eq. 17), at normal incidence, to sigma_s.
+
+    Their share is there s = 1 - (1 + (b/lambda)^2)^(-(c-1)/2) (:func:`.diffraction.renormalisation`).
+    """
+    xp = namespace_of(b)
+    x = b / middle_um
+    growth = xp.log1p(x**2)
+    beyond = xp.exp(-(c - 1) / 2 * growth)
+    share = -xp.expm1(-(c - 1) / 2 * growth)
+    by_b, by_c = -(c - 1) / 2 * x / (1 + x**2) / middle_um, -growth / 4
+    return -xp.log(share) / 2, by_b * beyond / share, by_c * beyond / share
 
 
 SURFACE = (
     Parameter("beta", r"\beta", "width of the distribution of microfacet normals", "1", 0.1, 1e-3, 1.0,
-              source="HP17 Eq. 35", quantity="half_width", shift=half_width_shift),
+              source="HP17 Eq. 35", quantity="half_width", shift=Shift(("p",), _to_beta)),
     Parameter("p", "p", "kurtosis exponent of the distribution of microfacet normals", "1", 0.8, 0.2, 5.0,
               source="HP17 Eq. 35"),
 )  # fmt: skip
@@ -100,7 +117,7 @@ DIFFRACTION = (
     Parameter("c", "c", "falloff exponent of the nano-geometry's spectrum", "1", 2.0, 1.01, 6.0, offset=1.0,
               source="HP17 Eq. 14"),
     Parameter("sigma_s", r"\sigma_s", "standard deviation of the nano-geometry's height", "um", 0.03, 1e-4, 0.5,
-              source="HP17 Eq. 18", quantity="sigma_rel", shift=sigma_rel_shift),
+              source="HP17 Eq. 18", quantity="sigma_rel", shift=Shift(("b", "c"), _to_sigma_s)),
 )  # fmt: skip
 WEIGHT = Parameter("weight", "w", "weight of the diffracted light", "1", 0.8, 0.0, 1.0, "linear", per_channel=True,
                    source="of the free split; 1 in HP17 Eq. 24")  # fmt: skip

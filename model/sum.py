@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from .fresnel import fresnel_of_dielectric
-from .parameters import Parameter, Shift, beside, exponent_of
+from .parameters import Parameter, beside, exponent_of
 from .priors import LogNormal
 from .reads import reads
 from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values
@@ -177,7 +177,7 @@ def _parameters(model: Sum) -> tuple[Parameter, ...]:
         replace(
             beside(q, model.suffix.removeprefix("_")),
             quantity=q.quantity or (q.name if q.scale == "log" and q.prior is None else None),
-            shift=q.shift and partial(_shifted, model.suffix, q.shift),
+            shift=q.shift and replace(q.shift, of=tuple(name + model.suffix for name in q.shift.of)),
         )
         for q in own
     ]
@@ -190,10 +190,6 @@ def _of_coat(q: Parameter) -> Parameter:
     if q.name == COAT_INDEX.name:
         return COAT_INDEX
     return replace(q, default=min(q.default, ROUGHEST / 3), upper=ROUGHEST) if q.name in WIDTHS else q
-
-
-def _shifted(suffix: str, shift: Shift, v: Values, middle_um: float) -> Array:
-    return shift(_Named(v, suffix), middle_um)
 
 
 def _factors_of(model: Reflectance) -> dict[str, set[str]]:

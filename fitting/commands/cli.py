@@ -156,20 +156,22 @@ def fit(
     Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
     """
     from ..settings.config import load
-    from .settings import parameters_given
+    from .settings import begun, parameters_given
 
     settings = load(
         config, dims=dims, origin=origin, quantity=quantity, model=model, preset=preset, index=index,
         body=body, weights=weights, posterior=posterior, seed=seed,
         parameters=parameters_given(fix, bounds, start, tie),
     )  # fmt: skip
-    from .fit import aims_of, device_of, fit_files, summarise
+    plain = accuracy is within is executor is device is None
+    with begun(settings, files if plain else []):
+        from .fit import aims_of, device_of, fit_files, summarise
 
-    given = [option for option, x in {"--accuracy": accuracy, "--time": within}.items() if x is not None]
-    chosen = device_of(device, settings, *given, *(["--executor"] if executor is not None else []))
-    aims = aims_of(settings, accuracy, within, files)
-    outcomes = fit_files(files, out, settings, aims, jobs, resume, executor, chosen)
-    summarise(outcomes)
+        given = [option for option, x in {"--accuracy": accuracy, "--time": within}.items() if x is not None]
+        chosen = device_of(device, settings, *given, *(["--executor"] if executor is not None else []))
+        aims = aims_of(settings, accuracy, within, files)
+        outcomes = fit_files(files, out, settings, aims, jobs, resume, executor, chosen)
+        summarise(outcomes)
 
 
 @app.command(epilog="Example: merlfit compare nickel.binary red-plastic.binary --models two-scale,ggx,sgd -o compared")

@@ -86,6 +86,13 @@ def _misplaced(fitted: Fitted, axes: Axes, between: tuple[int, ...]) -> np.ndarr
     return np.sum(np.abs(values - own) * cosine, (-2, -1)) / np.sum(own * cosine, (-2, -1))
 
 
+def _tis(result: Result, theta_i: np.ndarray) -> np.ndarray:
+    """Of the fit at incidences (rad), `COUNT` at the most, (A,): (C, A)."""
+    assert result.model is not None
+    values = {name: np.asarray(x)[None] for name, x in result.values().items()}
+    return of_values(result.model.material, values, result.model.bands, theta_i)[0]
+
+
 def targets_of(path: Path, result: Result, to: str, out: Path) -> list[Path]:
     """Files that are written: of Zemax one for each channel."""
     if to != "zemax":
@@ -100,7 +107,7 @@ def to_zemax(targets: list[Path], result: Result, said: str) -> list[str]:
     axes, misplaced = axes_for(fitted)
     values, theta_i = _on(fitted, axes), np.radians(axes[0])
     parts = [theta_i[k : k + COUNT] for k in range(0, len(theta_i), COUNT)]
-    tis = np.concatenate([of_values(model.material, result.values(), model.bands, part)[0] for part in parts], -1)
+    tis = np.concatenate([_tis(result, part) for part in parts], -1)
     lines = []
     for channel, target in enumerate(targets):
         near = (
@@ -126,7 +133,7 @@ def to_formulas(path: Path, target: Path, result: Result, to: str, said: str) ->
     model, measured, rows = result.model, _file_at_hand(path, result), []
     fitted = Fitted.of(model, result.values())
     incidences = sorted({np.radians(q.theta_i_deg) for q in result.tis}) or USUAL.tolist()
-    tis = of_values(model.material, result.values(), model.bands, np.array(incidences[:COUNT]))[0]
+    tis = _tis(result, np.array(incidences[:COUNT]))
     for k, theta_i in enumerate(incidences[:COUNT]):
         at = scatter_formulas.around(theta_i)
         light = np.array([np.sin(theta_i), 0.0, np.cos(theta_i)])

@@ -1,9 +1,13 @@
 """What commands are told of parameters."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
 from typing import Any
 
-from ..settings.config import parameters_of
+from ..settings.config import Config, parameters_of
+from ..settings.sections import AUTO
+from ..support.kept import loaded_ahead
 from ..support.terminal import fail
 
 Options = Sequence[str] | None
@@ -26,6 +30,13 @@ def parameters_given(fix: Options, bounds: Options, start: Options, tie: Options
             raise fail(f"--tie {name}: should be a parameter's name")
     single = {name: values[0] if len(values) == 1 else values for name, values in fixed.items()}
     return parameters_of(single, bounded, started, [name.strip() for name in tie or ()])
+
+
+def begun(settings: Config, files: Sequence[Path]) -> AbstractContextManager[None]:
+    """Of a single file, which is fitted in this process: its programs are loaded while libraries are still imported."""
+    if len(files) != 1:
+        return nullcontext()
+    return loaded_ahead(settings.occasion(files[0].suffix), settings.model.name != AUTO)
 
 
 def values_given(given: Options) -> dict[str, list[float]]:

@@ -17,15 +17,17 @@ error J dz, dz ~ N(0, (G + 1)^-1), found again until B stays: a fixed point.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from ...merl_io.samples import Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredSamples
 from ...merl_io.scattered import thin as thin_scattered
+from ..support.threads import CORES
 from .levenberg_marquardt import Solution
 from .problem import energy
 
@@ -110,7 +112,8 @@ def noise_of(
         of_run = np.where(mass > 0, 1 / np.sqrt(mass), 0.0)
     residual = of_run * together(samples.weight * (samples.value - predicted)) / unit
     at = predict(z, few)
-    rates = [(predict(z + step, few) - at) / STEP for step in STEP * np.eye(len(z))]
+    with ThreadPoolExecutor(CORES) as pool:
+        rates = list(pool.map(lambda step: (predict(z + step, few) - at) / STEP, STEP * np.eye(len(z))))
     jacobian = np.sqrt(mass) / unit * np.stack(rates)
     jacobian = np.where(np.isfinite(jacobian) & (mass > 0), jacobian, 0.0)
     squares = np.sum(jacobian.reshape(len(z), -1) ** 2, 1)  # of all bins they are those of the normal equations
@@ -162,7 +165,7 @@ def precision_of(
         if np.all(np.abs(scatter - before) <= SETTLED * np.abs(scatter).max()):
             break
         error = np.linalg.inv(hessian @ np.linalg.solve(scatter, hessian) + np.eye(len(hessian)))
-    student_factor = (student.ppf(NINETY, max(count, LEAST_COUNT)) / student.ppf(NINETY, np.inf)) ** 2
+    student_factor = (stdtrit(max(count, LEAST_COUNT), NINETY) / ndtri(NINETY)) ** 2
     scatter = _at_least(student_factor * fewer * scatter, floor * hessian)
     rooted = np.linalg.solve(np.linalg.cholesky(scatter), plain)  # exactly zero where nothing depends on a coordinate
     return rooted.T @ rooted

@@ -18,7 +18,7 @@ from .largest_albedo import largest_albedo
 from .levenberg_marquardt import UNEXPLAINED_COST, Solution, Status
 from .noise import Noise
 from .selection import VISIBLE, alike, lost
-from .total_scatter import of_values
+from .total_scatter import of_values, with_slopes
 from .transforms import ODDS, Layout
 
 EDGE = 0.01  # of the way between its bounds: nearer to one of them a parameter may be at it
@@ -109,7 +109,7 @@ class Fitted:
         It is taken to be normal in its logarithm; NaN where the data do not decide, as of :attr:`laplace`.
         """
         values = self.layout.values(self.solution.z)
-        at_fit, slopes = of_values(self.material, values, self.layout.bands, theta_i)
+        at_fit, slopes = with_slopes(self.material, values, self.layout.bands, theta_i)
         by_entry = np.zeros((*at_fit.shape, len(self.values)))
         for name, slope in slopes.items():
             for k in range(self.layout.slices[name].start, self.layout.slices[name].stop):
@@ -119,6 +119,10 @@ class Fitted:
         prior = np.linalg.norm(by_entry @ np.asarray(self.layout.slopes(self.solution.z)), axis=-1)
         relative = np.where((error < DECIDED * prior) & (at_fit > 0), error / np.maximum(at_fit, 1e-30), np.nan)
         return at_fit, at_fit * np.exp(NINETY * np.stack([-relative, relative]))
+
+    def scatter_at(self, points: np.ndarray, theta_i: np.ndarray) -> np.ndarray:
+        """Total integrated scatter at free coordinates (n, F) and incidences (rad), (A,): (n, C, A)."""
+        return of_values(self.material, self.layout.values(points), self.layout.bands, theta_i)
 
     @cached_property
     def at_bound(self) -> list[Bound]:

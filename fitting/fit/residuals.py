@@ -25,9 +25,10 @@ from ...model.reads import reads
 from ...model.reflectance import Factor, Reflectance, Setting
 from ..support.kept import Kept, kept
 from ..support.threads import side_by_side
+from .coordinates import Numbers, Structure
 from .hints import General, general_of
 from .problem import LEAST_SHARE, Directions, Part, Problem, directions_of, shares
-from .transforms import Layout, Numbers, Structure
+from .transforms import Layout
 
 
 def predict(model: Reflectance, values: Mapping[str, Array], where: Directions) -> np.ndarray:
@@ -109,7 +110,7 @@ class Objective:
 
     def normal_equations_of_many(self, points: ArrayLike) -> np.ndarray:
         """The same at many points (M, F) in one call, shape (M, C, F+1, F+1): for few bins, where calls cost most."""
-        values, slopes = self.layout.values_and_slopes_of_many(points)
+        values, slopes = self.layout.values_and_slopes(points)
         return self._spread_out(compact_normal_equations_of_many, values, slopes)
 
     def _spread_out(self, compute: Callable[..., Array], values: Mapping[str, Array], slopes: Array) -> np.ndarray:
@@ -225,9 +226,8 @@ def spread_out(layout: Layout, slopes: Numbers, compact: Numbers, rest: Numbers)
 @cache
 def places(structure: Structure) -> np.ndarray:
     """Which physical value each channel's parameters are, and the residual after them, (C, G+1, P+1) of 0 and 1."""
-    channels, slices = structure.channels, structure.slices.values()
+    channels, slices, size = structure.channels, structure.slices.values(), structure.size
     where = [list(range(s.start, s.stop)) * (channels if s.stop - s.start == 1 else 1) for s in slices]
-    size = max(s.stop for s in slices)
     return np.eye(size + 1)[np.array([*where, [size] * channels]).T]
 
 

@@ -19,11 +19,12 @@ from jax import Array
 
 from ...model.reflectance import Reflectance
 from ..support.choices import Device
+from .coordinates import Structure, Table, flat_and_slopes
 from .hints import General, general_of
 from .levenberg_marquardt import OFFSET_TOLERANCE, Solution, SolverState, steps
 from .problem import Directions, Part, Problem
 from .residuals import compact_equations, places, products_by_matrix, rows_of
-from .transforms import Layout, Structure, Table, values_and_slopes_of_many
+from .transforms import Layout
 
 AT_ONCE = 1 << 22  # directions of all solves in a step: 100 MB for each number that there is of every one of them
 FEW = 8  # times fewer are enough for the last ones: two widths to compile
@@ -237,7 +238,8 @@ def _equations(
     """Normal equations by free coordinates, (W, C, F+1, F+1)."""
     values, chain = {}, jnp.zeros(())
     for k, (each, table) in enumerate(zip(kinds, tables, strict=True)):
-        named, slopes = values_and_slopes_of_many(each.structure, table, z[:, : each.size])
+        flat, slopes = flat_and_slopes(each.structure, table, z[:, : each.size])
+        named = each.structure.named(flat)
         given = {
             name: jnp.broadcast_to(x, (len(z), *np.shape(x)[1:])) for name, x in each.general.values(named).items()
         }

@@ -144,7 +144,7 @@ def _of_alike(
         kinds = np.column_stack([kinds, own])
         found = [_by_channel(layouts[0], points, size, readings[0], own, problem)]
     else:
-        named = layouts[0].held(lead.values_of_many(points))
+        named = layouts[0].held(lead.values(points))
         given, summed = {name: named[name] for name in shared}, isinstance(lead.material, Sum)
         nothing = np.zeros(len(points))
         found = (
@@ -163,7 +163,7 @@ def _of_alike(
     rows_of_kinds = [tuple(each) for each in kinds.tolist()]
     chosen = [[0, *(1 + k for k in _best(costs[1:], rows_of_kinds[1:], count))] for costs, _ in found]
     return [
-        layout.free_of_many({name: x[rows] for name, x in values.items()})
+        layout.free({name: x[rows] for name, x in values.items()})
         for layout, rows, (_, values) in zip(layouts, chosen, found, strict=True)
     ]
 
@@ -201,7 +201,7 @@ def _by_channel(
     every = np.concatenate(
         [np.repeat(points[:, :size], each, 0), np.repeat(around.reshape(-1, len(own)), channels, 1)], 1
     )
-    values = layout.unfixed.values_of_many(every)
+    values = layout.unfixed.values(every)
     for q in own:  # alike in all channels, whatever the prior of their differences
         values[q.name] = np.repeat(values[q.name][:, layout.bands.middle, None], channels, 1)
     values = layout.held(values)

@@ -19,14 +19,15 @@ from ...merl_io.hints import cover_hemisphere
 from ...merl_io.inputs import Input
 from ...merl_io.scattered import ScatteredMeasurement
 from ...model.albedo import directional_albedo
+from ...model.parameters import WHICH_BODY
 from ...model.reflectance import Reflectance
 from ..support.choices import THETA_MAX
 from ..support.kept import kept
-from ..support.threads import SHARES, side_by_side
+from ..support.threads import side_by_side
 from .hints import general_of
-from .transforms import Layout
 
 COUNT = 4  # incidences that are stated at the most: one program for all files
+AT_ONCE = 8  # sets of parameters of a call
 USUAL = np.radians([0.0, 30.0, 60.0])  # of a file that has none of its own
 FEWEST = 8  # samples of an incidence of the file's own
 SAME = 1e-4  # rad: incidences that differ by less are one
@@ -97,7 +98,7 @@ def solid_angles(theta_o: np.ndarray, phi: np.ndarray) -> np.ndarray:
     return (area / count)[at].reshape(len(images), -1).sum(0) / 2
 
 
-def of_values(
+def with_slopes(
     material: Reflectance, values: Mapping[str, ArrayLike], bands: Bands, theta_i: np.ndarray
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """TIS of parameters at incidences (rad), `COUNT` at the most, (A,): (C, A), and its slopes by parameter, (C, A).
@@ -114,19 +115,25 @@ def of_values(
     }
 
 
-def of_draws(layout: Layout, draws: np.ndarray, theta_i: np.ndarray) -> np.ndarray:
-    """TIS of draws (n, P) in free coordinates at incidences (rad), `COUNT` at the most, (A,): (n, C, A)."""
-    size = -(-len(draws) // SHARES)
-    padded = np.concatenate([draws, np.repeat(draws[:1], size * SHARES - len(draws), 0)])
-    incidences = np.resize(theta_i, COUNT)
-    shares = side_by_side(lambda few: np.asarray(_of_many(layout, few, incidences)), np.split(padded, SHARES))
-    return np.concatenate(shares)[: len(draws), :, : len(theta_i)]
+def of_values(material: Reflectance, values: Mapping[str, np.ndarray], bands: Bands, theta_i: np.ndarray) -> np.ndarray:
+    """TIS of n sets of parameters, with a leading axis (n,), at incidences (rad), `COUNT` at the most, (A,): (n, C, A).
+
+    Without the apparatus. One program for all variants of a model (:func:`.hints.general_of`), 20 ms a set.
+    """
+    general, wavelengths, incidences = general_of(material), np.array(bands.wavelengths_um), np.resize(theta_i, COUNT)
+    own = {q.name: np.asarray(values[q.name], float) for q in material.parameters}
+    count = min(map(len, own.values()))
+    rows = np.minimum(np.arange(-(-count // AT_ONCE) * AT_ONCE), count - 1).reshape(-1, AT_ONCE)
+    parts = [general.values({name: x[some] for name, x in own.items()}) for some in rows]
+    found = side_by_side(lambda part: np.asarray(_of_many(general.model, part, wavelengths, incidences)), parts)
+    return np.concatenate(found)[:count, :, : len(theta_i)]
 
 
 @kept()
-def _of_many(layout: Layout, draws: Array, theta_i: Array) -> Array:
-    material, wavelengths = layout.material, layout.bands.wavelengths_um
-    return jax.lax.map(lambda z: directional_albedo(material, layout.values(z), theta_i, wavelengths), draws)
+def _of_many(model: Reflectance, values: Mapping[str, Array], wavelengths_um: Array, theta_i: Array) -> Array:
+    which = {name: x for name, x in values.items() if name == WHICH_BODY}
+    moving = {name: x for name, x in values.items() if name not in which}
+    return jax.lax.map(lambda v: directional_albedo(model, {**v, **which}, theta_i, wavelengths_um), moving)
 
 
 @kept()

@@ -10,113 +10,29 @@ coordinates of what the data show: the half width of the lobe instead of beta, g
 directions that exist instead of sigma_s, given b and c; and the ratio of what channels have alike (eta - 1) to that of
 the middle channel in the others.
 
-What a user fixes has no coordinate, and what is tied has that of the middle channel. All numbers are data of the
-compiled programs (:class:`Table`): other bounds, priors and fixed values are not compiled anew.
+What a user fixes has no coordinate, and what is tied has that of the middle channel.
 """
 
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.scipy.special import ndtr, ndtri
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from ...merl_io.bands import MERL, Bands
 from ...model.measured import material_of, with_material
-from ...model.parameters import Parameter, Shift
+from ...model.parameters import Parameter
 from ...model.priors import PRIORS, Constraint, LogNormal, Priors
 from ...model.reflectance import Reflectance
-from ..support.kept import Kept, kept
+from .coordinates import ENDLESS, Numbers, Structure, Table, coordinates, flat_and_slopes
 
-INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far inside them values are moved
-LEAST = 1e-300
 ODDS = "odds"  # quantity of what lies between 0 and 1 and may be a few thousandths
-TINY_ODDS = 1e-6  # least albedo that a start may have
 Kind = Literal["free", "fixed", "tied"]
-Numbers = np.ndarray | Array
 FARTHEST = 30.0  # standard deviations of a prior from its bounds: nothing of it is left there
-ENDLESS = 1e4  # stands for the logarithm of odds at a bound of 0 or 1
-
-
-class Table(NamedTuple):
-    """The parameters of a fit as arrays, an entry for each number that the model has, (P,) each.
-
-    Attributes:
-        median, deviation: logarithms of the prior's median and factor. low, high: bounds of the logarithm.
-        lower, upper, offset: of the value. odds, logarithmic: which have a log-normal prior, of their odds or
-            themselves; others are uniform. source: which free coordinate the entry has. leader: the entry whose value
-            it takes, itself if it is not tied. fixed: whether it has ``value`` instead.
-    """
-
-    median: Numbers
-    deviation: Numbers
-    low: Numbers
-    high: Numbers
-    lower: Numbers
-    upper: Numbers
-    offset: Numbers
-    odds: Numbers
-    logarithmic: Numbers
-    source: Numbers
-    leader: Numbers
-    fixed: Numbers
-    value: Numbers
-
-    def of(self, rows: np.ndarray) -> "Table":
-        """Some of its entries."""
-        return Table(*(x[rows] for x in self))
-
-
-@dataclass(frozen=True)
-class Structure:
-    """What programs that are compiled for a layout depend on, beside the length of its arrays.
-
-    Attributes:
-        declared: name, whether per channel, whether alike in all channels, and shift of every parameter.
-        channels: their number. middle: that in the middle, and its wavelength (um).
-    """
-
-    declared: tuple[tuple[str, bool, bool, Shift | None], ...]
-    channels: int
-    middle: int
-    middle_um: float
-
-    @cached_property
-    def slices(self) -> dict[str, slice]:
-        """Slice of the physical values by parameter name."""
-        widths = [self.channels if per_channel else 1 for _, per_channel, _, _ in self.declared]
-        ends = np.cumsum(widths).tolist()
-        return {each[0]: slice(end - n, end) for each, n, end in zip(self.declared, widths, ends, strict=True)}
-
-    @cached_property
-    def moved(self) -> np.ndarray:
-        """Entries whose priors move with others: those with a shift, and what is alike, but in the middle channel."""
-        places = [self.slices[name].start for name, _, _, shift in self.declared if shift]
-        outer = np.delete(np.arange(self.channels), self.middle)
-        alike = [self.slices[name].start + k for name, _, alike, _ in self.declared if alike for k in outer]
-        return np.array([*places, *alike], int)
-
-    def named(self, flat: Array) -> dict[str, Array]:
-        """Values by name: scalars, and (C,) for parameters per channel."""
-        return {
-            name: flat[self.slices[name]] if per_channel else flat[self.slices[name]][0]
-            for name, per_channel, _, _ in self.declared
-        }
-
-    def shifts(self, flat: Array, offset: ArrayLike) -> Array:
-        """By how much the medians of :attr:`moved` are moved, given the values of the others."""
-        values, offset = self.named(flat), jnp.asarray(offset)
-        found = [shift(values, self.middle_um)[None] for _, _, _, shift in self.declared if shift]
-        for name in (name for name, _, alike, _ in self.declared if alike):
-            middle = jnp.log(values[name][self.middle] - offset[self.slices[name].start])
-            found.append(jnp.repeat(middle, self.channels - 1))
-        return jnp.concatenate(found)
 
 
 @dataclass(frozen=True)
@@ -244,29 +160,26 @@ class Layout:
         columns = [np.array(column) for column in zip(*rows, strict=True)]
         return Table(*columns, source, leader, fixed, value)  # pyright: ignore[reportCallIssue] - nine columns
 
-    def values(self, z: ArrayLike) -> dict[str, Array]:
-        """Physical values by name: scalars, and ``(C,)`` for parameters per channel."""
-        return _values(self.structure, self.table, z)
+    def values(self, z: ArrayLike) -> dict[str, Numbers]:
+        """Physical values by name at z (..., F): (...), and (..., C) for parameters per channel."""
+        return self.structure.named(self.flat(z))
 
-    def values_of_many(self, z: np.ndarray) -> dict[str, np.ndarray]:
-        """The same for many points (M, F), with a leading axis M."""
-        return {name: np.asarray(x) for name, x in _values_of_many(self.structure, self.table, z).items()}
+    def flat(self, z: ArrayLike) -> Numbers:
+        """Physical values, shape (..., P)."""
+        return self._flat_and_slopes(z)[0]
 
-    def flat(self, z: ArrayLike) -> Array:
-        """Physical values, shape (P,)."""
-        return _flat_jitted(self.structure, self.table, z)
+    def slopes(self, z: ArrayLike) -> Numbers:
+        """d value_i / d z_j, (..., P, F)."""
+        return self._flat_and_slopes(z)[1]
 
-    def slopes(self, z: ArrayLike) -> Array:
-        """d value_i / d z_j, (P, F)."""
-        return self.values_and_slopes(z)[1]
-
-    def values_and_slopes(self, z: ArrayLike) -> tuple[dict[str, Array], Array]:
+    def values_and_slopes(self, z: ArrayLike) -> tuple[dict[str, Numbers], Numbers]:
         """Both in one call."""
-        return _values_and_slopes(self.structure, self.table, z)
+        flat, slopes = self._flat_and_slopes(z)
+        return self.structure.named(flat), slopes
 
-    def values_and_slopes_of_many(self, points: ArrayLike) -> tuple[dict[str, Array], Array]:
-        """The same for many points (M, F), with a leading axis M."""
-        return values_and_slopes_of_many(self.structure, self.table, points)
+    def _flat_and_slopes(self, z: ArrayLike) -> tuple[Numbers, Numbers]:
+        with np.errstate(all="ignore"):
+            return flat_and_slopes(self.structure, self.table, z if isinstance(z, Tracer) else np.asarray(z, float))
 
     def held(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Values by name, of one point or many, with those that are fixed as they are fixed."""
@@ -274,25 +187,25 @@ class Layout:
         return {name: np.broadcast_to(fixed[name], np.shape(x)) if name in fixed else x for name, x in values.items()}
 
     def free(self, values: Mapping[str, ArrayLike]) -> np.ndarray:
-        """Free coordinates of physical values, (F,); values on or beyond a bound are moved just inside."""
-        given = self.held({q.name: np.broadcast_to(np.asarray(values[q.name], float), self._shape(q))
-                           for q in self.parameters})  # fmt: skip
-        inside = [np.ravel(np.clip(given[q.name], q.lower, q.upper)) for q in self.parameters]
-        return np.asarray(_free(self.structure, self.table, np.concatenate(inside)))[self.leads]
+        """Free coordinates of physical values, (..., F); values on or beyond a bound are moved just inside.
 
-    def free_of_many(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The same for many points, (M, F); values with a leading axis M."""
-        given = self.held({q.name: np.asarray(values[q.name], float) for q in self.parameters})
-        inside = [np.clip(given[q.name], q.lower, q.upper) for q in self.parameters]
-        flat = np.concatenate([x.reshape(len(x), -1) for x in inside], 1)
-        return np.asarray(_free_of_many(self.structure, self.table, flat))[:, self.leads]
+        Args:
+            values: by name, (...), and (..., C) for parameters per channel, where one value does for all, too.
+        """
+        own = {q.name: np.asarray(values[q.name], float) for q in self.parameters}
+        points = max((own[q.name].shape[: -1 if q.per_channel else None] for q in self.parameters), key=len)
+        given = self.held({q.name: np.broadcast_to(own[q.name], (*points, *self._shape(q))) for q in self.parameters})
+        inside = [np.clip(given[q.name], q.lower, q.upper).reshape(*points, -1) for q in self.parameters]
+        with np.errstate(all="ignore"):
+            found = coordinates(self.structure, self.table, np.concatenate(inside, -1))
+        return np.asarray(found)[..., self.leads]
 
     def _shape(self, parameter: Parameter) -> tuple[int, ...]:
         return (len(self.bands),) if parameter.per_channel else ()
 
     def position(self, z: ArrayLike) -> np.ndarray:
         """Position of every entry between its bounds, in [0, 1], in the parameter's own scale."""
-        found = self.values(jnp.asarray(z))
+        found = self.values(z)
         return np.concatenate([np.ravel(q.position(found[q.name])) for q in self.parameters])
 
     def log_normal(self, parameter: Parameter) -> LogNormal:
@@ -334,122 +247,6 @@ def _constrained(q: Parameter, given: Constraint) -> Parameter:
 
 def _log_odds(share: float) -> float:
     return ENDLESS * (2 * share - 1) if share in (0.0, 1.0) else float(np.log(share) - np.log1p(-share))
-
-
-def _log_normal(z: Array, t: Table, median: ArrayLike) -> Array:
-    """Logarithms at free coordinates z of log-normal priors that are cut at the bounds."""
-    low, high = (t.low - median) / t.deviation, (t.high - median) / t.deviation
-    side = jnp.where(low > 0, -1.0, 1.0)  # of the median: all is computed below it, where probabilities are exact
-    near, far = jnp.where(low > 0, -high, low), jnp.where(low > 0, -low, high)
-    inside = ndtr(far) - ndtr(near)
-    below, above = ndtr(near) + ndtr(side * z) * inside, ndtr(-far) + ndtr(-side * z) * inside
-    left = below < above  # each from its own end, where it is exact
-    normal = side * jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
-    endless = (t.low <= -ENDLESS) & (t.high >= ENDLESS)
-    return jnp.asarray(median) + t.deviation * jnp.where(endless, z, jnp.clip(normal, low, high))
-
-
-def _standard_normal(logarithm: Array, t: Table, median: Array) -> Array:
-    """Inverse of :func:`_log_normal`."""
-    low, high = (t.low - median) / t.deviation, (t.high - median) / t.deviation
-    plain = (logarithm - median) / t.deviation
-    side = jnp.where(low > 0, -1.0, 1.0)
-    near, far = jnp.where(low > 0, -high, low), jnp.where(low > 0, -low, high)
-    normal = side * jnp.clip(plain, low + INSIDE, high - INSIDE)
-    inside = ndtr(far) - ndtr(near)
-    beyond = jnp.where(far < 0, ndtr(far) - ndtr(normal), ndtr(-normal) - ndtr(-far))
-    below, above = (ndtr(normal) - ndtr(near)) / inside, beyond / inside
-    left = below < above
-    found = side * jnp.where(left, 1.0, -1.0) * ndtri(jnp.maximum(jnp.where(left, below, above), LEAST))
-    return jnp.where((t.low <= -ENDLESS) & (t.high >= ENDLESS), plain, found)
-
-
-def _unmoved(z: Array, t: Table) -> Array:
-    """Values whose priors do not move, (P,), from the coordinate of each."""
-    logarithm = _log_normal(z, t, t.median)
-    uniform = t.lower + (t.upper - t.lower) * ndtr(z)
-    found = jnp.where(t.odds, jax.nn.sigmoid(jnp.where(t.odds, logarithm, 0.0)), uniform)
-    return jnp.where(t.logarithmic, jnp.asarray(t.offset) + jnp.exp(jnp.where(t.logarithmic, logarithm, 0.0)), found)
-
-
-def _moved(z: Array, t: Table, shifts: Array) -> Array:
-    return jnp.asarray(t.offset) + jnp.exp(_log_normal(z, t, t.median + shifts))
-
-
-def _flat(s: Structure, t: Table, z: Array) -> Array:
-    """Physical values, (P,): all given the medians of others first, then those that move with others."""
-    own, moved = z[t.source], s.moved
-    found = jnp.where(t.fixed, t.value, _unmoved(own, t))
-    if len(moved):
-        few = t.of(moved)
-        values = _moved(own[moved], few, s.shifts(found, t.offset))
-        found = found.at[moved].set(jnp.where(few.fixed, few.value, values))
-    return found[t.leader]
-
-
-def _flat_and_slopes(s: Structure, t: Table, z: Array) -> tuple[Array, Array]:
-    """:func:`_flat` and its derivatives (P, F): but for those that move, a value depends on its own z alone.
-
-    Written out like this it compiles in a quarter of the time that ``jacfwd`` takes.
-    """
-    own, moved, free = z[t.source], s.moved, ~jnp.asarray(t.fixed)
-    found, slope_of_own = jax.jvp(lambda z: _unmoved(z, t), (own,), (jnp.ones_like(own),))
-    found, slope_of_own = jnp.where(free, found, t.value), jnp.where(free, slope_of_own, 0.0)
-    slopes = jnp.diag(slope_of_own)
-    if len(moved):
-        few = t.of(moved)
-        shifts = s.shifts(found, t.offset)
-        by_values = jax.jacfwd(lambda flat: s.shifts(flat, t.offset))(found)
-        values, slope = jax.linearize(lambda z, shifts: _moved(z, few, shifts), own[moved], shifts)
-        still, one = jnp.zeros(len(moved)), jnp.ones(len(moved))
-        rows = slope(still, one)[:, None] * by_values * slope_of_own
-        rows = rows.at[jnp.arange(len(moved)), moved].set(slope(one, still))
-        found = found.at[moved].set(jnp.where(few.fixed, few.value, values))
-        slopes = slopes.at[moved].set(jnp.where(jnp.asarray(few.fixed)[:, None], 0.0, rows))
-    slopes = jnp.zeros((len(own), len(z))).at[:, t.source].add(jnp.where(free, slopes[t.leader], 0.0))
-    return found[t.leader], slopes
-
-
-@kept()
-def _values(s: Structure, t: Table, z: Array) -> dict[str, Array]:
-    return s.named(_flat(s, t, z))
-
-
-@kept()
-def _values_of_many(s: Structure, t: Table, z: Array) -> dict[str, Array]:
-    return jax.vmap(lambda z: s.named(_flat(s, t, z)))(z)
-
-
-_flat_jitted = Kept(_flat)
-
-
-@kept()
-def _values_and_slopes(s: Structure, t: Table, z: Array) -> tuple[dict[str, Array], Array]:
-    found, slopes = _flat_and_slopes(s, t, z)
-    return s.named(found), slopes
-
-
-@kept()
-def values_and_slopes_of_many(s: Structure, t: Table, points: Array) -> tuple[dict[str, Array], Array]:
-    """Physical values by name and their slopes at many points (M, F), with a leading axis M."""
-    return jax.vmap(lambda z: _values_and_slopes(s, t, z))(points)
-
-
-@kept()
-def _free(s: Structure, t: Table, values: Array) -> Array:
-    """The coordinate that every entry would have by itself, (P,); inverse of :func:`_flat`."""
-    kept = jnp.clip(values, TINY_ODDS, 1 - INSIDE)
-    logarithm = jnp.where(t.odds, jnp.log(kept) - jnp.log1p(-kept), jnp.log(jnp.maximum(values - t.offset, LEAST)))
-    linear = ndtri(jnp.clip((values - t.lower) / (t.upper - t.lower), INSIDE, 1 - INSIDE))
-    median = jnp.asarray(t.median)
-    if len(s.moved):
-        median = median.at[s.moved].add(s.shifts(values, t.offset))
-    return jnp.where(t.odds | t.logarithmic, _standard_normal(logarithm, t, median), linear)
-
-
-@kept()
-def _free_of_many(s: Structure, t: Table, values: Array) -> Array:
-    return jax.vmap(lambda flat: _free(s, t, flat))(values)
 
 
 @cache

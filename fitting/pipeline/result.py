@@ -15,7 +15,7 @@ from ..fit.identifiability import identifiability
 from ..fit.levenberg_marquardt import Status
 from ..fit.outcome import Fitted, cautions, said
 from ..fit.problem import energy
-from ..fit.total_scatter import SAME, incidences_of, of_draws, of_file
+from ..fit.total_scatter import SAME, incidences_of, of_file
 from ..fit.transforms import Layout
 from ..results import schema, storage
 from ..results.schema_posterior import sha1_of_draws
@@ -164,7 +164,7 @@ def total_scatter_results(fitted: Fitted, measurement: Input, sampled: "Sampled 
         stated = [at.get(k) for k in range(len(theta_i))]
     drawn: list[schema.Quantiles | None] = [None] * at_fit.size
     if sampled is not None and sampled.posterior.sufficient:
-        scatter = of_draws(fitted.layout, sampled.posterior.draws, theta_i)
+        scatter = fitted.scatter_at(sampled.posterior.draws, theta_i)
         drawn = _intervals(sampled, scatter.reshape(len(scatter), -1))
     return [
         schema.TotalScatter(

@@ -105,8 +105,7 @@ def fit_file(
     with refused(out, "made"):
         out.mkdir(parents=True, exist_ok=True)
     kind = Path(path).suffix if isinstance(path, str | os.PathLike) else path.path.suffix
-    occasion = repr((kind, config.model, config.effects, config.posterior.enabled, config.fit))
-    with loaded_ahead(occasion, remember=config.model.name != AUTO and found is None):
+    with loaded_ahead(config.occasion(kind), remember=config.model.name != AUTO and found is None):
         return _fit_file(path, out, config, report, finish, found, clock)
 
 

@@ -5,6 +5,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import jax.numpy as jnp
 from pydantic import Field, model_validator
 
 from ...merl_io import inputs
@@ -101,12 +102,13 @@ class Model(Strict):
     ) -> Self:
         """What a fit with these parameter values was of."""
         material, derived = model.material, model.grazing_loss == "derived"
+        given = {name: jnp.asarray(x) for name, x in values.items()}
         return cls(
             name=material.name,
             settings=asdict(material),  # pyright: ignore[reportArgumentType] - models are dataclasses
             acquisition=Acquisition(
                 grazing_loss=model.grazing_loss, apparatus=model.apparatus if derived else None,
-                exponents={lobe: float(model.exponent(lobe, values, bands.wavelengths_um)) for lobe in model.lobes},
+                exponents={lobe: float(model.exponent(lobe, given, bands.wavelengths_um)) for lobe in model.lobes},
             ),
             channels=list(bands.names), colour_space=colour_space, wavelengths_um=list(bands.wavelengths_um),
         )  # fmt: skip

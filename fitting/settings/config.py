@@ -98,6 +98,10 @@ class Config:
             return self
         return replace(self, acquisition=AcquisitionSection(grazing_loss="off"))
 
+    def occasion(self, kind: str) -> str:
+        """What programs a fit of a file with this ending needs depends on."""
+        return repr((kind, self.model, self.effects, self.posterior.enabled, self.fit))
+
     def plain(self) -> dict[str, Any]:
         """As plain data of JSON, from which `parse` makes the same."""
         data = _SETTINGS.dump_python(self, mode="json")

@@ -11,7 +11,7 @@ from ...merl_io.source import is_regular
 from ..pipeline.draws import NoPicture
 from ..results.schema import Result
 from ..results.storage import read_result
-from ..support.compilation import use_persistent_cache
+from ..support.kept import loaded_ahead
 from ..support.outputs import refuse_others
 from ..support.terminal import BAD_INPUT, console, fail, note, writable_folder
 from . import style
@@ -77,7 +77,14 @@ def show(
         note(f"nothing to draw: the fit ended {result.fit.status}")
         return True
     writable_folder(out)
-    use_persistent_cache()
+    with loaded_ahead(repr(("inspect", result.model.name, result.source.format, *sorted(only)))):
+        return _drawn(path, result, file, out, kind, only, needs_file, force, titled)
+
+
+def _drawn(
+    path: Path, result: Result, file: Path, out: Path, kind: str, only: Sequence[str], needs_file: bool, force: bool,
+    titled: bool,
+) -> bool:  # fmt: skip
     subject = replace(subject_of(result, path, file), titled=titled)
     if "measurement" in subject.lacks:
         mend = "; name the file with --file" if subject.scattered is None else ""

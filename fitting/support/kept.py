@@ -27,7 +27,7 @@ from jax import export
 from jax.core import Tracer
 
 from ...merl_io.atomic import WriteError, write_bytes, write_text
-from .compilation import cache_folder, forgetting
+from .compilation import cache_folder, forgetting, use_cache
 from .threads import CORES
 
 PACKAGE = __name__.split(".")[0]
@@ -132,10 +132,12 @@ class _Ahead:
     """Programs that are loaded before they are asked for.
 
     Attributes:
-        loading: by name, compiled. used: names of what was asked for, in this order.
+        occasion: for which; None while there is none. loading: by name, compiled. used: names of what was asked for, in
+            this order.
     """
 
     def __init__(self) -> None:
+        self.occasion: str | None = None
         self.loading: dict[str, Future] = {}
         self.used: list[str] = []
 
@@ -147,25 +149,28 @@ _ahead = _Ahead()
 def loaded_ahead(occasion: str, remember: bool = True) -> Iterator[None]:
     """Load what was used on the last such occasion, all cores at work, while it is still being read and prepared.
 
+    Within such an occasion there is no other.
+
     Args:
         occasion: word for what programs depend on. remember: whether to load the next time what is used now.
     """
-    if jax.default_backend() != "cpu" or _ahead.used:  # a process that has begun has its programs
+    if _ahead.occasion or jax.default_backend() != "cpu" or _ahead.used:  # a process that has begun has its programs
         yield
         return
+    use_cache()
     listed, names = _folder() / f"{_digest(occasion)}.json", []
     with suppress(OSError, ValueError, TypeError):
         names = [str(name) for name in json.loads(listed.read_text())]
     pool = ThreadPoolExecutor(CORES, "merlfit-programs")
-    _ahead.loading = {name: pool.submit(_read, name) for name in names}
+    _ahead.occasion, _ahead.loading = occasion, {name: pool.submit(_read, name) for name in names}
     try:
         yield
-        if remember and set(_ahead.used) != set(names):
+        if remember and _ahead.used and set(_ahead.used) != set(names):
             with suppress(OSError, WriteError):
                 write_text(listed, json.dumps(_ahead.used))
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
-        _ahead.loading = {}
+        _ahead.occasion, _ahead.loading = None, {}
 
 
 def kept(static: int = 1) -> Callable[[Callable], Kept]:

@@ -86,7 +86,7 @@ def test_priors_are_cut_at_the_bounds_that_are_set():
         grazing_exponent=Constraint(lower=0.2, upper=0.6),
     )
     z = np.array([-3.0, -0.5, 0.0, 1.0, 4.0])
-    found = layout.values_of_many(np.tile(z[:, None], layout.size))
+    found = layout.values(np.tile(z[:, None], layout.size))
     prior = layout.priors.p
     low, high = np.log(np.array([0.5, 2.0]) / prior.median) / np.log(prior.factor)
     expected = truncnorm.ppf(ndtr(z), low, high, np.log(prior.median), np.log(prior.factor))
@@ -96,7 +96,7 @@ def test_priors_are_cut_at_the_bounds_that_are_set():
     expected = truncnorm.ppf(ndtr(z), -np.inf, high, np.log(odds.median), np.log(odds.factor))
     np.testing.assert_allclose(found["albedo"][:, 0], 1 / (1 + np.exp(-expected)), rtol=1e-9)
     np.testing.assert_allclose(found["grazing_exponent"], 0.2 + 0.4 * ndtr(z), rtol=1e-12)
-    far = layout.values_of_many(np.full((1, layout.size), 50.0))
+    far = layout.values(np.full((1, layout.size), 50.0))
     assert far["p"][0] == pytest.approx(2.0, rel=1e-12)
     np.testing.assert_allclose(far["albedo"], 0.3, rtol=1e-9)
     assert layout.free({**VALUES, "albedo": 0.9}).max() < 8  # a start beyond a bound is moved just inside
@@ -106,7 +106,7 @@ def test_priors_are_cut_at_the_bounds_that_are_set():
 def test_a_prior_that_is_set_is_that_of_the_parameter_itself():
     layout = constrained(beta=Constraint(prior=LogNormal(0.2, 1.5)))
     z = np.random.default_rng(3).normal(size=(50, layout.size))
-    beta = np.log(layout.values_of_many(z)["beta"])
+    beta = np.log(layout.values(z)["beta"])
     np.testing.assert_allclose(beta, np.log(0.2) + np.log(1.5) * z[:, 0], rtol=3e-3)  # whatever p; bounds are far
     assert layout.coordinates[0] == "beta"
     assert layout.prior(layout.parameters[0]) == "beta log-normal, 0.2 times or over 1.5; beta in [0.001, 1]"
@@ -230,7 +230,7 @@ def test_a_prior_beyond_the_bounds_leaves_what_is_nearest_to_it(median, lower, u
     factor = 1.1 if lower > median else 1.15
     layout = constrained(p=Constraint(lower=lower, upper=upper, prior=LogNormal(median, factor)))
     z = np.array([-2.0, -0.5, 0.0, 0.5, 2.0])
-    found = layout.values_of_many(np.tile(z[:, None], layout.size))["p"]
+    found = layout.values(np.tile(z[:, None], layout.size))["p"]
     near = lower if lower > median else upper
     assert np.all(np.abs(np.log(found / near)) < 0.06)
     assert np.all(np.diff(found) > 0)

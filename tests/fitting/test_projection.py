@@ -155,7 +155,7 @@ def test_channels_of_rivals_are_linear_exactly(model, blank):
     value = predict_samples(layout, z, blank)
     samples = replace(blank, value=value, weight=blank.weight / np.maximum(value, 1e-3))
     objective = Objective(layout, make_problem(samples, 4))
-    named = layout.values_of_many(np.array([z, 0.3 * z]))
+    named = layout.values(np.array([z, 0.3 * z]))
     shared = {q.name: named[q.name] for q in layout.parameters if not q.per_channel}
     ((costs, found),) = project([layout], shared, objective.problem)
     ours = np.asarray(objective.costs_of_many({name: jnp.asarray(x) for name, x in found.items()})).sum(1)

@@ -4,7 +4,6 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -85,7 +84,7 @@ def points_of(layout, problem, count, over=map, first=FIRST):
 
 
 def values_of(points):
-    return {name: np.asarray(x) for name, x in jax.vmap(LAYOUT.values)(jnp.asarray(points)).items()}
+    return LAYOUT.values(points)
 
 
 def test_they_begin_with_the_first(points):
@@ -135,10 +134,10 @@ def test_those_of_the_free_split_are_those_of_the_printed_one_with_a_typical_wei
     material, half = LAYOUT.material.changed(split="free"), Constraint(start=0.5)
     free = layout_of(replace(LAYOUT.model, material=material), constraints=(("weight", half),))
     found = points_of(free, problem, 36)
-    values = free.values_of_many(found)
+    values = free.values(found)
     np.testing.assert_allclose(values["weight"][0], 0.5)
     np.testing.assert_allclose(values["weight"][1:], WEIGHT.default)
-    np.testing.assert_allclose(values["b"], LAYOUT.values_of_many(points)["b"], rtol=1e-9)
+    np.testing.assert_allclose(values["b"], LAYOUT.values(points)["b"], rtol=1e-9)
 
 
 def test_few_are_of_as_many_kinds(problem):
@@ -268,7 +267,7 @@ def test_points_of_any_model_are_of_every_width_and_suit_every_channel(samples, 
     np.testing.assert_array_equal(found, points_of(layout, problem, 12, first=None))
     thirds = (ndtr(found[1:, 0] / SCATTER) * 3).astype(int)
     assert sorted(np.bincount(thirds)) == [4, 4, 4]
-    values = layout.values_of_many(found)
+    values = layout.values(found)
     best = int(np.argmin(np.asarray(Objective(layout, problem).costs_of_many(values)).sum(1)))
     albedo = values["albedo"][best]
     assert albedo[0] > 2 * albedo[1] > 4 * albedo[2], "of each channel by itself"
@@ -296,7 +295,7 @@ def test_those_of_sums_heed_what_is_said_of_parameters(problem, name):
     base = {"base": asdict(TwoScale("lambert", split="free"))} if "two-scale" in name else {}
     layout = layout_of(Measured(made(name, base), "off"), constraints=tuple(SUMS[name].items()))
     found = starting_points([layout], SEEN, problem, 5)[0]
-    values = {name: np.asarray(x) for name, x in jax.vmap(layout.values)(jnp.asarray(found)).items()}
+    values = layout.values(found)
     for parameter, said in SUMS[name].items():
         own = values[parameter]
         if said.fixed is not None:

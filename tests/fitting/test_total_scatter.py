@@ -4,14 +4,23 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.fit.error_metrics import Errors
 from merlfit.fitting.fit.levenberg_marquardt import Solution
 from merlfit.fitting.fit.outcome import Fitted
-from merlfit.fitting.fit.total_scatter import COUNT, USUAL, incidences_of, of_draws, of_file, of_values, solid_angles
+from merlfit.fitting.fit.total_scatter import (
+    AT_ONCE,
+    COUNT,
+    USUAL,
+    incidences_of,
+    of_file,
+    of_values,
+    solid_angles,
+    with_slopes,
+)
 from merlfit.fitting.fit.transforms import layout_of
-from merlfit.fitting.pipeline import result as outcome_in_json
 from merlfit.fitting.pipeline.result import total_scatter_results
 from merlfit.fitting.pipeline.synthesis import tabulate
 from merlfit.merl_io.bands import MERL, Bands
@@ -80,6 +89,22 @@ def test_bins_have_the_integral_of_the_model():
     np.testing.assert_allclose(of_file(measured, USUAL), expected, rtol=0.01)
 
 
+def test_sets_of_parameters_have_the_integrals_of_their_models():
+    """Of dielectrics, whose program is that of all kinds; more sets than one call takes."""
+    material, count = TwoScale("lambert"), AT_ONCE + 1
+    values = {
+        "beta": np.linspace(0.1, 0.4, count), "p": np.full(count, 0.8), "b": np.full(count, 3.0),
+        "c": np.full(count, 2.0), "sigma_s": np.full(count, 0.03), "eta": np.full((count, 3), 1.5),
+        "albedo": np.tile([0.1, 0.3, 0.6], (count, 1)),
+    }  # fmt: skip
+    theta_i = np.radians([10.0, 60.0])
+    found = of_values(material, values, MERL, theta_i)
+    assert found.shape == (count, 3, 2)
+    for k in (0, count - 1):
+        own = {name: jnp.asarray(x[k]) for name, x in values.items()}
+        np.testing.assert_allclose(found[k], directional_albedo(material, own, theta_i), rtol=1e-6)
+
+
 def test_slopes_are_those_of_the_integral():
     """Of a dielectric, whose program is that of all kinds: what a channel's own parameters and shared ones do to it."""
     material = TwoScale("lambert")
@@ -88,12 +113,12 @@ def test_slopes_are_those_of_the_integral():
         "albedo": np.array([0.1, 0.3, 0.6]),
     }  # fmt: skip
     theta_i = np.radians([10.0, 60.0])
-    found, slopes = of_values(material, values, MERL, theta_i)
+    found, slopes = with_slopes(material, values, MERL, theta_i)
     np.testing.assert_allclose(found, directional_albedo(material, values, theta_i), rtol=1e-6)
     assert slopes.keys() == values.keys()
     for name in ("beta", "eta"):
         step = 1e-4 * np.mean(values[name])
-        ends = [of_values(material, {**values, name: values[name] + s * step}, MERL, theta_i)[0] for s in (1, -1)]
+        ends = [with_slopes(material, {**values, name: values[name] + s * step}, MERL, theta_i)[0] for s in (1, -1)]
         np.testing.assert_allclose(
             slopes[name], (ends[0] - ends[1]) / (2 * step), rtol=1e-4, atol=3e-4
         )  # nodes do not move
@@ -110,14 +135,14 @@ def test_an_interval_holds_what_draws_of_the_approximation_hold():
     at_fit, ends = fitted.total_scatter(theta_i)
     spread = 1 / np.sqrt(1 + 2.0 * 3 / 0.01)  # of every free coordinate
     draws = z + spread * np.random.default_rng(1).standard_normal((1500, len(z)))
-    scatter = of_draws(layout, draws, theta_i)
+    scatter = of_values(layout.material, layout.values(draws), MERL, theta_i)
     np.testing.assert_allclose(ends, np.quantile(scatter, [0.05, 0.95], axis=0), rtol=0.01)
     loose = replace(fitted, noise=uncorrelated(1e-4 * normal, 0.01, 2.0))
     assert np.isnan(loose.total_scatter(theta_i)[1]).all(), "where the prior says more than the data"
     assert at_fit.shape == (3, 2)
 
 
-def test_a_result_lists_fit_file_and_what_the_file_states(monkeypatch):
+def test_a_result_lists_fit_file_and_what_the_file_states():
     theta_i, channels = np.radians([10.0, 45.0]), ("650nm",)
     at_fit, ends = np.array([[0.31, 0.33]]), np.array([[[0.29, np.nan]], [[0.33, np.nan]]])
     fitted = SimpleNamespace(total_scatter=lambda _: (at_fit, ends), layout=SimpleNamespace(channels=channels))
@@ -129,7 +154,7 @@ def test_a_result_lists_fit_file_and_what_the_file_states(monkeypatch):
     assert (second.laplace, second.stated) == (None, 0.2)
     assert len(theta_i) <= COUNT
     drawn = np.linspace(0.2, 0.4, 101)[:, None, None] * np.array([1.0, 2.0])
-    monkeypatch.setattr(outcome_in_json, "of_draws", lambda *_: drawn)
+    fitted.scatter_at = lambda *_: drawn
     posterior = SimpleNamespace(sufficient=True, draws=np.zeros((101, 1)), weights=np.full(101, 1 / 101))
     found = total_scatter_results(fitted, measured, SimpleNamespace(posterior=posterior))
     np.testing.assert_allclose([q.quantiles.q50 for q in found], [0.3, 0.6], rtol=0.01)

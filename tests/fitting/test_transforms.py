@@ -33,7 +33,7 @@ every = pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 def drawn(layout, seed=0, most=4.0):
     """Draws from the prior, (DRAWS, P), and the parameters that they are."""
     z = np.clip(np.random.default_rng(seed).normal(size=(DRAWS, layout.size)), -most, most)
-    return z, {name: np.asarray(x) for name, x in jax.vmap(layout.values)(jnp.asarray(z)).items()}
+    return z, layout.values(z)
 
 
 def bounds(layout):
@@ -80,17 +80,17 @@ def test_values_and_free_coordinates_are_inverse(layout):
     flat = np.concatenate([values[q.name].reshape(DRAWS, -1) for q in layout.parameters], 1)
     assert flat.shape == (DRAWS, layout.size) == (DRAWS, len(layout.names)) == (DRAWS, len(layout.entries))
     for k in range(3):
-        np.testing.assert_allclose(layout.flat(jnp.asarray(z[k])), flat[k], rtol=1e-12)
+        np.testing.assert_allclose(layout.flat(z[k]), flat[k], rtol=1e-12)
 
 
 @every
 def test_slopes_are_those_of_central_differences(layout):
     def flat(z):
-        return np.asarray(layout.flat(jnp.asarray(z)))
+        return layout.flat(z)
 
     h = 1e-5
     for z in np.random.default_rng(1).normal(size=(5, layout.size)):
-        slopes = np.asarray(layout.slopes(jnp.asarray(z)))
+        slopes = layout.slopes(z)
         differences = np.array([(flat(z + e) - flat(z - e)) / (2 * h) for e in h * np.eye(layout.size)]).T
         np.testing.assert_allclose(slopes, differences, rtol=1e-6, atol=1e-8 * np.abs(flat(z)).max())
         where = layout.slices
@@ -104,6 +104,14 @@ def test_slopes_are_those_of_central_differences(layout):
 
 
 @every
+def test_jax_traces_the_same_values_and_its_derivatives_are_the_slopes(layout):
+    for z in 2 * np.random.default_rng(4).normal(size=(3, layout.size)):
+        np.testing.assert_allclose(jax.jit(layout.flat)(z), layout.flat(z), rtol=1e-11)
+        traced = jax.jit(jax.jacfwd(layout.flat))(z)
+        np.testing.assert_allclose(layout.slopes(z), traced, rtol=1e-9, atol=1e-12 * np.abs(traced).max())
+
+
+@every
 def test_bounds_are_reached_and_never_exceeded(layout):
     low, high = bounds(layout)
     for far in (14.0, 800.0):
@@ -113,10 +121,10 @@ def test_bounds_are_reached_and_never_exceeded(layout):
             np.testing.assert_allclose(layout.position(z), float(sign > 0), atol=1e-9)
     corners = np.sign(np.random.default_rng(2).normal(size=(50, layout.size)))
     points = np.concatenate([14 * corners, 800 * corners, 5 * drawn(layout, 3)[0][:50]])
-    flat = np.asarray(jax.vmap(layout.flat)(jnp.asarray(points)))
+    flat = layout.flat(points)
     assert np.all(np.isfinite(flat))
     assert np.all((low * (1 - 1e-12) <= flat) & (flat <= high * (1 + 1e-12)))
-    assert np.all(np.isfinite(jax.vmap(layout.slopes)(jnp.asarray(points))))
+    assert np.all(np.isfinite(layout.slopes(points)))
 
 
 @every
@@ -127,8 +135,8 @@ def test_values_beyond_their_bounds_are_moved_just_inside(layout):
                   zip(layout.parameters, layout.slices.values(), strict=True)}  # fmt: skip
         z = layout.free(values)
         assert np.all(np.isfinite(z))
-        np.testing.assert_allclose(layout.flat(jnp.asarray(z)), bound, rtol=1e-4, atol=2e-6)
-        assert np.all(np.abs(np.asarray(layout.slopes(jnp.asarray(z))).diagonal()) > 0)
+        np.testing.assert_allclose(layout.flat(z), bound, rtol=1e-4, atol=2e-6)
+        assert np.all(np.abs(layout.slopes(z).diagonal()) > 0)
 
 
 @every
@@ -251,5 +259,5 @@ def test_an_albedo_of_nothing_is_a_small_one():
         found = layout.values(jnp.asarray(z))["albedo"]
         assert np.all(np.abs(z[where]) < 8)
         assert np.all((found > 0) & (found <= most))
-        assert np.all(np.asarray(layout.slopes(jnp.asarray(z))).diagonal()[where] > 0)
+        assert np.all(layout.slopes(z).diagonal()[where] > 0)
     assert np.all(layout.values(jnp.asarray(layout.free({**values, "albedo": np.full(3, 0.002)})))["albedo"] < 0.0021)

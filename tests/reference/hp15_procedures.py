@@ -80,7 +80,7 @@ def one_step(samples: Samples, z: np.ndarray, max_steps: int = 100) -> Solution:
 def two_steps(samples: Samples, z: np.ndarray, max_steps: int = 100) -> Solution:
     """Diffuse and diffracted light where they are alone, then reflected light on all bins."""
     own = layout(samples)
-    start = own.values_of_many(np.asarray(z, float)[None])
+    start = own.values(np.asarray(z, float)[None])
     dark = own.free({**{name: x[0] for name, x in start.items()}, "k_s": DARK})
     first = solve_some(Objective(own, make_problem(selected(samples))), dark, DIFFRACTED, max_steps)
     lit = np.array(z, float)
