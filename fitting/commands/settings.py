@@ -7,7 +7,6 @@ from typing import Any
 
 from ..settings.config import Config, parameters_of
 from ..settings.sections import AUTO
-from ..support.kept import loaded_ahead
 from ..support.terminal import fail
 
 Options = Sequence[str] | None
@@ -36,6 +35,8 @@ def begun(settings: Config, files: Sequence[Path]) -> AbstractContextManager[Non
     """Of a single file, which is fitted in this process: its programs are loaded while libraries are still imported."""
     if len(files) != 1:
         return nullcontext()
+    from ..support.kept import loaded_ahead  # and JAX, which settings do without
+
     return loaded_ahead(settings.occasion(files[0].suffix), settings.model.name != AUTO)
 
 

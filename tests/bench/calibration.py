@@ -5,6 +5,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.fit.weights import weighted_samples
-from merlfit.fitting.pipeline.models import layout_for, two_scale
+from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.run import fit, predict_samples
 from merlfit.fitting.posterior.sampling import draw
 from merlfit.fitting.settings.config import load
@@ -26,7 +27,13 @@ from scipy.stats import binom, norm
 from .record import Record, Target
 
 MATERIALS, FEW = 200, 50  # with noise of each reach
-KINDS = (("complex", "none"), ("real", "lambert"))  # in turn
+OWN = "two-scale"
+KINDS = {  # settings by model, of which materials take turns
+    OWN: ({"index": "complex", "body": "none"}, {"index": "real", "body": "lambert"}),
+    "ggx": ({"model": "ggx"},), "hp15": ({"model": "hp15"},),
+    "epd+two-scale": ({"model": "epd+two-scale", "index": "complex", "body": "none"},),
+}  # fmt: skip
+RIVALS = tuple(name for name in KINDS if name != OWN)
 # bins along theta_h, theta_d, phi_d: deviations of the kernel that correlates the noise
 REACHES = {"short": (1.0, 4.0, 16.0), "long": (4.0, 16.0, 64.0)}
 ALIKE = 0.8  # correlation of the channels' noise
@@ -50,11 +57,11 @@ def noise(rng, shape, reach):
     return np.sqrt(ALIKE) * fields[3] + np.sqrt(1 - ALIKE) * fields[:3]
 
 
-def synthetic(seed, reach):
+def synthetic(seed, reach, model):
     """Layout, truth in free coordinates and noisy samples of one material drawn from the prior."""
-    rng, kind = np.random.default_rng([20261122, seed]), KINDS[seed % len(KINDS)]
-    config = load(index=kind[0], body=kind[1])
-    layout = layout_for(config, two_scale(config, kind))
+    rng, kinds = np.random.default_rng([20261122, seed]), KINDS[model]
+    config = load(**kinds[seed % len(kinds)])
+    layout = layout_for(config, candidates(config)[0])
     truth, grid = rng.standard_normal(layout.size), merl_grid()
     used = grid.above & (grid.weight > 0)
     blank = Measurement(Path(f"synthetic-{seed}"), np.ones((3, *used.shape)), used, 0, 0, 0, "", "")
@@ -70,11 +77,12 @@ def synthetic(seed, reach):
     return config, layout, truth, measurement, replace(samples, value=noisy)
 
 
-def measure(seed, reach, chain=True):
+def measure(seed, reach, model=OWN, chain=True):
     """Rank of the truth by coordinate, and how the fit and the chain ended; without it those of the approximation."""
-    config, layout, truth, measurement, samples = synthetic(seed, reach)
+    config, layout, truth, measurement, samples = synthetic(seed, reach, model)
     fitted = fit(measurement, samples, config)
-    row = {"seed": seed, "correlation": reach, "body": layout.material.body}
+    row = {"seed": seed, "correlation": reach}
+    row |= {"body": layout.material.body} if model == OWN else {"model": model}
     device = {"device": jax.devices()[0].device_kind}
     if fitted is None or not fitted.status.succeeded:
         return {**row, "N": None, "message": "no fit" if fitted is None else fitted.status.name}, device
@@ -100,13 +108,16 @@ def unshrunk(fitted):
     return fitted.solution.z + np.linalg.solve(hessian + ridge, gradient)
 
 
-def run(folder, out, every, chain=True):
-    """200 materials with noise of each reach, or 50; the table is by parameter."""
+def run(folder, out, every, chain=True, models=(OWN,)):
+    """200 materials with noise of each reach, or 50, as of each of several models; the table is by parameter."""
     section, what = ("calibration", "the posterior") if chain else ("first_order", "the normal approximation")
+    section, of = (section, "") if models == (OWN,) else (f"{section}_rivals", f" of {', '.join(models)}")
+    count = MATERIALS if every and models == (OWN,) else FEW
     record = Record(
-        section, f"Calibration of {what} by simulation",
+        section, f"Calibration of {what} by simulation{of}",
         "synthetic: drawn from the priors of the fit, noise of the stated kind",
-        ["Parameters are drawn from the prior (bodies none and lambert in turn). The noise is Gaussian, alike by "
+        ["Parameters are drawn from the prior"
+         f"{' (bodies none and lambert in turn)' if models == (OWN,) else ''}. The noise is Gaussian, alike by "
          f"{ALIKE} in all channels, and blurred: {' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} "
          "(standard deviations by theta_h, theta_d, phi_d, reflected where the grid ends; the same parameters and the "
          f"same white noise for both). Its variance is 1/w times a number for which its cost is log-uniform in {COST} "
@@ -125,47 +136,57 @@ def run(folder, out, every, chain=True):
              ("high", "largest coverage of a parameter's", 96, "%", False))},
         folder=out,
     )  # fmt: skip
-    kept = Record(f"{section}_runs", f"Runs of the calibration of {what}", record.data, [], folder=out)
+    kept = Record(f"{section}_runs", f"Runs of the calibration of {what}{of}", record.data, [], folder=out)
     kept.resume()
     fixed = tuple(record.notes)
-    done = {(row["seed"], row["correlation"]) for row in kept.rows}
-    jobs = [(seed, reach) for seed in range(MATERIALS if every else FEW) for reach in REACHES]
+    done = {(row["seed"], row["correlation"], row.get("model", OWN)) for row in kept.rows}
+    jobs = [(seed, reach, model) for seed in range(count) for reach in REACHES for model in models]
     left = [job for job in jobs if job not in done]
     with ProcessPoolExecutor(CORES, get_context("spawn"), use_persistent_cache) as pool:
         for row, details in pool.map(partial(measure, chain=chain), *zip(*left, strict=True)) if left else ():
             kept.add(row, details)
             if len(kept.rows) % TOLD == 0:
-                record.notes = [*fixed, *tables(record, kept)]
+                record.notes = [*fixed, *tables(record, kept, models)]
                 record.write()
-    record.notes = [*fixed, *tables(record, kept)]
-    kept.finished = record.finished = len(kept.rows) >= len(REACHES) * MATERIALS
+    record.notes = [*fixed, *tables(record, kept, models)]
+    whole = len(models) * len(REACHES) * (MATERIALS if models == (OWN,) else FEW)
+    kept.finished = record.finished = len(kept.rows) >= whole
     kept.write()
     record.write()
 
 
-def tables(record, kept):
+def tables(record, kept, models):
     """Rows and targets of all materials so far, by reach of the noise and parameter, and what is to be said of them."""
     record.rows.clear()
     devices = Counter(row["details"]["device"] for row in kept.rows)
     said = [f"Computed on: {', '.join(f'{name} ({many} runs)' for name, many in sorted(devices.items()))}."]
-    for reach in REACHES:
-        rows = [row for row in kept.rows if row["correlation"] == reach]
+    for reach, model in product(REACHES, models):
+        rows = [row for row in kept.rows if (row["correlation"], row.get("model", OWN)) == (reach, model)]
         found = [row["details"]["ranks"] for row in rows if "ranks" in row["details"]]
         if not found:
             continue
         for name in dict.fromkeys(name for ranks in found for name in ranks):
             ranks = np.array([r[name] for r in found if name in r])
-            row = {"correlation": reach, "parameter": name, "materials": len(ranks)}
             seen = np.histogram(ranks, BINS, (0, 1))[0]
-            row |= {"p": uniform(ranks), "coverage %": 100 * float(np.mean(held(ranks)))}
-            record.rows.append({**row, "ranks": " ".join(map(str, seen))})
+            record.rows.append({
+                "correlation": reach, **({} if models == (OWN,) else {"model": model}), "parameter": name,
+                "materials": len(ranks), "p": uniform(ranks), "coverage %": 100 * float(np.mean(held(ranks))),
+                "ranks": " ".join(map(str, seen)),
+            })  # fmt: skip
         many = np.quantile([row["N"] for row in rows if row["N"]], (0.1, 0.5, 0.9))
         said.append(
-            f"Noise of {reach} correlation: {len(rows)} of {MATERIALS} materials; N is {many[1]:.3g} in the median, "
-            f"{many[0]:.3g} to {many[2]:.3g} in eight of ten; {len(rows) - len(found)} have no intervals, since the "
-            f"fit or a diagnostic failed. Of all 90 % intervals {together(found, '')} Of parameters that all channels "
-            f"share: {together(found, 'shared')} Of those of one channel: {together(found, 'channel')}"
+            f"Noise of {reach} correlation{'' if model == OWN else f', {model}'}: {len(rows)} of "
+            f"{MATERIALS if models == (OWN,) else FEW} materials; N is {many[1]:.3g} in the median, {many[0]:.3g} to "
+            f"{many[2]:.3g} in eight of ten; {len(rows) - len(found)} have no intervals, since the fit or a diagnostic "
+            f"failed. Of all 90 % intervals {together(found, '')} Of parameters that all channels share: "
+            f"{together(found, 'shared')} Of those of one channel: {together(found, 'channel')}"
         )
+    for reach in REACHES:
+        found = [
+            row["details"]["ranks"] for row in kept.rows if row["correlation"] == reach and "ranks" in row["details"]
+        ]
+        if not found:
+            continue
         ps, whole = record.column("p", correlation=reach), 100 * np.mean([held(r[name]) for r in found for name in r])
         record.set(f"{reach} p", min(1.0, min(ps) * len(ps)))
         record.set(f"{reach} all low", float(whole))

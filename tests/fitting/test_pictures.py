@@ -333,7 +333,6 @@ def test_pictures_are_written_in_the_format_asked_for(kind, tmp_path):
 
 def test_inspect_draws_what_it_is_asked_for(tmp_path, subject, monkeypatch):
     monkeypatch.setattr(inspection, "subject_of", lambda *_: subject)
-    monkeypatch.setattr(inspection, "use_persistent_cache", lambda: None)
     asked = ["peak", "trace"]
     assert inspection.show(tmp_path / "x.json", subject.result, Path("x.binary"), tmp_path, "pdf", asked)
     assert {p.name for p in tmp_path.iterdir()} == {f"gold-metallic-paint3.two-scale.{name}.pdf" for name in asked}
