@@ -210,6 +210,14 @@ def which(
         Path | None,
         typer.Option(help="Write tables that follow the file as nearly as may be to this MERL file.", metavar="FILE"),
     ] = None,
+    posterior: Annotated[
+        bool,
+        typer.Option(
+            "--posterior",
+            help="Sample the three of lowest BIC, and print total integrated scatter with intervals that include the "
+            "choice among them; minutes.",
+        ),
+    ] = False,
     dims: Dims = None,
     weights: SameWeights = None,
     force: Force = False,
@@ -220,10 +228,11 @@ def which(
     from ..settings.config import load
 
     settings = load(None, dims=dims, weights=weights, posterior=False)
+    sampling = load(None, dims=dims, weights=weights, posterior=True) if posterior else None
     from .compare import which_model
 
     with TemporaryDirectory(prefix="merlfit-") as scratch:
-        which_model(file, models, out or Path(scratch), settings, table, force)
+        which_model(file, models, out or Path(scratch), settings, table, force, sampling)
 
 
 @app.command(epilog="Example: merlfit metrics fits/nickel.json --against nickel.binary")

@@ -17,12 +17,24 @@ from ...scene.colour import coloured
 from ..fit.published_errors import assess_prediction
 from ..fit.tabulated import tabulated
 from ..fit.weights import weighted_samples
-from ..pipeline.comparison import FIT, compare_file
+from ..pipeline.comparison import FIT, Row, compare_file, config_of
 from ..pipeline.place import claimed, place_of
 from ..pipeline.run import fit_file
+from ..pipeline.stacking import scatter_of_several
 from ..results.schema import Result
 from ..settings.config import Config, ConfigError
-from ..show.comparison_table import NAME, beside_table, by_label, compared_in, table_of, verdict, write_tables
+from ..show.comparison_table import (
+    NAME,
+    beside_table,
+    by_label,
+    compared_in,
+    several_table,
+    several_words,
+    table_of,
+    verdict,
+    write_tables,
+)  # fmt: skip
+from ..support.clock import Report
 from ..support.compilation import programs_told, use_persistent_cache
 from ..support.numbers import counted
 from ..support.outputs import log, log_of, refuse_others, refuse_present
@@ -41,6 +53,8 @@ from ..support.terminal import (
 )  # fmt: skip
 from .fit import numbered, refuse_same_names
 
+MOST_SAMPLED = 3  # models whose posteriors are stacked
+EXPLAINED = ("CONVERGED", "AT_BOUND")
 NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
 
 
@@ -133,13 +147,32 @@ def compare_files(
         raise typer.Exit(code)
 
 
+def sampled(
+    rows: list[Row], measurement: Input, settings: Config, out: Path, say: Report
+) -> dict[str, tuple[Result, Path]]:
+    """Results with posteriors of the models of lowest BIC, `MOST_SAMPLED` at the most, and where they are."""
+    fitted = sorted((row for row in rows if row.status in EXPLAINED), key=lambda row: row.bic)
+    found: dict[str, tuple[Result, Path]] = {}
+    for row in fitted[:MOST_SAMPLED]:
+        own = config_of(settings, row.model)
+        with place_of(out / row.model, measurement.name) as place:
+            result = fit_file(measurement, place.folder, own, lambda stage, of=row.model: say(f"{of}: {stage}"))
+        if result.posterior is not None and result.posterior.sufficient:
+            found[row.model] = result, place.path
+        else:
+            note(f"{row.model}: has no intervals ({result.posterior.message if result.posterior else 'not sampled'})")
+    return found
+
+
 def which_model(
-    path: Path, names: str | None, out: Path, settings: Config, table_to: Path | None = None, force: bool = False
-) -> None:
+    path: Path, names: str | None, out: Path, settings: Config, table_to: Path | None = None, force: bool = False,
+    sampling: Config | None = None,
+) -> None:  # fmt: skip
     """Print which model is the least that explains a file; exits with 2 after bad input, with 1 if none was fitted.
 
     Args:
         table_to: the MERL file to write of tables that follow the file as nearly as may be; None for none.
+        sampling: settings with which the best are sampled, and their total integrated scatter is printed; None for no.
     """
     use_persistent_cache()
     writable_folder(out)
@@ -156,6 +189,8 @@ def which_model(
             grid = merl_grid(measurement.dims if isinstance(measurement, Measurement) else DIMS)
             write(table_to, coloured(table.on(grid), samples.bands), grid.above, grid.above.shape)
         rows, _ = compare_file(measurement, wanted, settings, out, told, False, placed)
+        best = sampled(rows, measurement, sampling, out, told) if sampling is not None else {}
+        several = scatter_of_several(best, measurement, samples) if best else None
     if not rows:
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)
@@ -165,5 +200,8 @@ def which_model(
         errors, _ = assess_prediction(table.predicted, measurement, samples, settings.fit.theta_max)
         said = beside_table(rows, table, errors)
     console.print(verdict(rows) + said)
+    if several is not None:
+        console.print(several_table(several, samples.bands.names))
+        console.print(several_words(several))
     if table_to is not None:
         console.print(f"{table_to}: the tables, as a MERL file")

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markdown_it import MarkdownIt
@@ -19,7 +20,9 @@ from ..fit.outcome import POOR
 from ..fit.selection import ALIKE, SEEN, VISIBLE, least, lost
 from ..fit.tabulated import Tabulated
 from ..pipeline.comparison import FIT, Row
-from ..support.numbers import distance, median, number
+from ..pipeline.stacking import ScatterOfSeveral
+from ..posterior.importance import LARGEST_K
+from ..support.numbers import counted, distance, median, number
 from ..support.tables import as_csv, as_markdown, table
 from .style import own_style, plain, save
 
@@ -29,6 +32,8 @@ FIGURES = {
     "rmse": "RMSE (1/sr)", "smape": "sMAPE", "cube_root": "cube-root error", "log": "log error",
     "picture": "dE", "highlight": "peak",
 }  # fmt: skip
+SORTED = ("rmse", "smape")  # errors of the figure
+COLOURS = 8  # models that it names
 NAME = "comparison"  # of the files of a comparison
 RANKED = ("rmse", "smape", "cube_root", "log", "picture", "highlight")
 """Errors by which models are ranked; of the peak, how far it is from 1 as a factor."""
@@ -335,16 +340,19 @@ def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
     labels = by_label(rows)
     several = max(map(len, labels.values())) > 1
     figure = Figure(figsize=(13, 5.6), layout="constrained")
-    for axis, name in zip(figure.subplots(1, 2), ("rmse", "smape"), strict=True):
-        for k, (each, own) in enumerate(labels.items()):
+    told = _nearest(labels)
+    for axis, name in zip(figure.subplots(1, 2), SORTED, strict=True):
+        for each, own in labels.items():
             found = np.sort([getattr(row.errors, name) for row in own])
             fitted = own[0].origin == FIT
-            if several:
-                style = ("-" if k < 10 else "-.") if fitted else ":"
-                axis.plot(np.linspace(0, 100, len(found)), found, style, color=f"C{k % 10}", label=plain(each),
-                          linewidth=2.4 if each == "two-scale" else 1.2)  # fmt: skip
-            else:
+            if not several:
                 axis.barh(plain(each), found, color="C0" if fitted else "C7")
+                continue
+            look: dict[str, Any] = {"color": "0.75", "linewidth": 0.8, "zorder": 1}
+            if each in told:
+                look = {"color": f"C{told.index(each)}", "linewidth": 2.4 if each == "two-scale" else 1.4}
+                look["label"] = plain(each)
+            axis.plot(np.linspace(0, 100, len(found)), found, "-" if fitted else ":", **look)
         if several:
             axis.set(yscale="log", xlabel="materials, each model sorted by itself (%)", ylabel=FIGURES[name])
         else:
@@ -352,6 +360,49 @@ def sorted_errors(rows: Sequence[Row], title: str) -> Figure:
             axis.set(xlabel=FIGURES[name])
         axis.grid(alpha=0.3)
     if several:
-        figure.axes[0].legend(fontsize=7.5, ncols=2)
+        if len(told) < len(labels):
+            figure.axes[0].plot([], [], color="0.75", linewidth=0.8, label=f"{len(labels) - len(told)} others")
+        figure.axes[0].legend(fontsize=8, loc="upper left")
     figure.suptitle(plain(title), fontsize=11)
     return figure
+
+
+def _nearest(labels: Mapping[str, Sequence[Row]]) -> list[str]:
+    """The two-scale model, if it is there, and the models of least errors in the median, as many as colours tell."""
+
+    def least(name: str) -> list[str]:
+        of_each = {each: median(getattr(row.errors, name) for row in own) for each, own in labels.items()}
+        return sorted(labels, key=lambda each: (math.isnan(of_each[each]), of_each[each]))
+
+    turns = zip(*map(least, SORTED), strict=True)
+    first = [name for name in ("two-scale",) if name in labels]
+    return list(dict.fromkeys([*first, *(name for each in turns for name in each)]))[:COLOURS]
+
+
+def several_table(found: ScatterOfSeveral, channels: Sequence[str]) -> Table:
+    """Total integrated scatter by incidence as each model's posterior has it, and as all together."""
+    drawn = table(
+        "total integrated scatter (TIS): medians and 90 % intervals of posteriors, and of all by their weights",
+        ("light at", "channel", *(f"{name} ({weight:.0%})" for name, weight in found.weights.items()), "together"),
+        ("channel",),
+    )
+
+    def said(ends: np.ndarray) -> str:
+        low, middle, high = map(number, ends.tolist())
+        return f"{middle} ({low} .. {high})"
+
+    for k, theta in enumerate(np.degrees(found.theta_i)):
+        for c, channel in enumerate(channels):
+            each = [said(x[:, c, k]) for x in (*found.own.values(), found.together)]
+            drawn.add_row(f"{number(theta)} deg", channel, *each)
+    return drawn
+
+
+def several_words(found: ScatterOfSeveral) -> str:
+    """How the weights were come by, and whether they can be trusted."""
+    doubtful = [name for name, k in found.pareto_k.items() if k > LARGEST_K]
+    return (
+        "weights: of the mixture of posteriors that predicts best what is left out of the data (stacking, Yao et al. "
+        f"2018), {counted(found.pieces, 'piece')} in turn, since they count as {number(found.count, 3)} independent"
+        + (f"; uncertain for {', '.join(doubtful)}, of which a piece says more than all others" if doubtful else "")
+    )
