@@ -318,6 +318,10 @@ def inspect(
             help="Which pictures, with commas between: lobes,corner; none for the numbers alone \\[default: all]."
         ),
     ] = None,
+    beside: Annotated[
+        list[str] | None,
+        typer.Option(help="Value from elsewhere, beta=0.12 or n=1.2,1.1,1.0, to be printed beside the fit's interval."),
+    ] = None,
     kind: Annotated[str, typer.Option("--format", help="png, pdf or svg.")] = "png",
     title: Annotated[
         bool, typer.Option("--title", help="Say above pictures what they are of; their metadata say it always.")
@@ -329,8 +333,9 @@ def inspect(
     Spheres, lobes, isolines, peak, residuals, errors, effects; with a posterior corner plots and a trace.
     """
     from ..show.inspection import inspect_result
+    from .settings import values_given
 
-    inspect_result(result, file, out, pictures, kind, force, title)
+    inspect_result(result, file, out, pictures, kind, force, title, values_given(beside, "--beside"))
 
 
 @app.command(epilog="Example: merlfit view fits/nickel.json")

@@ -40,9 +40,9 @@ def begun(settings: Config, files: Sequence[Path]) -> AbstractContextManager[Non
     return loaded_ahead(settings.occasion(files[0].suffix), settings.model.name != AUTO)
 
 
-def values_given(given: Options) -> dict[str, list[float]]:
-    """What --set says of parameters: numbers by name."""
-    return {name: _numbers("--set", said, said.split(",")) for name, said in _named("--set", given)}
+def values_given(given: Options, option: str = "--set") -> dict[str, list[float]]:
+    """What --set, or another option, says of parameters: numbers by name."""
+    return {name: _numbers(option, said, said.split(",")) for name, said in _named(option, given)}
 
 
 def _named(option: str, given: Options) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ from ..fit.problem import energy
 from ..fit.residuals import predict_samples
 from ..fit.total_scatter import incidences_of, of_values
 from ..fit.transforms import Layout
-from ..posterior.stacking import log_densities, pieces_of, stacked
+from ..posterior.stacking import Said, pieces_of, stacked
 from ..results.schema import Result
 from ..settings.config import parse
 from ..support.threads import CORES
@@ -60,20 +60,22 @@ def scatter_of_several(
     costs = [(r.fit.cost or 0.0, r.fit.effective_bins or 1.0) for r, _ in results.values()]
     count = min(costs)[1]
     pieces = pieces_of(_places(few, few.weight * few.value**2), count)
-    densities, drawn = [], []
+    said, drawn = [], []
     for result, path in results.values():
         assert result.model is not None
         layout = layout_for(parse(result.config, result.source.material), result.model.measured, result.model.bands)
         chain = chain_file(result, path)
-        values = layout.structure.named(chain["values"][resampled(chain["weights"], DRAWS)])
+        rows = resampled(chain["weights"], DRAWS)
+        values = layout.structure.named(chain["values"][rows])
         variance = (result.fit.cost or 0.0) / count
-        densities.append(log_densities(_squares(layout, values, few), pieces, variance, count))
+        likelihood = np.asarray(chain["log_likelihood"])[rows]
+        said.append(Said.of(_squares(layout, values, few), pieces, likelihood, variance, count))
         drawn.append(of_values(layout.material, values, layout.bands, theta_i))
-    found = stacked(densities)
+    found = stacked(said)
     shares = np.repeat(found.weights / DRAWS, DRAWS)
     return ScatterOfSeveral(
         dict(zip(results, found.weights.tolist(), strict=True)),
-        dict(zip(results, found.pareto_k.tolist(), strict=True)), count, densities[0].shape[1], theta_i,
+        dict(zip(results, found.pareto_k.tolist(), strict=True)), count, int(pieces.max()) + 1, theta_i,
         {name: quantiles(each, np.ones(DRAWS)) for name, each in zip(results, drawn, strict=True)},
         quantiles(np.concatenate(drawn), shares),
     )  # fmt: skip

@@ -1,15 +1,16 @@
 """Weights of models by how well each one's posterior predicts what it has not seen (Yao et al. 2018).
 
 The data are parted into pieces, as many as residuals are independent. What a model's posterior says of a piece that is
-left out follows from its draws by importance weights (PSIS-LOO, Vehtari et al. 2017, by ArviZ). The weights are those
-of the mixture of posteriors that predicts the pieces best.
+left out follows from its draws by importance weights, smoothed by ArviZ (PSIS-LOO, Vehtari et al. 2017). The weights
+are those of the mixture of posteriors that predicts the pieces best.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from arviz_stats.base.array import array_stats
+
+from .importance import smoothed
 
 FEWEST, MOST = 8, 64  # pieces
 STEPS, SETTLED = 10_000, 1e-9  # of the search for the weights
@@ -38,23 +39,47 @@ def pieces_of(energy: np.ndarray, count: float) -> np.ndarray:
     return np.minimum((many * before / energy.sum()).astype(int), many - 1)
 
 
-def log_densities(squares: np.ndarray, pieces: np.ndarray, variance: float, count: float) -> np.ndarray:
-    """Logarithms of the probability densities of pieces, (n, B), for n draws.
+class Said(NamedTuple):
+    """What draws of a model's posterior say of pieces.
 
-    Args:
-        squares: of residuals, (n, S), summed over all. pieces: which one each is in. variance: of one of N residuals.
-            count: N.
+    Attributes:
+        contributions: of each piece to the logarithm of the likelihood, (n, B). densities: logarithms of the
+            probability density of each piece, (n, B).
     """
-    many = int(pieces.max()) + 1
-    each = squares @ (pieces[:, None] == np.arange(many))
-    return -each / (2 * variance) - count / many * np.log(2 * np.pi * variance) / 2
+
+    contributions: np.ndarray
+    densities: np.ndarray
+
+    @classmethod
+    def of(
+        cls, squares: np.ndarray, pieces: np.ndarray, log_likelihood: np.ndarray, variance: float, count: float
+    ) -> "Said":
+        """Of draws by their residuals.
+
+        The likelihood is no product over pieces, since residuals are correlated: each piece has of its logarithm what
+        it has of the squares.
+
+        Args:
+            squares: of residuals, (n, S). pieces: which one each is in. log_likelihood: of the draws, (n,).
+            variance: of one of N residuals. count: N.
+        """
+        many = int(pieces.max()) + 1
+        each = squares @ (pieces[:, None] == np.arange(many))
+        densities = -each / (2 * variance) - count / many * np.log(2 * np.pi * variance) / 2
+        return cls(log_likelihood[:, None] * each / each.sum(1, keepdims=True), densities)
+
+    def left_out(self) -> tuple[np.ndarray, float]:
+        """Logarithms of the density of each piece by the posterior of all others, (B,), and Pareto's largest k."""
+        found = [smoothed(-each) for each in self.contributions.T]
+        weights = np.stack([w for w, _ in found], 1)
+        highest = self.densities.max(0)
+        return np.log(np.sum(weights * np.exp(self.densities - highest), 0)) + highest, max(k for _, k in found)
 
 
-def stacked(densities: Sequence[np.ndarray]) -> Stacked:
-    """Weights of models from the `log_densities` of their draws, (n, B) each, which need not be as many."""
-    found = [array_stats.loo(each[None], chain_axis=0, draw_axis=1) for each in densities]
-    expected = np.stack([np.asarray(one[0]) for one in found])
-    return Stacked(best_mixture(expected), np.array([np.max(one[1]) for one in found]))
+def stacked(models: Sequence[Said]) -> Stacked:
+    """Weights of models, each of which may have as many draws as it likes."""
+    found = [each.left_out() for each in models]
+    return Stacked(best_mixture(np.stack([x for x, _ in found])), np.array([k for _, k in found]))
 
 
 def best_mixture(expected: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """`merlfit inspect`: a result in tables and pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import typer
 
 from ...merl_io.atomic import WriteError
 from ...merl_io.source import is_regular
-from ..pipeline.draws import NoPicture
+from ..pipeline.draws import NoPicture, chain_file
 from ..results.schema import Result
 from ..results.storage import read_result
 from ..support.kept import loaded_ahead
@@ -17,24 +17,30 @@ from ..support.terminal import BAD_INPUT, console, fail, note, writable_folder
 from . import style
 from .pictures import PICTURES, usual
 from .subject import Subject, subject_of
-from .terminal_tables import pictures_table, print_result
+from .terminal_tables import beside_table, pictures_table, print_result
 
 FORMATS = ("png", "pdf", "svg")
+NOTHING: Mapping[str, Sequence[float]] = {}
 
 
 def inspect_result(
     result: Path, file: Path | None, out: Path | None, pictures: str | None, kind: str,
-    force: bool = False, titled: bool = False,
+    force: bool = False, titled: bool = False, beside: Mapping[str, Sequence[float]] = NOTHING,
 ) -> None:  # fmt: skip
     """Print a result and write its pictures; exits with 2 where the file that was asked for cannot be drawn.
 
     Args:
         pictures: names with commas between; "none" for the numbers alone. force: write over any file. titled: say above
-            pictures what they are of.
+            pictures what they are of. beside: values by name, one or one for each channel, to compare the fit's with;
+            then pictures only where they are asked for.
     """
     read = read_result(result)
+    if beside:
+        print_beside(read, result, beside)
+        if pictures is None:
+            return None
     if pictures == "none":
-        return print_result(console, read)
+        return None if beside else print_result(console, read)
     only = [] if pictures is None else [name.strip() for name in pictures.split(",")]
     for name in only:
         if name not in PICTURES:
@@ -44,6 +50,26 @@ def inspect_result(
     found = file or file_of(result, read)
     if not show(result, read, found, out or result.parent, kind, only, file is not None, force, titled):
         raise typer.Exit(BAD_INPUT)
+
+
+def print_beside(result: Result, path: Path, values: Mapping[str, Sequence[float]]) -> None:
+    """Print values from elsewhere beside the fit's intervals."""
+    names, given = [q.name for q in result.parameters], {}
+    for name, each in values.items():
+        own = [q.name for q in result.parameters if name in (q.name, q.parameter)]
+        if not own or len(each) not in (1, len(own)):
+            needed = f"one value or {len(own)}" if own else f"a parameter of this fit: {', '.join(names)}"
+            raise fail(f"--beside {name}: should be {needed}")
+        given |= dict(zip(own, list(each) * (len(own) // len(each)), strict=True))
+    shares = {}
+    if any(q.quantiles for q in result.parameters):
+        try:
+            chain = chain_file(result, path)
+        except NoPicture as error:
+            raise fail(str(error)) from None
+        below = {name: chain["values"][:, names.index(name)] < x for name, x in given.items()}
+        shares = {name: float(chain["weights"] @ each) for name, each in below.items()}
+    console.print(beside_table(result, given, shares))
 
 
 def file_of(path: Path, result: Result) -> Path:

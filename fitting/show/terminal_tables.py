@@ -108,6 +108,27 @@ def parameter_table(result: Result) -> Table:
     return drawn
 
 
+def beside_table(result: Result, given: Mapping[str, float], shares: Mapping[str, float]) -> Table:
+    """Values from elsewhere, such as printed ones, beside the fit's intervals.
+
+    Args:
+        given: by name of the number. shares: of the posterior that is below each, where it was sampled.
+    """
+    known = {q.name: q for q in result.parameters}
+    said = f"90 % intervals {'of the posterior' if shares else LAPLACE}, each whatever the others are"
+    heads = ("parameter", "given", "median" if shares else "value", "5 .. 95 %", "unit", "given is")
+    drawn = table(f"{result.source.material}: given values beside the fit's; {said}", heads, ("parameter", "given is"))
+    for name, value in given.items():
+        q = known[name]
+        ends = q.quantiles if shares else q.laplace
+        where = "-" if ends is None else "inside" if ends.q05 <= value <= ends.q95 else "outside"
+        if name in shares:
+            where += f", above {shares[name]:.1%} of the posterior"
+        middle = median(q) if shares else number(q.value)
+        drawn.add_row(name, number(value), middle, interval(ends), unit(q.unit), where)
+    return drawn
+
+
 def material_words(material: Reflectance) -> str:
     """What a material is, for people."""
     if not isinstance(material, TwoScale):

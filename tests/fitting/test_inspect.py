@@ -99,3 +99,32 @@ def test_the_file_of_a_fit_is_found_from_where_it_ran(tmp_path):
 def test_a_path_of_other_people_is_no_error(tmp_path):
     named = made(path="x" * 5000)
     assert file_of(tmp_path / "nickel.json", named) == Path("x" * 5000)
+
+
+def test_values_from_elsewhere_stand_beside_the_posterior(tmp_path):
+    result = put_result(tmp_path, posterior=True)
+    names, count = [q.name for q in result.parameters], 400
+    k = names.index("beta")
+    draws = {"values": np.ones((count, len(names))), "weights": np.full(count, 1 / count)}
+    draws["values"][:, k] = np.linspace(0.1, 0.2, count)
+    np.savez(tmp_path / "nickel.chain.npz", names=names, **draws)
+    result.posterior.draws_sha1 = sha1_of_draws(**draws)
+    result.parameters[k].quantiles = result.parameters[k].quantiles.model_copy(update={"q05": 0.105, "q95": 0.195})
+    write_result(tmp_path / "nickel.json", result)
+    shown = call("inspect", tmp_path / "nickel.json", "--beside", "beta=0.13", "--beside", "n=2,2,0.5")
+    lines = [line.split() for line in shown.stdout.splitlines()]
+    beta = next(line for line in lines if line[:1] == ["beta"])
+    assert beta[1] == "0.13"
+    assert " ".join(beta).endswith("inside, above 30.0% of the posterior")
+    assert [line[1] for line in lines if line and line[0].startswith("n_")] == ["2", "2", "0.5"]
+    assert "above 0.0% of the posterior" in next(" ".join(line) for line in lines if line[:1] == ["n_B"])
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_values_beside_a_fit_that_was_not_sampled_and_of_what_it_lacks(tmp_path):
+    put_result(tmp_path)
+    shown = call("inspect", tmp_path / "nickel.json", "--beside", "beta=0.5")
+    assert "by the Laplace approximation" in shown.stdout
+    refused = call("inspect", tmp_path / "nickel.json", "--beside", "alpha=0.5")
+    assert refused.exit_code == BAD_INPUT
+    assert "--beside alpha: should be a parameter of this fit: beta" in " ".join(refused.stderr.split())
