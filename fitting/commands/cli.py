@@ -3,6 +3,7 @@
 import logging
 import os
 import time
+from contextlib import nullcontext
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated
@@ -156,22 +157,22 @@ def fit(
     Exit code: 0 if all succeeded, 1 if a fit failed, 2 if input was bad.
     """
     from ..settings.config import load
-    from .settings import begun, parameters_given
+    from .settings import parameters_given, programs_of
 
     settings = load(
         config, dims=dims, origin=origin, quantity=quantity, model=model, preset=preset, index=index,
         body=body, weights=weights, posterior=posterior, seed=seed,
         parameters=parameters_given(fix, bounds, start, tie),
     )  # fmt: skip
-    plain = accuracy is within is executor is device is None
-    with begun(settings, files if plain else []):
+    alone = len(files) == 1 and not resume and accuracy is within is executor is device is None
+    with programs_of(settings, files[0]) if alone else nullcontext():
         from .fit import aims_of, device_of, fit_files, summarise
 
         given = [option for option, x in {"--accuracy": accuracy, "--time": within}.items() if x is not None]
         chosen = device_of(device, settings, *given, *(["--executor"] if executor is not None else []))
         aims = aims_of(settings, accuracy, within, files)
         outcomes = fit_files(files, out, settings, aims, jobs, resume, executor, chosen)
-        summarise(outcomes)
+    summarise(outcomes)
 
 
 @app.command(epilog="Example: merlfit compare nickel.binary red-plastic.binary --models two-scale,ggx,sgd -o compared")
@@ -228,11 +229,10 @@ def which(
     from ..settings.config import load
 
     settings = load(None, dims=dims, weights=weights, posterior=False)
-    sampling = load(None, dims=dims, weights=weights, posterior=True) if posterior else None
     from .compare import which_model
 
     with TemporaryDirectory(prefix="merlfit-") as scratch:
-        which_model(file, models, out or Path(scratch), settings, table, force, sampling)
+        which_model(file, models, out or Path(scratch), settings, table, force, posterior, out is not None)
 
 
 @app.command(epilog="Example: merlfit metrics fits/nickel.json --against nickel.binary")

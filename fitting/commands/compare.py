@@ -1,5 +1,6 @@
 """Models compared on files, as `merlfit compare` and `merlfit which` do it."""
 
+import json
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -8,7 +9,7 @@ from pathlib import Path
 import typer
 
 from ...merl_io import inputs
-from ...merl_io.atomic import WriteError, refused
+from ...merl_io.atomic import WriteError, refused, write_text
 from ...merl_io.binary import DIMS, Measurement, MerlError, write
 from ...merl_io.grid import merl_grid
 from ...merl_io.inputs import Input
@@ -17,8 +18,10 @@ from ...scene.colour import coloured
 from ..fit.published_errors import assess_prediction
 from ..fit.tabulated import tabulated
 from ..fit.weights import weighted_samples
-from ..pipeline.comparison import FIT, Row, compare_file, config_of
+from ..pipeline.comparison import FIT, Row, compare_file
+from ..pipeline.draws import NoPicture
 from ..pipeline.place import claimed, place_of
+from ..pipeline.resampling import resample
 from ..pipeline.run import fit_file
 from ..pipeline.stacking import scatter_of_several
 from ..results.schema import Result
@@ -54,7 +57,6 @@ from ..support.terminal import (
 from .fit import numbered, refuse_same_names
 
 MOST_SAMPLED = 3  # models whose posteriors are stacked
-EXPLAINED = ("CONVERGED", "AT_BOUND")
 NOT_GENUINE = "files that are not (all) genuine MERL measurements, by their SHA-1"
 
 
@@ -148,36 +150,73 @@ def compare_files(
 
 
 def sampled(
-    rows: list[Row], measurement: Input, settings: Config, out: Path, say: Report
+    rows: list[Row], results: dict[str, Result], measurement: Input, out: Path, say: Report
 ) -> dict[str, tuple[Result, Path]]:
-    """Results with posteriors of the models of lowest BIC, `MOST_SAMPLED` at the most, and where they are."""
-    fitted = sorted((row for row in rows if row.status in EXPLAINED), key=lambda row: row.bic)
+    """Results of the models of lowest BIC, `MOST_SAMPLED` at the most, with posteriors; where each is.
+
+    Those that have one already are left alone, and chains go on where they were stopped. What fails is said.
+    """
+    best = sorted((row for row in rows if results[row.model].fit.succeeded), key=lambda row: row.bic)[:MOST_SAMPLED]
     found: dict[str, tuple[Result, Path]] = {}
-    for row in fitted[:MOST_SAMPLED]:
-        own = config_of(settings, row.model)
-        with place_of(out / row.model, measurement.name) as place:
-            result = fit_file(measurement, place.folder, own, lambda stage, of=row.model: say(f"{of}: {stage}"))
+    for model in (row.model for row in best):
+        path, result = out / model / f"{measurement.name}.json", results[model]
+        try:
+            if result.posterior is None or not result.posterior.sufficient:
+                result = resample(path, result, measurement, None, lambda stage, of=model: say(f"{of}: {stage}"))
+        except (MerlError, RuntimeError) as error:
+            note(f"{model} was not sampled: {error}")
+            continue
         if result.posterior is not None and result.posterior.sufficient:
-            found[row.model] = result, place.path
+            found[model] = result, path
         else:
-            note(f"{row.model}: has no intervals ({result.posterior.message if result.posterior else 'not sampled'})")
+            note(f"{model} has no intervals: {result.posterior.message if result.posterior else 'not sampled'}")
     return found
+
+
+def print_together(
+    rows: list[Row], results: dict[str, Result], measurement: Input, out: Path, say: Report, kept: bool
+) -> None:
+    """Sample the best models, and print total integrated scatter by each and by all together.
+
+    Args:
+        kept: whether ``out`` stays, and what is printed is written there, too.
+    """
+    try:
+        best = sampled(rows, results, measurement, out, say)
+        several = scatter_of_several(best, measurement, say) if len(best) > 1 else None
+    except NoPicture as error:
+        raise fail(str(error)) from None
+    if several is None:
+        raise fail(f"{measurement.name}: fewer than two models have posteriors to stack")
+    console.print(several_table(several, measurement.bands.names))
+    console.print(several_words(several))
+    if kept:
+        target = _stacked(out, measurement.name)
+        write_text(target, json.dumps(several.plain(measurement.bands.names), indent=1) + "\n")
+        console.print(f"wrote {target}")
+
+
+def _stacked(out: Path, name: str) -> Path:
+    return out / f"{name}.stacked.json"
 
 
 def which_model(
     path: Path, names: str | None, out: Path, settings: Config, table_to: Path | None = None, force: bool = False,
-    sampling: Config | None = None,
+    sampling: bool = False, kept: bool = True,
 ) -> None:  # fmt: skip
     """Print which model is the least that explains a file; exits with 2 after bad input, with 1 if none was fitted.
 
     Args:
         table_to: the MERL file to write of tables that follow the file as nearly as may be; None for none.
-        sampling: settings with which the best are sampled, and their total integrated scatter is printed; None for no.
+        sampling: whether the best are sampled, and their total integrated scatter is printed. kept: whether ``out``
+            stays.
     """
     use_persistent_cache()
     writable_folder(out)
     if table_to is not None:
         refuse_present(table_to, force)
+    if sampling and kept:
+        refuse_others([_stacked(out, path.stem)], force)
     wanted = chosen_models(names)
     with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
         measurement = inputs.read(path, dims=settings.input.allowed, quantity=settings.input.quantity)
@@ -188,9 +227,7 @@ def which_model(
                 raise fail(f"{path}: has too few directions, or no light in a channel, for tables; leave --table out")
             grid = merl_grid(measurement.dims if isinstance(measurement, Measurement) else DIMS)
             write(table_to, coloured(table.on(grid), samples.bands), grid.above, grid.above.shape)
-        rows, _ = compare_file(measurement, wanted, settings, out, told, False, placed)
-        best = sampled(rows, measurement, sampling, out, told) if sampling is not None else {}
-        several = scatter_of_several(best, measurement, samples) if best else None
+        rows, results = compare_file(measurement, wanted, settings, out, told, False, placed)
     if not rows:
         fail(f"{path}: no model could be fitted; see `merlfit check`")
         raise typer.Exit(FAILED_FIT)
@@ -200,8 +237,13 @@ def which_model(
         errors, _ = assess_prediction(table.predicted, measurement, samples, settings.fit.theta_max)
         said = beside_table(rows, table, errors)
     console.print(verdict(rows) + said)
-    if several is not None:
-        console.print(several_table(several, samples.bands.names))
-        console.print(several_words(several))
     if table_to is not None:
         console.print(f"{table_to}: the tables, as a MERL file")
+    if not sampling:
+        return
+    try:
+        with claimed_for(wanted, out), reporting(path.name, path.stem) as say, programs_told(say) as told:
+            print_together(rows, results, measurement, out, told, kept)
+    except Stopped as stop:
+        note(f"stopped by {stop}; {'the same command goes on from there' if kept else 'with -o it could be gone on'}")
+        raise typer.Exit(stop.code) from None

@@ -1,7 +1,7 @@
 """What commands are told of parameters."""
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +31,11 @@ def parameters_given(fix: Options, bounds: Options, start: Options, tie: Options
     return parameters_of(single, bounded, started, [name.strip() for name in tie or ()])
 
 
-def begun(settings: Config, files: Sequence[Path]) -> AbstractContextManager[None]:
-    """Of a single file, which is fitted in this process: its programs are loaded while libraries are still imported."""
-    if len(files) != 1:
-        return nullcontext()
+def programs_of(settings: Config, file: Path) -> AbstractContextManager[None]:
+    """The time in which programs that a fit of this file needs are loaded, while libraries are still imported."""
     from ..support.kept import loaded_ahead  # and JAX, which settings do without
 
-    return loaded_ahead(settings.occasion(files[0].suffix), settings.model.name != AUTO)
+    return loaded_ahead(settings.occasion(file.suffix), settings.model.name != AUTO)
 
 
 def values_given(given: Options, option: str = "--set") -> dict[str, list[float]]:

@@ -1,28 +1,24 @@
 """Total integrated scatter as several models' posteriors have it, and as all of them have it together."""
 
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...merl_io.inputs import Input
 from ...merl_io.samples import Samples
-from ..fit.problem import energy
-from ..fit.residuals import predict_samples
-from ..fit.total_scatter import incidences_of, of_values
-from ..fit.transforms import Layout
-from ..posterior.stacking import Said, pieces_of, stacked
+from ..fit.problem import Problem
+from ..fit.total_scatter import incidences_of
+from ..posterior.likelihood import on_all
+from ..posterior.stacking import log_densities, pieces_of, stacked
 from ..results.schema import Result
-from ..settings.config import parse
-from ..support.threads import CORES
-from ..support.weighted import quantiles, resampled
+from ..support.clock import Report, silent
+from ..support.weighted import quantiles
 from .draws import chain_file
-from .models import layout_for
-from .search import COARSE, AnySamples, thinned
-
-DRAWS = 400  # of each posterior
+from .resampling import fitted_of
+from .search import AnySamples, make_coarse
 
 
 @dataclass(frozen=True)
@@ -44,55 +40,78 @@ class ScatterOfSeveral:
     own: dict[str, np.ndarray]
     together: np.ndarray
 
+    def plain(self, channels: Sequence[str]) -> dict[str, Any]:
+        """As plain data of JSON."""
+
+        def rows(x: np.ndarray) -> list[dict[str, Any]]:
+            return [
+                {"theta_i_deg": round(float(np.degrees(theta)), 3), "channel": channel,
+                 **dict(zip(("q05", "q50", "q95"), x[:, c, k].tolist(), strict=True))}
+                for k, theta in enumerate(self.theta_i) for c, channel in enumerate(channels)
+            ]  # fmt: skip
+
+        return {
+            "format": "merlfit-stacked 1.0", "weights": self.weights, "pareto_k": self.pareto_k,
+            "effective_bins": self.count, "pieces": self.pieces,
+            "tis": {"together": rows(self.together), **{name: rows(x) for name, x in self.own.items()}},
+        }  # fmt: skip
+
 
 def scatter_of_several(
-    results: Mapping[str, tuple[Result, Path]], measurement: Input, samples: AnySamples
+    results: Mapping[str, tuple[Result, Path]], measurement: Input, report: Report = silent
 ) -> ScatterOfSeveral:
     """Of results with posteriors, by name of the model.
 
     Args:
-        results: with their paths. samples: of the file, weighted alike for all models.
+        results: with their paths; of the same measurement.
 
     Raises:
         merlfit.fitting.pipeline.draws.NoPicture: the chain of one cannot be read.
     """
-    few, theta_i = thinned(samples, COARSE), incidences_of(measurement)
-    costs = [(r.fit.cost or 0.0, r.fit.effective_bins or 1.0) for r, _ in results.values()]
-    count = min(costs)[1]
-    pieces = pieces_of(_places(few, few.weight * few.value**2), count)
-    said, drawn = [], []
-    for result, path in results.values():
-        assert result.model is not None
-        layout = layout_for(parse(result.config, result.source.material), result.model.measured, result.model.bands)
-        chain = chain_file(result, path)
-        rows = resampled(chain["weights"], DRAWS)
-        values = layout.structure.named(chain["values"][rows])
-        variance = (result.fit.cost or 0.0) / count
-        likelihood = np.asarray(chain["log_likelihood"])[rows]
-        said.append(Said.of(_squares(layout, values, few), pieces, likelihood, variance, count))
-        drawn.append(of_values(layout.material, values, layout.bands, theta_i))
-    found = stacked(said)
-    shares = np.repeat(found.weights / DRAWS, DRAWS)
+    theta_i = incidences_of(measurement)
+    found = {name: fitted_of(path, result, measurement) for name, (result, path) in results.items()}
+    fits = {name: fitted for name, (fitted, _, _) in found.items()}
+    best, samples, _ = min(found.values(), key=lambda each: each[0].model_error or each[0].solution.cost)
+    problem, _ = make_coarse(samples)
+    places, energy = _places(problem, samples)
+    piece = pieces_of(energy, best.count)
+    counts = best.count * np.bincount(piece, energy) / energy.sum()
+    said, drawn, shares = [], [], []
+    for name, (result, path) in results.items():
+        report(f"{name}: what it says of what is left out")
+        chain, fitted = chain_file(result, path), fits[name]
+        points = fitted.layout.free(fitted.layout.structure.named(chain["values"]))
+        weights = chain["weights"]
+        likelihood = on_all(fitted.layout, fitted.solution.z, problem, fitted.noise)
+        at_fit = likelihood.weighed(fitted.solution.z[None]) - likelihood.target
+        variance = float(np.sum(at_fit.astype(float) ** 2)) / best.count
+        said.append((log_densities(likelihood, points, piece[places], variance, counts), weights))
+        drawn.append(fitted.scatter_at(points, theta_i))
+        shares.append(weights / weights.sum())
+    weighed = stacked(said)
+    together = np.concatenate([w * each for w, each in zip(weighed.weights, shares, strict=True)])
     return ScatterOfSeveral(
-        dict(zip(results, found.weights.tolist(), strict=True)),
-        dict(zip(results, found.pareto_k.tolist(), strict=True)), count, int(pieces.max()) + 1, theta_i,
-        {name: quantiles(each, np.ones(DRAWS)) for name, each in zip(results, drawn, strict=True)},
-        quantiles(np.concatenate(drawn), shares),
+        dict(zip(results, weighed.weights.tolist(), strict=True)),
+        dict(zip(results, weighed.pareto_k.tolist(), strict=True)), best.count, len(counts), theta_i,
+        {name: quantiles(x, w) for name, x, w in zip(results, drawn, shares, strict=True)},
+        quantiles(np.concatenate(drawn), together),
     )  # fmt: skip
 
 
-def _squares(layout: Layout, values: Mapping[str, np.ndarray], few: AnySamples) -> np.ndarray:
-    """Weighted squares of residuals for draws, relative to the energy of all, (n, S)."""
+def _places(problem: Problem, samples: AnySamples) -> tuple[np.ndarray, np.ndarray]:
+    """The place of each weighted residual, (M,), and the energy of all places, (S,).
 
-    def of_one(k: int) -> np.ndarray:
-        predicted = predict_samples(layout.model, {name: x[k] for name, x in values.items()}, few)
-        return _places(few, few.weight * (few.value - predicted) ** 2) / energy(few)
-
-    with ThreadPoolExecutor(CORES) as pool:
-        return np.stack(list(pool.map(of_one, range(DRAWS))))
-
-
-def _places(few: AnySamples, x: np.ndarray) -> np.ndarray:
-    """Sums over the channels in an order in which neighbours in theta_d, then theta_h, stay together, (S,)."""
-    summed = np.nan_to_num(x).sum(0)
-    return (summed.swapaxes(0, 1) if isinstance(few, Samples) else summed).ravel()
+    A place is a row of bins of all channels, or a scattered sample. Of bins those of one theta_d come one after the
+    other, in order of theta_h.
+    """
+    found, energies, count = [], [], 0
+    for part in problem.parts:
+        target = np.asarray(part.target)  # (N, C, h, D, K)
+        blocks, _, rows, columns, _ = target.shape
+        order = np.arange(blocks * rows * columns).reshape(blocks, rows, columns)
+        if isinstance(samples, Samples):
+            order = np.moveaxis(order.reshape(columns, blocks, rows), 0, -1)
+        found.append(count + np.broadcast_to(order[:, None, :, :, None], target.shape).ravel())
+        energies.append(np.bincount(order.ravel(), np.sum(target.astype(float) ** 2, (1, 4)).ravel()))
+        count += order.size
+    return np.concatenate(found), np.concatenate(energies)

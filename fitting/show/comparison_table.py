@@ -383,7 +383,7 @@ def several_table(found: ScatterOfSeveral, channels: Sequence[str]) -> Table:
     """Total integrated scatter by incidence as each model's posterior has it, and as all together."""
     drawn = table(
         "total integrated scatter (TIS): medians and 90 % intervals of posteriors, and of all by their weights",
-        ("light at", "channel", *(f"{name} ({weight:.0%})" for name, weight in found.weights.items()), "together"),
+        ("light at", "channel", "together", *(f"{name} ({weight:.0%})" for name, weight in found.weights.items())),
         ("channel",),
     )
 
@@ -393,7 +393,7 @@ def several_table(found: ScatterOfSeveral, channels: Sequence[str]) -> Table:
 
     for k, theta in enumerate(np.degrees(found.theta_i)):
         for c, channel in enumerate(channels):
-            each = [said(x[:, c, k]) for x in (*found.own.values(), found.together)]
+            each = [said(x[:, c, k]) for x in (found.together, *found.own.values())]
             drawn.add_row(f"{number(theta)} deg", channel, *each)
     return drawn
 
@@ -403,6 +403,6 @@ def several_words(found: ScatterOfSeveral) -> str:
     doubtful = [name for name, k in found.pareto_k.items() if k > LARGEST_K]
     return (
         "weights: of the mixture of posteriors that predicts best what is left out of the data (stacking, Yao et al. "
-        f"2018), {counted(found.pieces, 'piece')} in turn, since they count as {number(found.count, 3)} independent"
-        + (f"; uncertain for {', '.join(doubtful)}, of which a piece says more than all others" if doubtful else "")
+        f"2018), {counted(found.pieces, 'piece')} in turn; residuals are worth {number(found.count, 3)} independent"
+        + (f"; uncertain of {', '.join(doubtful)}: Pareto k is above {LARGEST_K} for a piece" if doubtful else "")
     )

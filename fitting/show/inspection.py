@@ -103,7 +103,9 @@ def show(
         note(f"nothing to draw: the fit ended {result.fit.status}")
         return True
     writable_folder(out)
-    with loaded_ahead(repr(("inspect", result.model.name, result.source.format, *sorted(only)))):
+    m, sampled = result.model, result.posterior is not None
+    of = "inspect", m.name, sorted(m.settings.items()), result.source.format, sampled, sorted(only)
+    with loaded_ahead(repr(of)):
         return _drawn(path, result, file, out, kind, only, needs_file, force, titled)
 
 

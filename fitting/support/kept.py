@@ -154,10 +154,10 @@ def loaded_ahead(occasion: str, remember: bool = True) -> Iterator[None]:
     Args:
         occasion: word for what programs depend on. remember: whether to load the next time what is used now.
     """
+    use_cache()
     if _ahead.occasion or jax.default_backend() != "cpu" or _ahead.used:  # a process that has begun has its programs
         yield
         return
-    use_cache()
     listed, names = _folder() / f"{_digest(occasion)}.json", []
     with suppress(OSError, ValueError, TypeError):
         names = [str(name) for name in json.loads(listed.read_text())]

@@ -27,6 +27,7 @@ MARKS = {
     "rows.json": rb'\A\{\s*"made of": \{',
     "render.json": rb'\A\{\s*"seconds": \{[^}]*\},\s*"difference": \{[^}]*\},\s*"within":',
     ".material.json": rb'\A\{\s*"format": "merlfit-material ',
+    ".stacked.json": rb'\A\{\s*"format": "merlfit-stacked ',
     ".abg.json": rb'\A\{\s*"format": "merlfit-abg ',
     ".k-correlation.json": rb'\A\{\s*"format": "merlfit-k-correlation ',
     ".zemax.bsdf": rb"\A# [^\n]* by merlfit ",

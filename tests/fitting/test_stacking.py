@@ -1,22 +1,21 @@
 """Stacked posteriors: weights against a grid search and known cases, and one interval of several models."""
 
-from pathlib import Path
+import json
 
 import numpy as np
 import pytest
-from merlfit.fitting.fit.total_scatter import USUAL
+from merlfit.fitting.cost import calibration
+from merlfit.fitting.fit.total_scatter import USUAL, of_values
 from merlfit.fitting.fit.weights import weighted_samples
-from merlfit.fitting.pipeline import stacking
-from merlfit.fitting.pipeline.stacking import scatter_of_several
-from merlfit.fitting.posterior.stacking import Said, best_mixture, pieces_of, stacked
-from merlfit.fitting.settings.config import load
-from merlfit.fitting.show.comparison_table import several_table, several_words
+from merlfit.fitting.pipeline.search import make_coarse
+from merlfit.fitting.pipeline.stacking import _places
+from merlfit.fitting.posterior.likelihood import Likelihood
+from merlfit.fitting.posterior.stacking import best_mixture, left_out, log_densities, pieces_of
 from merlfit.merl_io.bands import MERL
 from merlfit.merl_io.binary import read
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from tests.support.command import call
-from tests.support.made_results import made
 
 
 def test_weights_are_those_of_the_best_mixture():
@@ -40,61 +39,93 @@ def test_pieces_are_consecutive_and_of_the_same_energy():
     assert pieces_of(energy, 3.0).max() == 7, "as many as importance weights can do with"
 
 
-def test_densities_of_pieces_are_those_of_normal_residuals():
-    residuals, variance = np.random.default_rng(3).normal(0, 0.3, (4, 12)), 0.09
-    pieces = np.repeat(np.arange(6), 2)
-    likelihood = np.array([-3.0, -2.0, -1.0, 0.0])
-    found = Said.of(residuals**2, pieces, likelihood, variance, 12.0)
-    np.testing.assert_allclose(found.densities, norm.logpdf(residuals, scale=0.3).reshape(4, 6, 2).sum(-1))
-    np.testing.assert_allclose(found.contributions.sum(1), likelihood)
+def test_a_peak_that_has_the_energy_of_several_pieces_is_one():
+    energy = np.ones(100)
+    energy[50], energy[-5:] = 150.0, 0.0
+    pieces = pieces_of(energy, 20.0)
+    assert pieces.max() < 20
+    assert np.array_equal(np.unique(pieces), np.arange(pieces.max() + 1)), "and none is empty"
+    assert np.sum(pieces == pieces[50]) < 10
 
 
-def test_what_is_left_out_is_predicted_as_by_the_posterior_of_the_rest():
-    """Independent normal data with a mean to be found: the exact density of each without it is known."""
-    rng = np.random.default_rng(4)
-    data = rng.normal(1.0, 1.0, 40)
-    draws = rng.normal(data.mean(), 1 / np.sqrt(40), 4000)
-    squares = (data - draws[:, None]) ** 2
-    said = Said.of(squares, np.arange(40), -squares.sum(1) / 2, 1.0, 40.0)
-    found, k = said.left_out()
-    exact = norm.logpdf(data, (data.sum() - data) / 39, np.sqrt(1 + 1 / 39))
-    np.testing.assert_allclose(found, exact, atol=0.01)
+def linear(rng, count, size, excess):
+    """A linear model of noisy data that the likelihood is exact of: its precision, the likelihood, and its draws."""
+    slopes, truth = rng.standard_normal((count, size)), rng.standard_normal(size)
+    along = rng.standard_normal((count, size)) / np.sqrt(count)
+    scale = 0.7
+    precision = 2 * scale * (np.eye(count) + along @ excess @ along.T)
+    target = slopes @ truth + np.linalg.cholesky(np.linalg.inv(precision)) @ rng.standard_normal(count)
+    likelihood = Likelihood(lambda points: points @ slopes.T, target, scale, along, excess)
+    posterior = np.linalg.inv(slopes.T @ precision @ slopes + np.eye(size))
+    middle = posterior @ slopes.T @ precision @ target
+    draws = middle + rng.standard_normal((8000, size)) @ np.linalg.cholesky(posterior).T
+    return slopes, precision, likelihood, draws
+
+
+@pytest.mark.parametrize("excess", [np.zeros((2, 2)), np.array([[3.0, 1.0], [1.0, 2.0]])], ids=["independent", "not"])
+def test_what_is_left_out_is_predicted_as_by_the_posterior_of_the_rest(excess):
+    """Against the conditional density of normal data, the parameters of a prior of their own integrated out."""
+    slopes, precision, likelihood, draws = linear(np.random.default_rng(4), 24, 2, excess)
+    pieces, y = np.repeat(np.arange(12), 2), likelihood.target
+    found, k = left_out(
+        log_densities(likelihood, draws, pieces, 1 / (2 * likelihood.scale), np.full(12, 2.0)), np.ones(len(draws))
+    )
+    whole = np.linalg.inv(precision) + slopes @ slopes.T
+    for b in range(12):
+        own, others = np.flatnonzero(pieces == b), np.flatnonzero(pieces != b)
+        weights = whole[np.ix_(own, others)] @ np.linalg.inv(whole[np.ix_(others, others)])
+        covariance = whole[np.ix_(own, own)] - weights @ whole[np.ix_(others, own)]
+        exact = multivariate_normal.logpdf(y[own], weights @ y[others], covariance)
+        np.testing.assert_allclose(found[b], exact, atol=0.05)
     assert k < 0.7
-    wrong = (data + 0.5) ** 2 + np.zeros((4000, 1))
-    assert stacked([said, Said.of(wrong, np.arange(40), -wrong.sum(1) / 2, 1.0, 40.0)]).weights[0] > 0.9
 
 
-@pytest.mark.usefixtures("compiled_quickly")
-def test_posteriors_of_a_file_have_one_interval_together(file, monkeypatch):
-    """Of two results whose draws, of nearly the same parameters, are half as far apart as they are wide."""
-    count, rng = 64, np.random.default_rng(6)
-    monkeypatch.setattr(stacking, "DRAWS", count)
-    settings, measurement, result = load(), read(file), made(posterior=True)
-    samples = weighted_samples(measurement, settings.exponents[0], settings.fit.theta_max)
-    fit = np.array([q.value for q in result.parameters])
+def test_densities_of_independent_pieces_are_those_of_normal_residuals():
+    residuals, variance = np.random.default_rng(3).normal(0, 0.3, (4, 12)), 0.09
+    likelihood = Likelihood(lambda _: residuals, np.zeros(12), 1 / (2 * variance), np.zeros((12, 1)), np.zeros((1, 1)))
+    found = log_densities(likelihood, np.zeros((4, 1)), np.repeat(np.arange(6), 2), variance, np.full(6, 2.0))
+    np.testing.assert_allclose(found, norm.logpdf(residuals, scale=0.3).reshape(4, 6, 2).sum(-1))
 
-    def chain(_, path):
-        shift = 0.1 if path.stem == "b" else 0.0
-        values = fit * np.exp(shift + 0.2 * rng.standard_normal((count, len(fit))))
-        return {"values": values, "weights": np.full(count, 1 / count), "log_likelihood": -rng.exponential(size=count)}
 
-    monkeypatch.setattr(stacking, "chain_file", chain)
-    found = scatter_of_several({name: (result, Path(f"{name}.json")) for name in "ab"}, measurement, samples)
-    assert sum(found.weights.values()) == pytest.approx(1)
-    np.testing.assert_allclose(found.theta_i, USUAL)
-    own = np.stack([found.own[name] for name in "ab"])
-    assert own.shape == (2, 3, 3, 3)
-    assert np.all((own.min(0) <= found.together + 1e-12) & (found.together <= own.max(0) + 1e-12))
-    assert np.all(np.diff(found.together, axis=0) > 0)
-    drawn, said = several_table(found, MERL.names), several_words(found)
-    assert drawn.row_count == 9
-    assert "8 pieces in turn" in said
+def test_weights_of_draws_count():
+    """Draws that stand twice are as one of twice the weight."""
+    _, _, likelihood, draws = linear(np.random.default_rng(5), 24, 2, np.zeros((2, 2)))
+    densities = log_densities(likelihood, draws[:1500], np.repeat(np.arange(12), 2), 1.0, np.full(12, 2.0))
+    once, _ = left_out(densities, np.concatenate([np.full(500, 2.0), np.full(1000, 1.0)]))
+    twice, _ = left_out(np.concatenate([densities, densities[:500]]), np.ones(2000))
+    np.testing.assert_allclose(once, twice, atol=0.01)
+
+
+def test_places_are_rows_of_bins_in_order_of_theta_d(file):
+    samples = weighted_samples(read(file))
+    problem, _ = make_coarse(samples)
+    places, energy = _places(problem, samples)
+    (part,) = problem.parts
+    target = np.asarray(part.target)
+    assert places.shape == (target.size,)
+    theta_d = np.broadcast_to(np.asarray(part.directions.geometry.theta_d)[:, None], target.shape).ravel()
+    theta_h = np.broadcast_to(np.asarray(part.directions.geometry.theta_h)[:, None], target.shape).ravel()
+    order = np.argsort(places, kind="stable")
+    assert np.all(np.diff(theta_d[order]) >= 0)
+    assert np.all(np.diff(theta_h[order])[np.diff(theta_d[order]) == 0] >= 0)
+    np.testing.assert_allclose(energy, np.bincount(places, target.ravel() ** 2))
 
 
 @pytest.mark.slow
-def test_which_samples_the_best_models_and_stacks_them(file, tmp_path):
-    shown = call("which", file, "--models", "two-scale,ggx,ward", "--posterior", "-o", tmp_path)
+def test_which_samples_the_best_models_stacks_them_and_goes_on(file, tmp_path):
+    """Of a file that the two-scale model made: it has most of the weight, and all together hold the true scatter."""
+    command = ("which", file, "--models", "two-scale,ggx,ward", "--posterior", "-o", tmp_path)
+    shown = call(*command)
     assert shown.exit_code == 0
     assert "total integrated scatter (TIS): medians and 90 % intervals of posteriors" in shown.stdout
-    assert "together" in shown.stdout
-    assert "weights: of the mixture of posteriors" in shown.stdout
+    told = json.loads((tmp_path / f"{file.stem}.stacked.json").read_text())
+    assert told["weights"].keys() == {"two-scale", "ggx", "ward"}
+    assert told["weights"]["two-scale"] > 0.9
+    model, values = calibration.truth(int(file.stem.split("-")[1]))
+    true = of_values(model.material, {name: np.asarray(x)[None] for name, x in values.items()}, MERL, USUAL)[0]
+    for row in told["tis"]["together"]:
+        k = round(row["theta_i_deg"] / 30)
+        assert row["q05"] - 0.01 < true[MERL.names.index(row["channel"]), k] < row["q95"] + 0.01
+    before = (tmp_path / "ggx" / f"{file.stem}.json").stat().st_mtime
+    assert call(*command).exit_code == 0
+    assert (tmp_path / "ggx" / f"{file.stem}.json").stat().st_mtime == before, "what is done is left alone"
