@@ -20,7 +20,7 @@ INSIDE = 1e-6  # of a standard deviation, or of the way between bounds: so far i
 LEAST = 1e-300
 TINY_ODDS = 1e-6  # least albedo that a start may have
 ENDLESS = 1e4  # stands for the logarithm of odds at a bound of 0 or 1
-Numbers = Any  # arrays of NumPy, or of JAX where it traces them
+Numbers = Any  # arrays of NumPy, or of JAX where it traces them: pyright knows no operation that both have
 
 
 class Table(NamedTuple):
@@ -173,18 +173,15 @@ def _log_normal(z: Numbers, t: Table, median: Numbers) -> tuple[Numbers, Numbers
     return median + t.deviation * n, t.deviation * by_z, by_median
 
 
-def _standard_normal(logarithm: Numbers, t: Table, median: Numbers) -> Numbers:
+def _standard_normal(logarithm: np.ndarray, t: Table, median: np.ndarray) -> np.ndarray:
     """Inverse of :func:`_log_normal`."""
-    xp, special = _arithmetic_for(median)
-    c, plain = _cut(t, median), (logarithm - median) / t.deviation
-    normal = c.side * xp.clip(plain, c.low + INSIDE, c.high - INSIDE)
-    beyond = xp.where(
-        c.far < 0, special.ndtr(c.far) - special.ndtr(normal), special.ndtr(-normal) - special.ndtr(-c.far)
-    )
-    below, above = (special.ndtr(normal) - special.ndtr(c.near)) / c.inside, beyond / c.inside
+    c, plain, ndtr = _cut(t, median), (logarithm - median) / t.deviation, scipy.special.ndtr
+    normal = c.side * np.clip(plain, c.low + INSIDE, c.high - INSIDE)
+    beyond = np.where(c.far < 0, ndtr(c.far) - ndtr(normal), ndtr(-normal) - ndtr(-c.far))
+    below, above = (ndtr(normal) - ndtr(c.near)) / c.inside, beyond / c.inside
     left = below < above
-    tail = special.ndtri(xp.maximum(xp.where(left, below, above), LEAST))
-    return xp.where(c.endless, plain, c.side * xp.where(left, 1.0, -1.0) * tail)
+    tail = scipy.special.ndtri(np.maximum(np.where(left, below, above), LEAST))
+    return np.where(np.asarray(c.endless), plain, c.side * np.where(left, 1.0, -1.0) * tail)
 
 
 def _given(z: Numbers, t: Table, shift: Numbers) -> tuple[Numbers, Numbers, Numbers]:
@@ -223,15 +220,13 @@ def flat_and_slopes(s: Structure, t: Table, z: Numbers) -> tuple[Numbers, Number
     return found[..., t.leader], slopes @ taken.astype(float)
 
 
-def coordinates(s: Structure, t: Table, values: Numbers) -> Numbers:
+def coordinates(s: Structure, t: Table, values: np.ndarray) -> np.ndarray:
     """The coordinate that every entry would have by itself, (..., P); inverse of :func:`flat_and_slopes`."""
-    xp, special = _arithmetic_for(values)
-    kept = xp.clip(values, TINY_ODDS, 1 - INSIDE)
-    odds = xp.log(kept) - xp.log1p(-kept)
-    logarithm = xp.where(t.odds, odds, xp.log(xp.maximum(values - t.offset, LEAST)))
-    linear = special.ndtri(xp.clip((values - t.lower) / (t.upper - t.lower), INSIDE, 1 - INSIDE))
-    median = t.median + xp.zeros_like(values)
+    kept = np.clip(values, TINY_ODDS, 1 - INSIDE)
+    odds = np.log(kept) - np.log1p(-kept)
+    logarithm = np.where(t.odds, odds, np.log(np.maximum(values - t.offset, LEAST)))
+    linear = scipy.special.ndtri(np.clip((values - t.lower) / (t.upper - t.lower), INSIDE, 1 - INSIDE))
+    median = t.median + np.zeros_like(values)
     if len(s.moved):
-        shifts, _ = s.shifts(values, t.offset)
-        median = median + shifts @ np.eye(s.size)[s.moved]
-    return xp.where(t.odds | t.logarithmic, _standard_normal(logarithm, t, median), linear)
+        median[..., s.moved] += s.shifts(values, t.offset)[0]
+    return np.where(np.asarray(t.odds | t.logarithmic), _standard_normal(logarithm, t, median), linear)

@@ -122,7 +122,7 @@ def of_values(material: Reflectance, values: Mapping[str, np.ndarray], bands: Ba
     """
     general, wavelengths, incidences = general_of(material), np.array(bands.wavelengths_um), np.resize(theta_i, COUNT)
     own = {q.name: np.asarray(values[q.name], float) for q in material.parameters}
-    count = min(map(len, own.values()))
+    (count,) = {len(x) for x in own.values()}
     rows = np.minimum(np.arange(-(-count // AT_ONCE) * AT_ONCE), count - 1).reshape(-1, AT_ONCE)
     parts = [general.values({name: x[some] for name, x in own.items()}) for some in rows]
     found = side_by_side(lambda part: np.asarray(_of_many(general.model, part, wavelengths, incidences)), parts)

@@ -190,10 +190,10 @@ class Layout:
         """Free coordinates of physical values, (..., F); values on or beyond a bound are moved just inside.
 
         Args:
-            values: by name, (...), and (..., C) for parameters per channel, where one value does for all, too.
+            values: by name, (...), and (..., C) for parameters per channel, where a single value does for all, too.
         """
         own = {q.name: np.asarray(values[q.name], float) for q in self.parameters}
-        points = max((own[q.name].shape[: -1 if q.per_channel else None] for q in self.parameters), key=len)
+        points = np.broadcast_shapes(*(own[q.name].shape[: -1 if q.per_channel else None] for q in self.parameters))
         given = self.held({q.name: np.broadcast_to(own[q.name], (*points, *self._shape(q))) for q in self.parameters})
         inside = [np.clip(given[q.name], q.lower, q.upper).reshape(*points, -1) for q in self.parameters]
         with np.errstate(all="ignore"):

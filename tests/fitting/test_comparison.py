@@ -339,3 +339,17 @@ def test_a_failed_fit_has_no_errors(file, tmp_path):
     shown = CliRunner().invoke(cli.app, ["metrics", str(path), "--against", str(file)])
     assert shown.exit_code == 2
     assert "it has no material" in " ".join(shown.output.split())
+
+
+def test_of_many_models_a_chart_names_the_nearest():
+    rows = [
+        row(name, material, rmse=0.01 * (1 + k), smape=0.3 / (1 + k))
+        for k, name in enumerate(["ggx", "two-scale", *(f"model {k}" for k in range(10))])
+        for material in ("nickel", "chrome")
+    ]
+    figure = comparison.sorted_errors(rows, "some models")
+    named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert {"two-scale", "ggx", "model 9"} < set(named), "the nearest by either error"
+    assert named[-1] == "4 others"
+    assert len(named) == comparison.COLOURS + 1
+    assert len(figure.axes[1].lines) == 12

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from merlfit.fitting.fit.transforms import layout_of
-from merlfit.fitting.pipeline.models import layout_for, two_scale
+from merlfit.fitting.pipeline.models import candidates, layout_for, two_scale
 from merlfit.fitting.settings.config import Config, ConfigError, load, parse
 from merlfit.model.diffraction import renormalisation
 from merlfit.model.effects import KINDS
@@ -101,6 +101,22 @@ def test_slopes_are_those_of_central_differences(layout):
             assert np.all(slopes[where["sigma_s"], where["c"]] != 0)
         if "eta" in where:
             assert np.array_equal(slopes[where["eta"], where["eta"]] != 0, [[1, 1, 0], [0, 1, 0], [0, 1, 1]])
+
+
+def test_what_moves_with_others_does_so_in_a_sum():
+    """The half width of the second surface with its own kurtosis, and not with that of the first."""
+    config = load(model="epd+two-scale")
+    layout = layout_for(config, candidates(config)[0])
+    z = 0.5 * np.random.default_rng(7).normal(size=layout.size)
+    np.testing.assert_allclose(layout.free(layout.values(z)), z, atol=1e-8)
+    slopes, where = layout.slopes(z), layout.slices
+    names = [name for name in where if name.startswith("beta")]
+    assert len(names) == 2
+    for name in names:
+        own, other = name.replace("beta", "p"), next(n for n in names if n != name).replace("beta", "p")
+        assert np.all(slopes[where[name], where[own]] != 0)
+        assert np.all(slopes[where[name], where[other]] == 0)
+    np.testing.assert_allclose(slopes, jax.jit(jax.jacfwd(layout.flat))(z), rtol=1e-9, atol=1e-12)
 
 
 @every
