@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import typer
 
 from ...merl_io.atomic import WriteError
@@ -61,15 +62,33 @@ def print_beside(result: Result, path: Path, values: Mapping[str, Sequence[float
             needed = f"one value or {len(own)}" if own else f"a parameter of this fit: {', '.join(names)}"
             raise fail(f"--beside {name}: should be {needed}")
         given |= dict(zip(own, list(each) * (len(own) // len(each)), strict=True))
-    shares = {}
+    shares, together = {}, ""
     if any(q.quantiles for q in result.parameters):
         try:
             chain = chain_file(result, path)
         except NoPicture as error:
-            raise fail(str(error)) from None
-        below = {name: chain["values"][:, names.index(name)] < x for name, x in given.items()}
-        shares = {name: float(chain["weights"] @ each) for name, each in below.items()}
+            note(f"without the chain only intervals are compared: {error}")
+        else:
+            free = [name for name in given if result.parameters[names.index(name)].fitted != "fixed"]
+            draws, weights = chain["values"][:, [names.index(name) for name in free]], chain["weights"]
+            point = np.array([given[name] for name in free])
+            shares = dict(zip(free, (weights @ (draws < point)).tolist(), strict=True))
+            together = _together(draws, weights, point) if len(free) > 1 else ""
     console.print(beside_table(result, given, shares))
+    if together:
+        console.print(together)
+
+
+def _together(draws: np.ndarray, weights: np.ndarray, point: np.ndarray) -> str:
+    """How far from the middle of the posterior values are together, by the Mahalanobis distance, in words."""
+    middle, spread = weights @ draws, np.cov(draws.T, aweights=weights)
+    inverse = np.linalg.pinv(spread)
+    far = np.einsum("np,pq,nq->n", draws - middle, inverse, draws - middle)
+    own = (point - middle) @ inverse @ (point - middle)
+    return (
+        f"all of them together are farther from the middle than {weights @ (far < own):.1%} of the posterior "
+        "(Mahalanobis distance)"
+    )
 
 
 def file_of(path: Path, result: Result) -> Path:

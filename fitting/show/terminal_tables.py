@@ -114,17 +114,18 @@ def beside_table(result: Result, given: Mapping[str, float], shares: Mapping[str
     Args:
         given: by name of the number. shares: of the posterior that is below each, where it was sampled.
     """
-    known = {q.name: q for q in result.parameters}
-    said = f"90 % intervals {'of the posterior' if shares else LAPLACE}, each whatever the others are"
-    heads = ("parameter", "given", "median" if shares else "value", "5 .. 95 %", "unit", "given is")
+    known, sampled = {q.name: q for q in result.parameters}, any(q.quantiles for q in result.parameters)
+    said = f"90 % intervals {'of the posterior' if sampled else LAPLACE}, each whatever the others are"
+    heads = ("parameter", "given", "median" if sampled else "value", "5 .. 95 %", "unit", "given is")
     drawn = table(f"{result.source.material}: given values beside the fit's; {said}", heads, ("parameter", "given is"))
     for name, value in given.items():
         q = known[name]
-        ends = q.quantiles if shares else q.laplace
+        ends = q.quantiles if sampled else q.laplace
         where = "-" if ends is None else "inside" if ends.q05 <= value <= ends.q95 else "outside"
+        where = "fixed" if q.fitted == "fixed" else where
         if name in shares:
             where += f", above {shares[name]:.1%} of the posterior"
-        middle = median(q) if shares else number(q.value)
+        middle = median(q) if sampled else number(q.value)
         drawn.add_row(name, number(value), middle, interval(ends), unit(q.unit), where)
     return drawn
 

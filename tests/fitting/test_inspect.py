@@ -107,6 +107,9 @@ def test_values_from_elsewhere_stand_beside_the_posterior(tmp_path):
     k = names.index("beta")
     draws = {"values": np.ones((count, len(names))), "weights": np.full(count, 1 / count)}
     draws["values"][:, k] = np.linspace(0.1, 0.2, count)
+    draws["values"][:, names.index("p")] = 10 * draws["values"][:, k] + 1e-3 * np.random.default_rng(0).normal(
+        size=count
+    )
     np.savez(tmp_path / "nickel.chain.npz", names=names, **draws)
     result.posterior.draws_sha1 = sha1_of_draws(**draws)
     result.parameters[k].quantiles = result.parameters[k].quantiles.model_copy(update={"q05": 0.105, "q95": 0.195})
@@ -119,6 +122,10 @@ def test_values_from_elsewhere_stand_beside_the_posterior(tmp_path):
     assert [line[1] for line in lines if line and line[0].startswith("n_")] == ["2", "2", "0.5"]
     assert "above 0.0% of the posterior" in next(" ".join(line) for line in lines if line[:1] == ["n_B"])
     assert not list(tmp_path.glob("*.png"))
+    one_by_one = call("inspect", tmp_path / "nickel.json", "--beside", "beta=0.13", "--beside", "p=1.7").stdout
+    assert "together are farther from the middle than 100.0% of the posterior" in " ".join(one_by_one.split())
+    (tmp_path / "nickel.chain.npz").unlink()
+    assert "inside" in call("inspect", tmp_path / "nickel.json", "--beside", "beta=0.13").stdout
 
 
 def test_values_beside_a_fit_that_was_not_sampled_and_of_what_it_lacks(tmp_path):
