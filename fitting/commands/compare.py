@@ -25,7 +25,8 @@ from ..pipeline.resampling import resample
 from ..pipeline.run import fit_file
 from ..pipeline.stacking import scatter_of_several
 from ..results.schema import Result
-from ..settings.config import Config, ConfigError
+from ..results.storage import valid_result
+from ..settings.config import Config, ConfigError, parse
 from ..show.comparison_table import (
     NAME,
     beside_table,
@@ -156,10 +157,15 @@ def sampled(
 
     Those that have one already are left alone, and chains go on where they were stopped. What fails is said.
     """
-    best = sorted((row for row in rows if results[row.model].fit.succeeded), key=lambda row: row.bic)[:MOST_SAMPLED]
+    bics = {row.model: row.bic for row in rows}
+    fitted = {name: bics[r.model.material.name] for name, r in results.items() if r.model and r.fit.succeeded}
     found: dict[str, tuple[Result, Path]] = {}
-    for model in (row.model for row in best):
-        path, result = out / model / f"{measurement.name}.json", results[model]
+    for model in sorted(fitted, key=fitted.__getitem__)[:MOST_SAMPLED]:
+        path = out / model / f"{measurement.name}.json"
+        result = valid_result(path, measurement.sha1, parse(results[model].config, str(path)))
+        if result is None:  # it may be more complete than the new one
+            note(f"{model} was not sampled: {path} is of another fit; name another folder (-o)")
+            continue
         try:
             if result.posterior is None or not result.posterior.sufficient:
                 result = resample(path, result, measurement, None, lambda stage, of=model: say(f"{of}: {stage}"))

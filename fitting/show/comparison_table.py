@@ -403,6 +403,6 @@ def several_words(found: ScatterOfSeveral) -> str:
     doubtful = [name for name, k in found.pareto_k.items() if k > LARGEST_K]
     return (
         "weights: of the mixture of posteriors that predicts best what is left out of the data (stacking, Yao et al. "
-        f"2018), {counted(found.pieces, 'piece')} in turn; residuals are worth {number(found.count, 3)} independent"
+        f"2018), {counted(found.pieces, 'piece')} in turn; N is {number(found.count, 3)}"
         + (f"; uncertain of {', '.join(doubtful)}: Pareto k is above {LARGEST_K} for a piece" if doubtful else "")
     )
