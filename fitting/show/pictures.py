@@ -26,7 +26,7 @@ class Picture:
 
 PICTURES = {
     "spheres": Picture("spheres of file and fit, and their CIELAB difference", spheres),
-    "lobes": Picture("lobes in the plane of incidence, with the posterior's bands", lobes),
+    "lobes": Picture("lobes in the plane of incidence, with the bands of a posterior that was sampled", lobes),
     "isolines": Picture("isolines over all viewers, on the projected hemisphere", isolines),
     "peak": Picture("every datum of the peak, and its width in each channel", peak),
     "residuals": Picture("fit over file along theta_h and theta_d", residuals),

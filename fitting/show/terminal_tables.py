@@ -184,6 +184,8 @@ def print_result(console: Console, result: Result) -> None:
     )
     if result.tis:
         console.print(scatter_table(result))
+        if grid and result.model.measured.loses:
+            console.print("the fit's is of the material; the file's lacks what its apparatus loses at grazing angles")
     for caution in f.cautions:
         console.print(f"caution: {caution}")
     if len(f.candidates) > 1:
