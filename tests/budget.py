@@ -27,6 +27,7 @@ MORE = {
     "tests/fitting/test_hard_fits.py": 80,
     "tests/fitting/test_rival_commands.py": 120,
     "tests/fitting/test_scattered.py": 60,
+    "tests/fitting/test_stacking.py": 60,
     # Many variants of the model, a program or two each
     "tests/fitting/test_models.py": 32,
     "tests/scene/test_effects.py": 90,
