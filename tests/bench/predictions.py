@@ -52,9 +52,8 @@ def logarithms(fitted, points):
     peak, steep, rest = curves[..., 0], curves[..., -1], curves[..., :-1]
     below = rest < peak[..., None] / 2
     k = np.maximum(below.argmax(-1), 1)
-    take = lambda x, k: np.take_along_axis(x, k[..., None], -1)[..., 0]  # noqa: E731
     y, x = np.log(rest / peak[..., None] * 2), np.log(ANGLES)
-    y0, y1 = take(y, k - 1), take(y, k)
+    y0, y1 = (np.take_along_axis(y, place[..., None], -1)[..., 0] for place in (k - 1, k))
     width = np.where(below.any(-1), x[k - 1] + (x[k] - x[k - 1]) * y0 / (y0 - y1), np.nan)
     albedo = np.log(fitted.scatter_at(points, USUAL)).reshape(len(points), -1)
     return np.concatenate([albedo, np.log(peak), np.log(steep), width], -1)
@@ -81,8 +80,7 @@ def held(one, other):
         there.append(np.isfinite(at + reach + value))
         inside.append(there[-1] & (np.abs(at - value) <= reach))
     which = kinds_of(len(one[0]) // (len(USUAL) + 3))
-    count = lambda x: {kind: int(sum(np.sum(each[which == kind]) for each in x)) for kind in KINDS}  # noqa: E731
-    return count(inside), count(there)
+    return tuple({kind: int(np.sum(np.array(x)[:, which == kind])) for kind in KINDS} for x in (inside, there))
 
 
 def halves_of(path):
