@@ -1,12 +1,14 @@
 """Pictures of all fits: `python -m tests.gallery FITS MEASURED` writes docs/gallery.md and docs/gallery/*.webp.
 
 FITS is the folder of `tests.richer_models`, MEASURED one of `tests.measured`, for the file of NIST. Nothing is fitted;
-pictures that are newer than their fits stay, so that it goes on where it was stopped. A quarter of an hour.
+pictures that are newer than their fits stay, so that it goes on where it was stopped, and materials without fits there
+stay as the page has them. A quarter of an hour.
 """
 
 import csv
 import re
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +21,8 @@ from merlfit.merl_io import inputs
 from PIL import Image
 
 from .bench.processes import ROOT
-from .measured import FOLDER as MEASURED
 from .measured import ORIGINS
-from .richer_models import FOR_ALL, paths_of
+from .richer_models import FOR_ALL, path_of, stems_of
 from .richer_models import PAGE as FITS
 from .support.reconstructions import DATA, ORIGIN
 
@@ -35,8 +36,8 @@ below in a room. The numbers are how far the spheres of fit and file are apart u
 mean CIELAB distance of lit pixels, in which 1 is just noticeable, and above 2 a fit does not look like its file
 (**bold**). Nothing was chosen or retouched. Each picture opens larger.
 
-Fits are those of [richer models](../results/richer_models.md), of commit {fits}; that of PTFE is of [genuine
-measurements](../results/measured/README.md), commit {measured}. `python -m tests.gallery` makes the page of them.
+Fits are those of [richer models](../results/richer_models.md); that of PTFE is of [genuine
+measurements](../results/measured/README.md). Both pages name the commits. `python -m tests.gallery` makes this one.
 Spheres with their differences, the worst first: [all 100](../results/merl100/two_scale.md), [the genuine ones beside
 Mitsuba's](../results/measured/spheres.md).
 """
@@ -118,19 +119,31 @@ def those_of_the_table(out):
                         )
 
 
+def cells_of_the_page():
+    """What the committed page shows of each material, by name."""
+    return {found[1]: found[0] for found in re.finditer(r"\[!\[(\S+?)\].*?(?= \|)", PAGE.read_text())}
+
+
 def main(out, measured):
     """Draw what is not drawn, and write the page."""
     use_persistent_cache()
     those_of_the_table(out)
     PICTURES.mkdir(exist_ok=True)
-    commits = [re.search(r"commit (\w+)", (page).read_text())[1] for page in (FITS, MEASURED / "README.md")]
-    found = {}
-    for origin in (ORIGINS["rgl"], ORIGIN):
-        files = paths_of(out, origin)
-        found[origin] = [cell(file, {way: out / way / f"{file.stem}.json" for way in FOR_ALL}) for file in files]
-    nist = DATA / "measured" / "nist" / "ptfe_regular.csv"
-    found[ORIGINS["rgl"]].append(cell(nist, {"default": measured / f"{nist.stem}.json"}))
-    text = HEAD.format(count=sum(map(len, found.values())), fits=commits[0], measured=commits[1])
+    nist, kept = DATA / "measured" / "nist" / "ptfe_regular.csv", cells_of_the_page()
+
+    def shown(stem, file, fits):
+        there = all(path.is_file() for path in fits.values())
+        return cell(file(), fits) if there else kept[stem.removesuffix("_rgb")]
+
+    found = {
+        origin: [
+            shown(stem, partial(path_of, out, origin, stem), {way: out / way / f"{stem}.json" for way in FOR_ALL})
+            for stem in stems_of(origin)
+        ]
+        for origin in (ORIGINS["rgl"], ORIGIN)
+    }
+    found[ORIGINS["rgl"]].append(shown(nist.stem, lambda: nist, {"default": measured / f"{nist.stem}.json"}))
+    text = HEAD.format(count=sum(map(len, found.values())))
     for head, cells in zip((GENUINE, RECONSTRUCTIONS), found.values(), strict=True):
         text += f"{head}\n{table(cells)}\n"
     PAGE.write_text(text)

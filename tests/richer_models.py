@@ -2,7 +2,7 @@
 
 All 100 neural reconstructions of MERL and the genuine RGB files of RGL, by `merlfit fit --no-posterior`: the default,
 and `--model auto`; of those in `LISTED` also the free split and HP15. An hour of two cores. It goes on where it was
-stopped.
+stopped. `--written` fits nothing: rows that OUT has no fit for stay as they are, with the commit that they are of.
 """
 
 import csv
@@ -23,6 +23,12 @@ from .support.reconstructions import DATA, ORIGIN, make
 
 PAGE = ROOT / "results" / "richer_models.md"
 WAYS = {"default": (), "auto": ("--model", "auto"), "free": ("--preset", "free"), "HP15": ("--model", "hp15")}
+MEANING = {
+    "default": "`merlfit fit` without options",
+    "auto": "`--model auto`: coats, surfaces, films and gratings over the two-scale model, where that looks better",
+    "free": "`--preset free`: a weight of the diffracted light per channel",
+    "HP15": "`--model hp15`",
+}
 FOR_ALL = ("default", "auto")
 LISTED = (
     "silver-metallic-paint", "gold-metallic-paint", "silver-metallic-paint2", *sorted(TWELVE), "cc_green_malachite",
@@ -32,45 +38,72 @@ LISTED = (
 WORST, FAR = 10, 2.0  # files named; CIELAB distance that does not look like its file
 KEYS = (
     "file", "way", "status", "model", "numbers", "cost", "smape", "highlight", "picture", "lamp", "room", "seconds",
+    "commit",
 )  # fmt: skip
 HEAD = """# Richer models beside the default
 
-`python -m tests.richer_models`, commit {at}: the default of `merlfit fit`, `--model auto` (coats, surfaces, films and
-gratings over the two-scale model, where that looks better for it), `--preset free` (a weight of the diffracted light
-per channel) and `--model hp15`. Cost is relative to the weighted energy of the file; picture: mean CIELAB distance over
-all pixels of spheres under a lamp and in a room, lamp and room: of lit pixels alone; highlight: fitted over measured
-peak; numbers: what was free. Seconds are of fits side by side on two cores; some compile. [All
-rows](richer_models.csv).
+Made by `python -m tests.richer_models`:
+
+{ways}
+
+Cost is relative to the weighted energy of the file; picture: mean CIELAB distance over all pixels of spheres under a
+lamp and in a room, lamp and room: of lit pixels alone; highlight: fitted over measured peak; numbers: what was free.
+Seconds are those of two cores, compilation included where programs were not yet kept. [All rows](richer_models.csv).
 """
 
 
-def paths_of(out, origin):
-    """Files of one kind of data."""
-    if origin == ORIGIN:
-        return [out / f"{name}.binary" if (out / f"{name}.binary").is_file() else make(out, name) for name in every()]
-    return sorted((DATA / "measured" / "rgl").glob("*_rgb.bsdf"))
+def stems_of(origin):
+    """Files of one kind of data, by the names of their results."""
+    return every() if origin == ORIGIN else sorted(p.stem for p in (DATA / "measured" / "rgl").glob("*_rgb.bsdf"))
+
+
+def path_of(out, origin, stem):
+    """A file, made in the folder if it is a reconstruction that is not there."""
+    if origin != ORIGIN:
+        return DATA / "measured" / "rgl" / f"{stem}.bsdf"
+    path = out / f"{stem}.binary"
+    return path if path.is_file() else make(out, stem)
 
 
 def fit(out):
     """Fit what has no result there."""
     for way, options in WAYS.items():
         for origin in (ORIGIN, ORIGINS["rgl"]):
-            paths = [p for p in paths_of(out, origin) if way in FOR_ALL or p.stem.removesuffix("_rgb") in LISTED]
+            stems = [stem for stem in stems_of(origin) if way in FOR_ALL or stem.removesuffix("_rgb") in LISTED]
+            paths = [path_of(out, origin, stem) for stem in stems]
             command = [MERLFIT, "fit", *map(str, paths), "-o", str(out / way), "--no-posterior", "--resume", *options]
             subprocess.run([*command, "--jobs", "2", "--origin", origin], check=False)
 
 
-def row(path, way, out):
-    """What the table says of one fit; None where there is no result."""
+def written():
+    """Rows of the committed table, by file and way."""
+    with PAGE.with_suffix(".csv").open(newline="") as text:
+        rows = list(csv.DictReader(text))
+    word = lambda key: key in ("file", "way", "status", "model", "commit")  # noqa: E731
+    value = lambda key, x: x if word(key) else None if x == "" else int(x) if key == "numbers" else float(x)  # noqa: E731
+    return {(r["file"], r["way"]): {key: value(key, x) for key, x in r.items()} for r in rows}
+
+
+def commits_of(rows):
+    """Which commits the fits of some rows are of, in words."""
+    found = {way: sorted({r["commit"] for r in rows if r["way"] == way}) for way in WAYS}
+    if len(set().union(*found.values())) == 1:
+        return f"Commit {rows[0]['commit']}."
+    each = [f"{way} {' and '.join(some)}" for way, some in found.items() if some]
+    return f"Commits: {', '.join(each)}."
+
+
+def row(stem, way, out, at):
+    """What the table says of one fit, made by commit `at`; None where there is no result."""
     try:
-        r = read_result(out / way / f"{path.stem}.json")
+        r = read_result(out / way / f"{stem}.json")
     except MerlError:
         return None
     m, free = r.metrics, sum(q.fitted == "free" for q in r.parameters)
     name = "-" if r.model is None else f"{r.model.name} {r.model.material.variant}"
     values = (
-        path.stem.removesuffix("_rgb"), way, r.fit.status, name, free, r.fit.cost, m.smape, m.highlight, m.picture,
-        m.lamp, m.environment, r.seconds["total"],
+        stem.removesuffix("_rgb"), way, r.fit.status, name, free, r.fit.cost, m.smape, m.highlight, m.picture,
+        m.lamp, m.environment, r.seconds["total"], at,
     )  # fmt: skip
     return dict(zip(KEYS, values, strict=True))
 
@@ -126,16 +159,19 @@ def listed(rows):
 
 def write(out, at):
     """The page and the table of all rows, of what there is."""
-    lines, every_row = [HEAD.format(at=at)], []
+    lines, every_row, kept = [], [], written()
     for origin in (ORIGIN, ORIGINS["rgl"]):
-        found = [row(path, way, out) for path in paths_of(out, origin) for way in WAYS]
+        both = [(stem, way) for stem in stems_of(origin) for way in WAYS]
+        found = [row(stem, way, out, at) or kept.get((stem.removesuffix("_rgb"), way)) for stem, way in both]
         rows = [r for r in found if r is not None]
         worst = sorted((r for r in rows if r["way"] == "auto"), key=lambda r: -(r["picture"] or 0))[:WORST]
-        lines += [f"## {origin[0].upper()}{origin[1:]}", "", *summary(rows), ""]
+        lines += [f"## {origin[0].upper()}{origin[1:]}", "", commits_of(rows), "", *summary(rows), ""]
         lines += [f"The {WORST} whose pictures are worst by `auto`:", "", *listed(worst), ""]
         lines += ["Some files by all that was fitted:", "", *listed([r for r in rows if r["file"] in LISTED]), ""]
         every_row += rows
-    PAGE.write_text("\n".join(lines).rstrip() + "\n")
+    used = {r["way"] for r in every_row}
+    head = HEAD.format(ways="\n".join(f"- **{way}**, {MEANING[way]}" for way in WAYS if way in used))
+    PAGE.write_text("\n".join([head, *lines]).rstrip() + "\n")
     table = io.StringIO()
     writer = csv.DictWriter(table, KEYS, lineterminator="\n")
     writer.writeheader()
@@ -144,5 +180,6 @@ def write(out, at):
 
 
 if __name__ == "__main__":
-    fit(Path(sys.argv[1]))
+    if "--written" not in sys.argv:
+        fit(Path(sys.argv[1]))
     write(Path(sys.argv[1]), commit())
