@@ -4,6 +4,7 @@ import re
 import shlex
 import sys
 import tomllib
+from importlib.metadata import metadata, version
 
 import pytest
 import typer.main
@@ -12,6 +13,7 @@ from merlfit.fitting.commands import cli
 from merlfit.fitting.settings.config import Replaced, load
 from merlfit.model.measured import Measured
 from merlfit.model.two_scale import TwoScale
+from packaging.specifiers import SpecifierSet
 
 from tests import shown_commands
 from tests.shown_commands import ROOT, shown
@@ -86,6 +88,16 @@ def test_the_citation_is_of_this_version_and_these_authors():
         project[k] for k in ("name", "version", "license")
     ]
     assert said["authors"] == project["authors"]
+
+
+def test_what_is_pinned_installs_on_the_oldest_python_that_the_readme_names():
+    """A release of Python 3.11 that is newer hid a pin that needs 3.11.5, which Debian 12, with 3.11.2, cannot have."""
+    oldest = re.search(r"You need Python (\d+\.\d+) or newer", README)[1]
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"] == f">={oldest}"
+    pins = [line.split("==") for line in (ROOT / "constraints.txt").read_text().split()]
+    assert {name: version(name) for name, _ in pins} == {name: pinned for name, pinned in pins}
+    asked = {name: metadata(name)["Requires-Python"] or "" for name, _ in pins}
+    assert {name: said for name, said in asked.items() if not SpecifierSet(said).contains(f"{oldest}.0")} == {}
 
 
 def test_links_of_the_readme_lead_to_files():
