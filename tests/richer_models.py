@@ -40,6 +40,7 @@ KEYS = (
     "file", "way", "status", "model", "numbers", "cost", "smape", "highlight", "picture", "lamp", "room", "seconds",
     "commit",
 )  # fmt: skip
+TYPES = {"numbers": int, **dict.fromkeys(("file", "way", "status", "model", "commit"), str)}  # others: float
 HEAD = """# Richer models beside the default
 
 Made by `python -m tests.richer_models`:
@@ -78,10 +79,8 @@ def fit(out):
 def written():
     """Rows of the committed table, by file and way."""
     with PAGE.with_suffix(".csv").open(newline="") as text:
-        rows = list(csv.DictReader(text))
-    word = lambda key: key in ("file", "way", "status", "model", "commit")  # noqa: E731
-    value = lambda key, x: x if word(key) else None if x == "" else int(x) if key == "numbers" else float(x)  # noqa: E731
-    return {(r["file"], r["way"]): {key: value(key, x) for key, x in r.items()} for r in rows}
+        rows = [{key: TYPES.get(key, float)(x) if x else None for key, x in r.items()} for r in csv.DictReader(text)]
+    return {(r["file"], r["way"]): r for r in rows}
 
 
 def commits_of(rows):
