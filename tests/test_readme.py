@@ -96,7 +96,7 @@ def test_what_is_pinned_installs_on_the_oldest_python_that_the_readme_names():
     assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"] == f">={oldest}"
     pins = [line.split("==") for line in (ROOT / "constraints.txt").read_text().split()]
     assert {name: version(name) for name, _ in pins} == {name: pinned for name, pinned in pins}
-    asked = {name: metadata(name)["Requires-Python"] or "" for name, _ in pins}
+    asked = {name: metadata(name).json.get("requires_python", "") for name, _ in pins}
     assert {name: said for name, said in asked.items() if not SpecifierSet(said).contains(f"{oldest}.0")} == {}
 
 
