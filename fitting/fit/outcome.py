@@ -163,11 +163,11 @@ def said(status: Status, measurement: Input) -> str:
     return f"{status.value}; {OUTLIERS.format(count=count, times=OUTLIER)}"
 
 
-def cautions(fitted: Fitted, weights: Weights) -> list[str]:
+def cautions(fitted: Fitted, weights: Weights, richer: bool = False) -> list[str]:
     """What a user of the parameters should know, in words.
 
     Args:
-        weights: that were asked for.
+        weights: that were asked for. richer: whether sums of lobes were asked for, too.
     """
     found, peak = [], fitted.errors.highlight
     if np.isfinite(peak) and lost(peak):
@@ -179,6 +179,7 @@ def cautions(fitted: Fitted, weights: Weights) -> list[str]:
     if max(lit.values()) > VISIBLE:
         off = ", ".join(f"{x:.2g} under {'a lamp' if name == 'lamp' else 'an environment'}" for name, x in lit.items())
         found.append(f"it does not look like the file: spheres differ by {off} (CIELAB of lit pixels, 1 is noticeable)")
+    poor = bool(found) or fitted.solution.cost > POOR
     found += others(fitted)
     if fitted.status is Status.STEP_LIMIT:
         found.append("the cost was still falling when the fit stopped: raise fit.max_steps to go on")
@@ -186,6 +187,8 @@ def cautions(fitted: Fitted, weights: Weights) -> list[str]:
         found.append(
             f"the model does not describe this file well: {fitted.solution.cost:.0%} of its weighted energy is left"
         )
+    if poor and not richer and isinstance(fitted.material, TwoScale):
+        found.append("one lobe may be too few: --model auto tries a second lobe, a coat, a film and gratings, too")
     if bound := [_near(fitted, k) for k, at in enumerate(fitted.at_bound) if at != "no"]:
         found.append(f"at a bound, so that a value beyond it may fit better: {', '.join(bound)}")
     values = {name: fitted.values[s] for name, s in fitted.layout.slices.items()}

@@ -20,6 +20,7 @@ from ..fit.transforms import Layout
 from ..results import schema, storage
 from ..results.schema_posterior import sha1_of_draws
 from ..settings.config import Config
+from ..settings.sections import AUTO
 from ..support.weighted import quantiles
 
 if TYPE_CHECKING:  # the sampler's libraries take a second to load
@@ -66,8 +67,8 @@ def make_result(
         steps=s.steps, relative_offset=storage.finite(s.offset), bins=bins, candidates=fitted.candidates,
         weights=fitted.exponent, effective_bins=round(fitted.count, 2), model_error=fitted.model_error,
         cautions=[
-            *cautions(fitted, config.fit.weights), *overstated(fitted, samples), *unread(measurement),
-            *remarks(measurement),
+            *cautions(fitted, config.fit.weights, config.model.name == AUTO), *overstated(fitted, samples),
+            *unread(measurement), *remarks(measurement),
         ],
     )  # fmt: skip
     errors = schema.Metrics(**{name: storage.finite(x) for name, x in asdict(fitted.errors).items()})

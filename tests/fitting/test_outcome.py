@@ -69,7 +69,20 @@ def test_a_good_fit_needs_no_caution():
 ])  # fmt: skip
 def test_what_is_doubtful_is_said(one, words):
     assert all(word in said(one) for word in words), said(one)
-    assert len(cautions(one, load().fit.weights)) == 1
+    assert len([line for line in cautions(one, load().fit.weights) if "--model auto" not in line]) == 1
+
+
+@pytest.mark.parametrize(("one", "advised"), [
+    (fitted(), False),
+    (fitted(converged=False), False),
+    (fitted(cost=1.1 * POOR), True),
+    (fitted(errors=replace(GOOD, highlight=0.3)), True),
+    (fitted(errors=replace(GOOD, lamp=5.8)), True),
+    (fitted(errors=replace(GOOD, lamp=5.8, highlight=0.3)), True),
+])  # fmt: skip
+def test_where_one_lobe_is_too_few_more_are_advised_once_and_not_to_who_asked_for_them(one, advised):
+    assert said(one).count("--model auto") == advised
+    assert "--model auto" not in " ".join(cautions(one, "compressive", richer=True))
 
 
 def test_the_costs_of_all_bins_leave_the_matrix_of_the_last_grid_alone(monkeypatch):
