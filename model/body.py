@@ -5,7 +5,7 @@ All return a BRDF (1/sr) without the surface lobes. ``n`` is the real index of t
 
 import jax.numpy as jnp
 
-from .fresnel import fresnel
+from .fresnel import fresnel_of_dielectric
 from .geometry import Geometry
 from .numerics import Real, Scalar, safe_divide, safe_sqrt, total
 from .quadrature import gauss_legendre
@@ -37,8 +37,7 @@ def internal_diffuse_reflectance(n: Real) -> Real:
 
 def transmittance(cos_i: Real, cos_o: Real, n: Real) -> Real:
     """T = (1 - F(theta_i)) (1 - F(theta_o)), HP17 Eq. 42."""
-    zero = jnp.zeros_like(n)
-    return (1 - fresnel(cos_i, n, zero)) * (1 - fresnel(cos_o, n, zero))
+    return (1 - fresnel_of_dielectric(cos_i, n)) * (1 - fresnel_of_dielectric(cos_o, n))
 
 
 def lambert(albedo: Real) -> Real:
@@ -61,21 +60,27 @@ def plastic(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
     HP17 prints rho_d/pi inside the series and leaves out the 1/n^2 of rays leaving a denser medium; energy conservation
     and IL Eq. 8 give T(i) T(o) rho_d / (pi n^2 (1 - r_i rho_d)), used here. Reciprocal; never reflects more than 1.
     """
-    return transmittance(cos_i, cos_o, n) * substrate(n, albedo)
+    return transmittance(cos_i, cos_o, n) * substrate(n, albedo, internal_diffuse_reflectance(n))
 
 
-def substrate(n: Real, albedo: Real) -> Real:
-    """albedo / (pi n^2 (1 - r_i albedo)), 1/sr (IL Eq. 8): a Lambertian base below its interface, all bounces."""
-    return albedo / (jnp.pi * n**2 * (1 - internal_diffuse_reflectance(n) * albedo))
+def substrate(n: Real, albedo: Real, r_i: Real) -> Real:
+    """albedo / (pi n^2 (1 - r_i albedo)), 1/sr (IL Eq. 8): a Lambertian base below its interface, all bounces.
+
+    Args:
+        r_i: `internal_diffuse_reflectance` of n.
+    """
+    return albedo / (jnp.pi * n**2 * (1 - r_i * albedo))
 
 
-def scattered(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
+def scattered(cos_i: Real, cos_o: Real, n: Real, albedo: Real, f_dr: Real) -> Real:
     """Light that a half space of single-scattering ``albedo`` gives back inside its interface (HP17 Eq. 44-47), 1/sr.
 
-    HP17 Eq. 45 is printed inverted; A = (1 + F_dr)/(1 - F_dr), F_dr the internal diffuse reflectance.
+    HP17 Eq. 45 is printed inverted; A = (1 + F_dr)/(1 - F_dr).
+
+    Args:
+        f_dr: `internal_diffuse_reflectance` of n.
     """
     refracted = [safe_sqrt((n - 1) * (n + 1) + cos**2) / n for cos in (cos_i, cos_o)]
-    f_dr = internal_diffuse_reflectance(n)
     boundary = (1 + f_dr) / (1 - f_dr)
     root = safe_sqrt(3 * (1 - albedo))
     single = safe_divide(1.0, 4 * jnp.pi * (refracted[0] + refracted[1]))
@@ -88,7 +93,7 @@ def subsurface(cos_i: Real, cos_o: Real, n: Real, albedo: Real) -> Real:
 
     Gives back up to 1.38 of the light by itself, as albedo and index tend to 1; the split ``conserving`` mends it.
     """
-    return transmittance(cos_i, cos_o, n) * scattered(cos_i, cos_o, n, albedo)
+    return transmittance(cos_i, cos_o, n) * scattered(cos_i, cos_o, n, albedo, internal_diffuse_reflectance(n))
 
 
 def rough_lambert(g: Geometry, roughness: Scalar, albedo: Real) -> Real:

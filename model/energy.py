@@ -236,12 +236,11 @@ def unlit_body(kind: str, cos_i: Real, cos_o: Real, albedo: Real, n: Real | None
     """
     if kind == "lambert" or n is None:
         return body.lambert(albedo)
-    leaving = 1 - body.external_diffuse_reflectance(n)
+    leaving, inside = 1 - body.external_diffuse_reflectance(n), body.internal_diffuse_reflectance(n)
     if kind == "plastic":
-        inside = body.internal_diffuse_reflectance(n)
         return albedo * leaving / (jnp.pi * n**2 * (1 - inside * albedo))
     u, w = gauss_legendre(16)
     along = u.reshape(-1, *(1,) * jnp.ndim(n))
-    grazing = body.scattered(jnp.zeros(()), jnp.asarray(along), n, albedo)
+    grazing = body.scattered(jnp.zeros(()), jnp.asarray(along), n, albedo, inside)
     most = leaving * jnp.tensordot(2 * np.pi * u * w, grazing, 1)
-    return leaving * body.scattered(cos_i, cos_o, n, albedo) / jnp.maximum(most, 1.0)
+    return leaving * body.scattered(cos_i, cos_o, n, albedo, inside) / jnp.maximum(most, 1.0)

@@ -110,8 +110,13 @@ def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k
 
 
 def fresnel_of_dielectric(cos_d: Real, eta: Real) -> Real:
-    """Reflectance without an imaginary part of the index."""
-    return fresnel(cos_d, eta, jnp.zeros_like(eta))
+    """:func:`fresnel` without an imaginary part of the index, a quarter of its arithmetic; 1 where all is reflected."""
+    contrast, cos2 = (eta - 1) * (eta + 1), cos_d**2
+    c = safe_sqrt(jnp.abs(contrast + cos2))
+    perpendicular, parallel = safe_divide(1.0, (cos_d + c) ** 2), safe_divide(1.0, (eta**2 * cos_d + c) ** 2)
+    tilted = (contrast * cos2 + 2 * cos2 - 1) ** 2
+    reflected = contrast**2 * (perpendicular**2 + tilted * parallel**2) / 2
+    return jnp.where(contrast + cos2 >= 0, reflected, 1.0)
 
 
 def schlick_of_dielectric(cos_d: Real, eta: Real) -> Real:

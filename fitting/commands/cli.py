@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from ..support.affinity import cores_of
+from ..support.allocation import few_arenas
 from ..support.terminal import Commands, console, fail, run, writable_folder
 from .options import (
     Dims,
@@ -41,6 +43,7 @@ def main() -> None:
     _fill_streams()
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts concerns nobody
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # all cores have threads of ours, which its own would hinder
+    few_arenas(len(cores_of()))
     run(app)
 
 

@@ -46,6 +46,7 @@ from ..fit.weights import found_error, weighted_samples
 from ..results import schema, storage
 from ..settings.config import Config
 from ..settings.sections import AUTO, FitSection
+from ..support.allocation import give_freed_memory_back
 from ..support.choices import THETA_MAX
 from ..support.clock import Clock, Report, silent
 from ..support.kept import loaded_ahead
@@ -140,6 +141,7 @@ def _fit_file(
         with clock.stage("accuracy"):
             report("accuracy")
             fitted, accuracy = finish(fitted, measurement, samples)
+    give_freed_memory_back()
     result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
     target = out / f"{measurement.name}.json"
     storage.write_result(target, result)  # before the sampling, which may be interrupted
@@ -204,6 +206,7 @@ def fit(
             if more := [model for model in richer(config, *bases) if model not in known]:
                 tried += searched(more)
                 compared, chosen = compare(tried, few, single, kinds, seen=True)
+    give_freed_memory_back()  # of programs that were read meanwhile, and of small grids: what follows is large
     ended = [finished(tried[k], problem, measurement, samples, config, clock, report) for k in sorted({single, chosen})]
     seen = all(np.isfinite(each.errors.picture) for each in ended)
     return replace(min(ended, key=partial(_error, seen=seen)), candidates=compared)

@@ -17,7 +17,7 @@ import platformdirs
 import psutil
 
 from .affinity import begun_on, spread
-from .allocation import give_freed_memory_back
+from .allocation import few_arenas, give_freed_memory_back
 from .clock import Report, Stage
 from .processes import NEED
 from .terminal import note
@@ -48,6 +48,7 @@ def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
         return folder
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small ones take 15 s together
+    jax.config.update("jax_traceback_in_locations_limit", 0)  # lines of source in programs: a tenth of their loading
     _tell_of_compilation(folder, say)
     _mend(folder, say)
     return folder
@@ -55,6 +56,7 @@ def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
 
 def begin_libraries(first: Sequence[int], cores: Sequence[int], say: Callable[[str], None]) -> None:
     """Once a process: libraries with a thread for each of the first cores, which then run on all of these."""
+    few_arenas(len(cores))
     with begun_on(first):
         jax.devices()  # makes its threads
     spread(cores)

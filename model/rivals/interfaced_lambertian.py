@@ -21,7 +21,7 @@ import numpy as np
 from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
-from ..body import substrate
+from ..body import internal_diffuse_reflectance, substrate
 from ..geometry import Geometry
 from ..numerics import Real, safe_divide, safe_sqrt
 from ..parameters import Parameter
@@ -115,7 +115,7 @@ class InterfacedLambertian(Reflectance):
         of_surface = {name: factor for name, factor in self.surface.factors().items() if name != "body"}
         return {
             **of_surface,
-            "substrate": lambda v, s: substrate(v["eta"], v["albedo"]),
+            "substrate": lambda v, s: substrate(v["eta"], v["albedo"], internal_diffuse_reflectance(v["eta"])),
             "seen": self.seen,
         }
 

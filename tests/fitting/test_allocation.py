@@ -1,4 +1,7 @@
-"""Memory that is freed is kept where Dask's workers are told to give it back; programs are forgotten in good time."""
+"""Memory that is freed is kept where Dask's workers are told to give it back; programs are forgotten in good time.
+
+Threads share arenas.
+"""
 
 import platform
 import subprocess
@@ -26,7 +29,36 @@ print(faults() - before)
 """
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what glibc does")
+ARENAS = """
+import ctypes, sys, threading
+from merlfit.fitting.support.allocation import few_arenas
+few_arenas(int(sys.argv[1]))
+libc, all_have = ctypes.CDLL(None), threading.Barrier(8)
+libc.malloc.restype = ctypes.c_void_p
+def work():
+    libc.malloc(1000)
+    all_have.wait()
+threads = [threading.Thread(target=work) for _ in range(8)]
+for each in threads:
+    each.start()
+for each in threads:
+    each.join()
+libc.fopen.restype = ctypes.c_void_p
+file = ctypes.c_void_p(libc.fopen(b"/dev/stdout", b"w"))
+libc.malloc_info(0, file)
+libc.fflush(file)
+"""
+glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what glibc does")
+
+
+@glibc
+@pytest.mark.parametrize("cores", [2, 5])
+def test_threads_share_as_many_arenas_as_there_are_cores(cores):
+    done = subprocess.run([sys.executable, "-c", ARENAS, str(cores)], capture_output=True, text=True, check=True)
+    assert done.stdout.count("<heap nr=") == cores
+
+
+@glibc
 def test_arrays_of_a_dask_worker_come_from_pages_that_it_has():
     def faults(how):
         environment = {"MALLOC_TRIM_THRESHOLD_": "65536"}
