@@ -44,10 +44,11 @@ def weights(x: Real, count: int) -> Real:
         shape ``(count, *x.shape)``; summed with the values over the first axis they give the polynomial.
     """
     x = jnp.clip(2 * x - 1, -1.01, 1.01)
-    rows = [jnp.ones_like(x), x]
-    for _ in range(count - 2):
-        rows.append(2 * x * rows[-1] - rows[-2])
-    return jnp.tensordot(jnp.asarray(_to_coefficients(count).T, x.dtype), jnp.stack(rows[:count]), 1)
+    rows = jnp.stack([jnp.ones_like(x), x])
+    while len(rows) < count:  # T_(m+k) = 2 T_m T_k - T_(m-k): as many again at a time, which compile to few loops
+        last = len(rows) - 1
+        rows = jnp.concatenate([rows, 2 * rows[last] * rows[1:] - rows[:last][::-1]])
+    return jnp.tensordot(jnp.asarray(_to_coefficients(count).T, x.dtype), rows[:count], 1)
 
 
 def _to_coefficients(count: int) -> np.ndarray:

@@ -101,7 +101,11 @@ def body(
     dots = [jnp.clip(m @ x, 0.0, 1.0) for x in (i, o)]
     through = [dot * (1 - fresnel_of_dielectric(dot, n)) for dot in dots]
     each = weight * through[0] * through[1] / (m[:, 2] * i[2] * o[2])
-    scale = substrate(n, albedo) * masked(i, roughness, normals) * masked(o, roughness, normals)
+    scale = (
+        substrate(n, albedo, internal_diffuse_reflectance(n))
+        * masked(i, roughness, normals)
+        * masked(o, roughness, normals)
+    )
     return Estimate(scale * each.mean(), scale * each.std() / jnp.sqrt(count))
 
 

@@ -16,7 +16,7 @@ from jax import Array
 from jax.scipy.special import gammainc, gammaincc
 from jax.typing import ArrayLike
 from merlfit.model import piecewise
-from merlfit.model.body import external_diffuse_reflectance, substrate
+from merlfit.model.body import external_diffuse_reflectance, internal_diffuse_reflectance, substrate
 from merlfit.model.diffraction import lobe_amplitude, phase_variance
 from merlfit.model.geometry import Geometry
 from merlfit.model.ndf import beckmann, ggx
@@ -256,5 +256,5 @@ def interfaced_lambertian(v: Mapping[str, ArrayLike]) -> Mixture:
     """IL 4.1 with Beckmann's normals: facets or body in the ratio of r_e to what a flat surface's body gives back."""
     n, albedo = _mean(v["eta"]), _mean(v["albedo"])
     r_e = external_diffuse_reflectance(n)
-    weights = jnp.stack([r_e, np.pi * substrate(n, albedo) * (1 - r_e) ** 2])
+    weights = jnp.stack([r_e, np.pi * substrate(n, albedo, internal_diffuse_reflectance(n)) * (1 - r_e) ** 2])
     return Mixture((Facets(Beckmann(_mean(v["roughness"]))), Cosine()), weights / jnp.sum(weights))
