@@ -45,9 +45,10 @@ def weights(x: Real, count: int) -> Real:
     """
     x = jnp.clip(2 * x - 1, -1.01, 1.01)
     rows = jnp.stack([jnp.ones_like(x), x])
-    while len(rows) < count:  # T_(m+k) = 2 T_m T_k - T_(m-k): as many again at a time, which compile to few loops
+    while len(rows) < count:  # T_(m+k) = 2 T_m T_k - T_(m-k): as many again at a time, in few loops
         last = len(rows) - 1
-        rows = jnp.concatenate([rows, 2 * rows[last] * rows[1:] - rows[:last][::-1]])
+        more = min(last, count - len(rows))
+        rows = jnp.concatenate([rows, 2 * rows[last] * rows[1 : more + 1] - rows[last - more : last][::-1]])
     return jnp.tensordot(jnp.asarray(_to_coefficients(count).T, x.dtype), rows[:count], 1)
 
 

@@ -236,7 +236,8 @@ def unlit_body(kind: str, cos_i: Real, cos_o: Real, albedo: Real, n: Real | None
     """
     if kind == "lambert" or n is None:
         return body.lambert(albedo)
-    leaving, inside = 1 - body.external_diffuse_reflectance(n), body.internal_diffuse_reflectance(n)
+    leaving = 1 - body.external_diffuse_reflectance(n)
+    inside = 1 - leaving / n**2
     if kind == "plastic":
         return albedo * leaving / (jnp.pi * n**2 * (1 - inside * albedo))
     u, w = gauss_legendre(16)

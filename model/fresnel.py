@@ -110,7 +110,11 @@ def diffraction_colour(cos_i: Real, cos_o: Real, projected_dot: Real, n: Real, k
 
 
 def fresnel_of_dielectric(cos_d: Real, eta: Real) -> Real:
-    """:func:`fresnel` without an imaginary part of the index, a quarter of its arithmetic; 1 where all is reflected."""
+    """:func:`fresnel` without an imaginary part of the index: half of its arithmetic.
+
+    Accuracy: 2e-15 against :func:`fresnel` (``tests/model/test_fresnel.py``). Past the critical angle of an index below
+    one it is 1, with gradient zero.
+    """
     contrast, cos2 = (eta - 1) * (eta + 1), cos_d**2
     c = safe_sqrt(jnp.abs(contrast + cos2))
     perpendicular, parallel = safe_divide(1.0, (cos_d + c) ** 2), safe_divide(1.0, (eta**2 * cos_d + c) ** 2)

@@ -11,7 +11,7 @@ from jax import Array
 
 from . import body, convolution, diffraction, energy, exact, film
 from .acquisition import RINGS_RAD
-from .effects import ANY, Effects
+from .effects import ANY, BODIES, Effects
 from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .masking.smith import height_correlated, masking
@@ -140,18 +140,18 @@ def body_term(e: Effects, v: Values, s: Setting) -> Array:
         return energy.unlit_body(kind, g.cos_i, g.cos_o, v["albedo"], eta)
     if kind == ANY:
         whole = jnp.broadcast_shapes(v["albedo"].shape, g.cos_i.shape)
-        which = v[WHICH_BODY]  # in the order of BODIES
+        which, layers = v[WHICH_BODY], BODIES.index("plastic")
 
         def layered(n: Array, albedo: Array) -> Array:
-            """Plastic or subsurface, which differ in what comes back from below."""
+            """Plastic or subsurface, the last two of BODIES, which differ in what comes back from below."""
             r_i = body.internal_diffuse_reflectance(n)
             below = [body.substrate, partial(body.scattered, g.cos_i, g.cos_o)]
             chosen = [lambda n, albedo, f=f: jnp.broadcast_to(f(n, albedo, r_i), whole) for f in below]
-            return body.transmittance(g.cos_i, g.cos_o, n) * jax.lax.switch(which - 2, chosen, n, albedo)
+            return body.transmittance(g.cos_i, g.cos_o, n) * jax.lax.switch(which - layers, chosen, n, albedo)
 
         bodies = [lambda n, albedo: jnp.zeros_like(albedo), lambda n, albedo: body.lambert(albedo), layered]
         chosen = [lambda n, albedo, f=f: jnp.broadcast_to(f(n, albedo), whole) for f in bodies]
-        return jax.lax.switch(jnp.minimum(which, 2), chosen, v["n"], v["albedo"])
+        return jax.lax.switch(jnp.minimum(which, layers), chosen, v["n"], v["albedo"])
     match kind:
         case "plastic":
             return body.plastic(g.cos_i, g.cos_o, v["eta"], v["albedo"])

@@ -141,7 +141,7 @@ def _fit_file(
         with clock.stage("accuracy"):
             report("accuracy")
             fitted, accuracy = finish(fitted, measurement, samples)
-    give_freed_memory_back()
+    give_freed_memory_back()  # of all bins: what is derived of the fit needs as much again
     result = make_result(measurement, samples, fitted, None, config, clock.times(), accuracy)
     target = out / f"{measurement.name}.json"
     storage.write_result(target, result)  # before the sampling, which may be interrupted

@@ -48,7 +48,6 @@ def use_persistent_cache(say: Callable[[str], None] = note) -> Path:
         return folder
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # hundreds of small ones take 15 s together
-    jax.config.update("jax_traceback_in_locations_limit", 0)  # lines of source in programs: a tenth of their loading
     _tell_of_compilation(folder, say)
     _mend(folder, say)
     return folder

@@ -1,7 +1,4 @@
-"""Memory that is freed is kept where Dask's workers are told to give it back; programs are forgotten in good time.
-
-Threads share arenas.
-"""
+"""Freed memory: Dask's workers keep it, threads share arenas for it; programs are forgotten in good time."""
 
 import platform
 import subprocess
@@ -10,7 +7,7 @@ import sys
 import jax
 import numpy as np
 import pytest
-from merlfit.fitting.support import compilation
+from merlfit.fitting.support import allocation, compilation
 
 PAGES = 250  # of 4 KiB, in an array
 PROGRAM = f"""
@@ -56,6 +53,25 @@ glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what glibc
 def test_threads_share_as_many_arenas_as_there_are_cores(cores):
     done = subprocess.run([sys.executable, "-c", ARENAS, str(cores)], capture_output=True, text=True, check=True)
     assert done.stdout.count("<heap nr=") == cores
+
+
+@glibc
+def test_a_number_of_arenas_that_was_set_is_kept():
+    environment = {"MALLOC_ARENA_MAX": "3"}
+    done = subprocess.run(
+        [sys.executable, "-c", ARENAS, "2"], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.count("<heap nr=") == 3
+
+
+def test_a_system_without_glibc_goes_on(monkeypatch):
+    def nameless(name):
+        raise TypeError("argument of type 'NoneType' is not iterable")  # as on Windows
+
+    monkeypatch.setattr(allocation.ctypes, "CDLL", nameless)
+    allocation.few_arenas(2)
+    allocation.keep_freed_memory()
+    allocation.give_freed_memory_back()
 
 
 @glibc

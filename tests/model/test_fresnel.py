@@ -50,3 +50,24 @@ def test_high_precision_fresnel_at_the_edges():
             found = float(reflected(cos, n, k))
             if not (cos == 0.0 and n == 1.0):
                 assert found == pytest.approx(float(o_fresnel.fresnel(cos, n, k)), rel=1e-12, abs=1e-15)
+
+
+def test_a_dielectric_is_a_conductor_that_absorbs_nothing():
+    rng = np.random.default_rng(SEED)
+    n, cos = np.exp(rng.uniform(np.log(0.3), np.log(4), 200)), rng.uniform(0, 1, 200)
+    n[:3], cos[:3] = (1.0, 1.0, 1.5), (0.0, 0.5, 0.0)
+    expected = [float(o_fresnel.fresnel(*case, 0.0)) for case in zip(cos[1:], n[1:], strict=True)]
+    found = np.asarray(jax.jit(fresnel.fresnel_of_dielectric)(cos, n))
+    assert worst(found[1:], expected) < 1e-12
+    assert worst(np.asarray(jax.jit(fresnel.fresnel_of_dielectric)(cos, n**2))[1:], expected) > 1e-2
+    past = n**2 < 1 - cos**2 - 1e-12
+    assert past.sum() > 20
+    assert np.all(found[past] == 1)
+    slopes = [jax.vmap(jax.grad(f, (0, 1))) for f in (fresnel.fresnel_of_dielectric, _of_conductor)]
+    ours, theirs = (np.stack(slope(cos, n)) for slope in slopes)
+    assert np.all(np.isfinite(ours))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
+
+
+def _of_conductor(cos, n):
+    return fresnel.fresnel(cos, n, 0 * n)
