@@ -65,13 +65,19 @@ def test_a_number_of_arenas_that_was_set_is_kept():
 
 
 def test_a_system_without_glibc_goes_on(monkeypatch):
+    asked = []
+
     def nameless(name):
+        asked.append(name)
         raise TypeError("argument of type 'NoneType' is not iterable")  # as on Windows
 
     monkeypatch.setattr(allocation.ctypes, "CDLL", nameless)
+    monkeypatch.delenv("MALLOC_ARENA_MAX", raising=False)
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
     allocation.few_arenas(2)
     allocation.keep_freed_memory()
     allocation.give_freed_memory_back()
+    assert asked == [None, None, None], "each has tried, and has gone on"
 
 
 @glibc

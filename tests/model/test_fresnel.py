@@ -59,6 +59,7 @@ def test_a_dielectric_is_a_conductor_that_absorbs_nothing():
     expected = [float(o_fresnel.fresnel(*case, 0.0)) for case in zip(cos[1:], n[1:], strict=True)]
     found = np.asarray(jax.jit(fresnel.fresnel_of_dielectric)(cos, n))
     assert worst(found[1:], expected) < 1e-12
+    np.testing.assert_allclose(found, reflected(cos, n, 0 * n), rtol=1e-13, atol=4e-15)
     assert worst(np.asarray(jax.jit(fresnel.fresnel_of_dielectric)(cos, n**2))[1:], expected) > 1e-2
     past = n**2 < 1 - cos**2 - 1e-12
     assert past.sum() > 20
