@@ -64,14 +64,15 @@ def reflectance(cos_theta: Real, n: Real, k: Real, eta: Real, thickness_um: Real
     below_s = _amplitude((inside, c_real), (jnp.zeros_like(c_imag), c_imag))
     below_p = _amplitude((e_real * cos_f, eta * c_real), (e_imag * cos_f, eta * c_imag))
 
-    turn, step = 4 * jnp.pi * inside * thickness_um, between_nodes(wavelength_um)
-    first = turn * (1 / wavelength_um - (NODES // 2) * step)
-    phase, by = (jnp.cos(first), jnp.sin(first)), (jnp.cos(turn * step), jnp.sin(turn * step))
-    total = jnp.zeros_like(sin2)
-    for weight in WEIGHTS:  # nodes are evenly spaced: from one to the next the phase turns by the same angle
-        total = total + weight * (_reflected(s, below_s, phase) + _reflected(p, below_p, phase)) / 2
-        phase = _product(phase, by)
-    return total
+    turn = 4 * jnp.pi * inside * thickness_um
+    places = 1 / wavelength_um[..., None] + between_nodes(wavelength_um)[..., None] * (np.arange(NODES) - NODES // 2)
+    turns = turn[..., None] * places
+    phase = jnp.cos(turns), jnp.sin(turns)
+    at_nodes = sum(
+        _reflected(outer[..., None], (inner[0][..., None], inner[1][..., None]), phase)
+        for outer, inner in ((s, below_s), (p, below_p))
+    )
+    return jnp.sum(at_nodes * np.array(WEIGHTS), -1) / 2
 
 
 Complex = tuple[Array, Array]

@@ -35,8 +35,10 @@ def masking_G(e: Effects, v: Values, s: Setting) -> Array:
     return seen * lit if e.masking == "smith" else height_correlated(seen, lit)
 
 
-def fresnel_F(e: Effects, v: Values, s: Setting) -> Array:
+def facets(e: Effects, v: Values, s: Setting) -> Array:
     """F(theta_d) by the chosen formula, or that of a film."""
+    if "facet_reflectance" in v:
+        return v["facet_reflectance"]
     if e.index == "film":
         of_film = v["film_eta"], v["film_thickness"]
         return film.reflectance(s.geometry.cos_d, v["n"], v["k"], *of_film, s.wavelength_um)
@@ -44,9 +46,16 @@ def fresnel_F(e: Effects, v: Values, s: Setting) -> Array:
     return formula(s.geometry.cos_d, *_index(v))
 
 
-def specular(e: Effects, v: Values, s: Setting) -> Array:
-    """F(theta_d) D(theta_h) / 4."""
-    return fresnel_F(e, v, s) * epd(s.geometry.theta_h, v["beta"], v["p"]) / 4
+def facet_reflectance(e: Effects, v: Values, s: Setting) -> Array:
+    """The same as a table at each theta_d."""
+    constants = {name: v[name].reshape(-1, *s.wavelength_um.shape[1:]) for name in ("eta", "n", "k") if name in v}
+    shared = {name: v[name] for name in ("film_eta", "film_thickness") if name in v}
+    return facets(e, {**constants, **shared}, s)
+
+
+def distribution(e: Effects, v: Values, s: Setting) -> Array:
+    """D(theta_h) / 4."""
+    return epd(s.geometry.theta_h, v["beta"], v["p"]) / 4
 
 
 def relative_variance(e: Effects, v: Values, s: Setting) -> Array:
@@ -91,13 +100,11 @@ def _variance_and_phase(e: Effects, v: Values, s: Setting) -> tuple[Array, Array
 
 
 def undiffracted(e: Effects, v: Values, s: Setting) -> Array:
-    """A_spec F D / 4 (HP17 Eq. 25), or (1 - E) F D / 4."""
+    """A_spec (HP17 Eq. 25), or 1 - E."""
     if e.split == "conserving":
         table = v["facet_albedo"] if "facet_albedo" in v else facet_albedo(e, v, s)
-        A = jnp.maximum(1 - energy.lobe_albedo(s.geometry.theta_d, table), 0.0)
-    else:
-        A = jnp.exp(-_variance_and_phase(e, v, s)[1])
-    return A * specular(e, v, s)
+        return jnp.maximum(1 - energy.lobe_albedo(s.geometry.theta_d, table), 0.0)
+    return jnp.exp(-_variance_and_phase(e, v, s)[1])
 
 
 def _amplitude(e: Effects, v: Values, s: Setting, share: Array) -> Array:
@@ -125,9 +132,7 @@ def exact_diffracted(e: Effects, v: Values, s: Setting) -> Array:
 
 
 def diffraction_colour_Q(e: Effects, v: Values, s: Setting) -> Array:
-    """Q/2, or F."""
-    if e.colour == "fresnel":
-        return fresnel_F(e, v, s)
+    """Q/2."""
     g = s.geometry
     return diffraction_colour(g.cos_i, g.cos_o, jnp.where(s.above, g.projected_dot, 1.0), *_index(v))
 

@@ -9,11 +9,11 @@ The free split has w (1 - A_spec) for 1 - A_spec, with a weight w per channel.
 
 It is evaluated as factors, each a function of a part of the directions and of a part of the parameters (`terms`):
 
-    rho = masking (specular / (cos_i cos_o) + colour diffracted) + body,
+    rho = masking (undiffracted facets distribution / (cos_i cos_o) + colour diffracted) + body,
 
-specular being A_spec F D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). On a grid specular and diffracted live on
-(theta_h, theta_d) alone and masking is a one-dimensional table. The conserving split (:mod:`.energy`) multiplies lobes
-and body once more.
+undiffracted being A_spec, facets F, distribution D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). On a grid these
+live on theta_h or theta_d alone, diffracted on both; F is computed once for all of it, and masking is a one-dimensional
+table. The conserving split (:mod:`.energy`) multiplies lobes and body once more.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +38,8 @@ from .parameters import WAVELENGTHS_UM, Parameter
 from .reflectance import Factor, Lobes, Profile, Reflectance, Setting, Values, Wavelengths, evaluate, setting
 
 TABLES = (
-    "masking_curve", "relative_variance", "variance_curve", "surface_albedo", "lobe_surface", "facet_albedo",
+    "masking_curve", "facet_reflectance", "relative_variance", "variance_curve", "surface_albedo", "lobe_surface",
+    "facet_albedo",
 )  # fmt: skip
 Term = Callable[[Any, Values, Setting], Array]
 
@@ -77,15 +78,14 @@ class TwoScale(Effects, Reflectance):
 
     def factors(self) -> dict[str, Factor]:  # noqa: D102
         chosen: dict[str, Term] = {} if self.masking == "none" else {"masking": terms.masking_G}
-        if self.diffraction == "off":
-            chosen["specular"] = terms.specular
-        else:
+        chosen |= {"facets": terms.facets, "distribution": terms.distribution}
+        if self.diffraction != "off":
             exact = self.diffraction == "exact"
             chosen |= {
-                "specular": terms.undiffracted,
+                "undiffracted": terms.undiffracted,
                 "diffracted": terms.exact_diffracted if exact else terms.diffracted,
             }
-            if not exact or self.colour == "fresnel":
+            if not exact and self.colour != "fresnel":
                 chosen["colour"] = terms.diffraction_colour_Q
         if self.body != "none":
             chosen["body"] = terms.body_term
@@ -97,6 +97,8 @@ class TwoScale(Effects, Reflectance):
         chosen: dict[str, Term] = {}
         if self.masking != "none":
             chosen["masking_curve"] = lambda e, v, s: masking_table(v["p"])
+        if not scattered:
+            chosen["facet_reflectance"] = terms.facet_reflectance
         if self.diffraction != "off" and self.renormalised:
             variance = "variance_curve" if scattered else "relative_variance"
             chosen[variance] = terms.variance_curve if scattered else terms.relative_variance
@@ -109,9 +111,13 @@ class TwoScale(Effects, Reflectance):
         return {name: partial(term, self) for name, term in chosen.items()}
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
-        sharp = {"specular": at["specular"] / (s.geometry.cos_i * s.geometry.cos_o)}
+        specular = at["facets"] * at["distribution"] / (s.geometry.cos_i * s.geometry.cos_o)
         if "diffracted" in at:
-            sharp["diffracted"] = at["colour"] * at["diffracted"] if "colour" in at else at["diffracted"]
+            coloured = at["facets"] if self.colour == "fresnel" else at.get("colour")
+            lobe = at["diffracted"] if coloured is None else coloured * at["diffracted"]
+            sharp = {"specular": at["undiffracted"] * specular, "diffracted": lobe}
+        else:
+            sharp = {"specular": specular}
         common, body = at.get("masking"), at.get("body")
         if "conservation" in at:
             kept, through = at["conservation"][0], at["conservation"][1:]

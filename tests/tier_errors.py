@@ -66,7 +66,7 @@ def evaluate(effects, values, wavelength, geometry):
         v = {name: x[None] if name in ("n", "k") else x for name, x in v.items()}
         s = setting(g, wavelength[None])
         at = factor_values(effects, shaped(effects, v, s), s)
-        diffracted = {**at, "specular": jnp.zeros_like(at["specular"])}
+        diffracted = {**at, "distribution": jnp.zeros_like(at["distribution"])}
         return tuple(effects.assemble(each, s).brdf(s)[0] for each in (at, diffracted))
 
     return jax.lax.map(one, (values, wavelength, geometry))

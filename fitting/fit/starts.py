@@ -88,17 +88,21 @@ def starting_points(
     There are no random numbers in them: the same data have the same starting points.
 
     Args:
-        problem: on which candidates are compared. over: maps a function over batches of candidates.
+        problem: on which candidates are compared. over: maps a function over models, or over batches of candidates.
         first: shared parameters of the first instead of those that the data give.
     """
     alike: dict[Hashable, list[int]] = {}  # models with the same lobes have the same candidates
     for k, layout in enumerate(layouts):
         parted = hints_of(layout.model).linear
         alike.setdefault((parted.lobes, parted.fixed) if parted else k, []).append(k)
+    every = [[layouts[k] for k in members] for members in alike.values()]
+    if len(every) > 1:  # a core each: one that waits for a program of its own leaves the other cores to the others
+        points = over(lambda each: _of_alike(each, data, problem, count, map, first), every)
+    else:
+        points = [_of_alike(every[0], data, problem, count, over, first)]
     found: dict[int, np.ndarray] = {}
-    for members in alike.values():
-        points = _of_alike([layouts[k] for k in members], data, problem, count, over, first)
-        found |= dict(zip(members, points, strict=True))
+    for members, each in zip(alike.values(), points, strict=True):
+        found |= dict(zip(members, each, strict=True))
     return [found[k] for k in range(len(layouts))]
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,17 +98,21 @@ def fit_coarse(
             if stage.rough and backend == "optimistix":
                 return follow_many(points, limits)
             models, where = (rough, roughly) if stage.rough else (layouts, problem)
-            pairs = [(layout, z) for layout, each in zip(models, points, strict=True) for z in each]
-            solved = pool.map(lambda pair: solve(Objective(pair[0], where), pair[1], backend=backend, **limits), pairs)
-            return [list(islice(solved, len(each))) for each in points]
+            return in_turn(lambda k, z: solve(Objective(models[k], where), z, backend=backend, **limits), points)
 
         def follow_many(points: list[np.ndarray], limits: Mapping[str, Any]) -> list[list[Solution]]:
             """Several by each call: on few bins it takes as long as what it computes."""
-            shares = [_shared_out(each) for each in points]
-            pairs = [(Objective(layout, roughly), z) for layout, each in zip(rough, shares, strict=True) for z in each]
-            solved = pool.map(lambda pair: solve_many(pair[0].normal_equations_of_many, pair[1], **limits), pairs)
-            together = [list(chain.from_iterable(islice(solved, len(each)))) for each in shares]
-            return [found[: len(each)] for found, each in zip(together, points, strict=True)]
+            found = in_turn(
+                lambda k, z: solve_many(Objective(rough[k], roughly).normal_equations_of_many, z, **limits),
+                [_shared_out(each) for each in points],
+            )
+            return [[*chain.from_iterable(of_model)][: len(each)] for of_model, each in zip(found, points, strict=True)]
+
+        def in_turn(solved: Callable[[int, np.ndarray], Any], given: list[Any]) -> list[list[Any]]:
+            """Of every model's points, the first of all models first: so cores read programs of different ones."""
+            order = sorted((j, k) for k, each in enumerate(given) for j in range(len(each)))
+            found = dict(zip(order, pool.map(lambda jk: solved(jk[1], given[jk[1]][jk[0]]), order), strict=True))
+            return [[found[j, k] for j in range(len(each))] for k, each in enumerate(given)]
 
         return successive_halving(points, follow, config, [0] * len(points))
 

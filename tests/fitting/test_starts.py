@@ -164,6 +164,15 @@ def test_they_are_the_same_every_time_and_another_first_moves_all(problem):
     assert np.all(np.any(np.abs(once[:, None] - moved) > 1e-3, axis=-1))
 
 
+def test_those_of_models_with_unlike_lobes_are_the_same_side_by_side(problem):
+    layouts = [LAYOUT, LAYOUT.with_material(replace(LAYOUT.material, diffraction="off"))]
+    alone = [points_of(each, problem, 4, first=first) for each, first in zip(layouts, (FIRST, FIRST), strict=True)]
+    with ThreadPoolExecutor(2) as pool:
+        beside = starting_points(layouts, SEEN, problem, 4, pool.map, FIRST)
+    for one, other in zip(alone, beside, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_another_prior_scatters_them_otherwise(problem):
     narrow = layout_of(LAYOUT.model, replace(PRIORS, half_width=LogNormal(0.05, 1.2), p=LogNormal(1.0, 1.2)))
     found = points_of(narrow, problem, 24)

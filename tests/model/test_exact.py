@@ -36,7 +36,7 @@ def cases(count=24):
 def diffraction_lobe(values, i, o):
     s, model = setting(Geometry.from_vectors(i, o), (WAVELENGTH_UM,)), TwoScale(diffraction="exact")
     at = factor_values(model, shaped(model, values, s), s)
-    return model.assemble({**at, "specular": jnp.zeros_like(at["specular"])}, s).brdf(s)[0]
+    return model.assemble({**at, "distribution": jnp.zeros_like(at["distribution"])}, s).brdf(s)[0]
 
 
 def test_exact_lobe_against_the_oracle():

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 from merlfit.model.effects import KINDS
-from merlfit.model.fresnel import fresnel
 from merlfit.model.geometry import Geometry
 from merlfit.model.measured import Measured, material_of
 from merlfit.model.numerics import sin_quarter, softplus
@@ -27,6 +26,7 @@ from tests.support.compiled import from_half_difference, from_vectors, two_scale
 SEED = 20261121
 compiled_contributions = jax.jit(contributions, static_argnums=0)
 SHARED = {"beta": 0.15, "p": 0.7, "b": 3.0, "c": 1.8, "sigma_s": 0.04}
+FILM = {"film_eta": 1.7, "film_thickness": 0.4}
 GRAZING = {"grazing_exponent": 0.4, "grazing_exponent_diffracted": 0.15}
 OPTICS = {
     "n": np.array([0.2, 0.9, 1.4]), "k": np.array([3.4, 2.3, 1.6]), "eta": np.array([1.4, 1.5, 1.6]),
@@ -57,7 +57,7 @@ DIFFERENTIATED += [TwoScale(diffraction="exact"), TwoScale("subsurface", "lobe",
 
 
 def material(effects, **changes):
-    return {q.name: {**SHARED, **GRAZING, **OPTICS, **changes}[q.name] for q in effects.parameters}
+    return {q.name: {**SHARED, **FILM, **GRAZING, **OPTICS, **changes}[q.name] for q in effects.parameters}
 
 
 def random_directions(count, seed=SEED, highest=1.5):
@@ -360,6 +360,7 @@ def test_factors_depend_on_what_was_recorded(effects):
     [
         TwoScale("subsurface", "lobe", split="conserving"),
         TwoScale("none", "quadrature"),
+        TwoScale("lambert", "off", index="film"),
         Measured(TwoScale("lambert", "lobe"), "derived"),
     ],
     ids=str,
@@ -378,7 +379,8 @@ def test_tables_depend_on_what_was_recorded_and_change_nothing(effects):
 
     found = tables(v)
     conserving = material_of(effects).split == "conserving"
-    expected = {"masking_curve", "relative_variance"} | ({"surface_albedo"} if conserving else set())
+    expected = {"masking_curve", "facet_reflectance"} | ({"surface_albedo"} if conserving else set())
+    expected |= set() if material_of(effects).diffraction == "off" else {"relative_variance"}
     assert set(found) == expected | ({"specular_exponent", "diffracted_exponent"} if derived else set())
     for q in v:
         after = tables({**v, q: v[q] * 1.1})
@@ -481,8 +483,7 @@ def white(beta, p, *angles):
     """The model's own Cook-Torrance lobe with its Fresnel factor divided out (1/sr), with masking and without."""
     model, s = TwoScale("none", "off"), setting(Geometry(*angles), (0.5,))
     v = shaped(model, {"beta": beta, "p": p, "n": np.array([0.5]), "k": np.array([3.0])}, s)
-    at = factor_values(model, v, s)
-    at["specular"] = at["specular"] / fresnel(s.geometry.cos_d, v["n"], v["k"])
+    at = {**factor_values(model, v, s), "facets": jnp.ones(())}
     return [model.assemble(each, s).brdf(s)[0] for each in (at, {**at, "masking": jnp.ones(())})]
 
 
