@@ -188,8 +188,8 @@ def fit(
     with clock.stage("coarse"):
         data, few, (problem, roughly) = start_hints(samples), thinned(samples, COARSE), make_coarse(samples)
 
-        def searched(models: list[Measured]) -> list[Searched]:
-            report(f"coarse grid: {', '.join(model.variant for model in models)}")
+        def searched(models: list[Measured], stage: str = "coarse grid") -> list[Searched]:
+            report(f"{stage}: {', '.join(model.variant for model in models)}")
             layouts = [layout_for(config, model, samples.bands) for model in models]
             rough = [searched_for(each) for each in layouts]
             found = fit_coarse(rough, data, problem, roughly, config, first)
@@ -198,13 +198,13 @@ def fit(
         tried, auto = searched(candidates(config)), config.model.name == AUTO
         compared, chosen = compare(tried, few, seen=auto)
         single, kinds = chosen, len(tried)
-        for richer, left, off in RICHER if auto else ():
+        for number, (richer, left, off) in enumerate(RICHER if auto else (), 1):
             if (compared[chosen].cost or 0.0) <= left and (compared[chosen].picture or 0.0) <= off:
                 break
             bases = [tried[k].layout.material for k in (single, promising(compared, single, kinds))]
             known = [each.layout.model for each in tried]
             if more := [model for model in richer(config, *bases) if model not in known]:
-                tried += searched(more)
+                tried += searched(more, f"richer models, round {number}")
                 compared, chosen = compare(tried, few, single, kinds, seen=True)
     give_freed_memory_back()  # of programs that were read meanwhile, and of small grids: what follows is large
     ended = [finished(tried[k], problem, measurement, samples, config, clock, report) for k in sorted({single, chosen})]
