@@ -11,6 +11,7 @@ within [0, 1] at grazing angles, too, where the series hardly converges.
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -20,6 +21,7 @@ from .numerics import Real, safe_divide
 from .parameters import WAVELENGTHS_UM
 
 NODES, STEP = 15, 0.4  # of a band, and standard deviations between two of them
+AT_ONCE = 5  # of a loop over nodes: all written out would make a program with derivatives six times as large
 FWHM = 2 * math.sqrt(2 * math.log(2))  # of a Gaussian, in standard deviations
 _AT = STEP * (np.arange(NODES) - NODES // 2)
 WEIGHTS = tuple((np.exp(-(_AT**2) / 2) / np.exp(-(_AT**2) / 2).sum()).tolist())  # of the nodes
@@ -64,15 +66,20 @@ def reflectance(cos_theta: Real, n: Real, k: Real, eta: Real, thickness_um: Real
     below_s = _amplitude((inside, c_real), (jnp.zeros_like(c_imag), c_imag))
     below_p = _amplitude((e_real * cos_f, eta * c_real), (e_imag * cos_f, eta * c_imag))
 
-    turn = 4 * jnp.pi * inside * thickness_um
-    places = 1 / wavelength_um[..., None] + between_nodes(wavelength_um)[..., None] * (np.arange(NODES) - NODES // 2)
-    turns = turn[..., None] * places
-    phase = jnp.cos(turns), jnp.sin(turns)
-    at_nodes = sum(
-        _reflected(outer[..., None], (inner[0][..., None], inner[1][..., None]), phase)
-        for outer, inner in ((s, below_s), (p, below_p))
-    )
-    return jnp.sum(at_nodes * np.array(WEIGHTS), -1) / 2
+    turn, step = 4 * jnp.pi * inside * thickness_um, between_nodes(wavelength_um)
+    first = turn * (1 / wavelength_um - (NODES // 2) * step)
+    phase, by = (jnp.cos(first), jnp.sin(first)), (jnp.cos(turn * step), jnp.sin(turn * step))
+
+    def add(so_far: tuple[Array, Complex], weight: Array) -> tuple[tuple[Array, Complex], None]:
+        """Nodes are evenly spaced: from one to the next the phase turns by the same angle."""
+        total, phase = so_far
+        seen = (_reflected(s, below_s, phase) + _reflected(p, below_p, phase)) / 2
+        return (total + weight * seen, _product(phase, by)), None
+
+    shape = jnp.broadcast_shapes(first.shape, below_s[0].shape)
+    none = jnp.zeros(shape, first.dtype)
+    begun = none, (jnp.broadcast_to(phase[0], shape), jnp.broadcast_to(phase[1], shape))
+    return jax.lax.scan(add, begun, jnp.asarray(WEIGHTS, first.dtype), unroll=AT_ONCE)[0][0]
 
 
 Complex = tuple[Array, Array]

@@ -16,7 +16,7 @@ from .fresnel import diffraction_colour, fresnel, schlick
 from .geometry import Geometry
 from .masking.smith import height_correlated, masking
 from .ndf.epd import epd
-from .parameters import WHICH_BODY
+from .parameters import FILM, WHICH_BODY
 from .reflectance import Setting, Values, setting
 
 LEAST_COSINE = 1e-7  # of theta_d where lobes are blurred: in float32 the cosine of 90 degrees is negative
@@ -48,9 +48,9 @@ def facets(e: Effects, v: Values, s: Setting) -> Array:
 
 def facet_reflectance(e: Effects, v: Values, s: Setting) -> Array:
     """The same as a table at each theta_d."""
-    constants = {name: v[name].reshape(-1, *s.wavelength_um.shape[1:]) for name in ("eta", "n", "k") if name in v}
-    shared = {name: v[name] for name in ("film_eta", "film_thickness") if name in v}
-    return facets(e, {**constants, **shared}, s)
+    per_channel, shared = ("eta",) if e.index == "real" else ("n", "k"), tuple(q.name for q in FILM)
+    own = {name: v[name].reshape(-1, *s.wavelength_um.shape[1:]) for name in per_channel}
+    return facets(e, own | {name: v[name] for name in shared if e.index == "film"}, s)
 
 
 def distribution(e: Effects, v: Values, s: Setting) -> Array:

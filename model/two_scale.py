@@ -11,9 +11,10 @@ It is evaluated as factors, each a function of a part of the directions and of a
 
     rho = masking (undiffracted facets distribution / (cos_i cos_o) + colour diffracted) + body,
 
-undiffracted being A_spec, facets F, distribution D / 4, colour Q/2, diffracted (1 - A_spec) (S * D). On a grid these
-live on theta_h or theta_d alone, diffracted on both; F is computed once for all of it, and masking is a one-dimensional
-table. The conserving split (:mod:`.energy`) multiplies lobes and body once more.
+undiffracted being A_spec, facets F, distribution D / 4, colour Q/2 or F, diffracted (1 - A_spec) (S * D). On a grid
+undiffracted and facets depend on theta_d alone, distribution on theta_h alone, diffracted on both. F is a table that is
+computed once for the whole grid, and so is masking, of one variable. The conserving split (:mod:`.energy`) multiplies
+lobes and body once more.
 """
 
 from collections.abc import Callable, Mapping
@@ -111,13 +112,11 @@ class TwoScale(Effects, Reflectance):
         return {name: partial(term, self) for name, term in chosen.items()}
 
     def assemble(self, at: Values, s: Setting) -> Lobes:  # noqa: D102
-        specular = at["facets"] * at["distribution"] / (s.geometry.cos_i * s.geometry.cos_o)
+        mirror = at["facets"] * at["undiffracted"] if "undiffracted" in at else at["facets"]
+        sharp = {"specular": mirror * at["distribution"] / (s.geometry.cos_i * s.geometry.cos_o)}
         if "diffracted" in at:
-            coloured = at["facets"] if self.colour == "fresnel" else at.get("colour")
-            lobe = at["diffracted"] if coloured is None else coloured * at["diffracted"]
-            sharp = {"specular": at["undiffracted"] * specular, "diffracted": lobe}
-        else:
-            sharp = {"specular": specular}
+            colour = at["facets"] if self.colour == "fresnel" else at.get("colour", 1.0)
+            sharp["diffracted"] = colour * at["diffracted"]
         common, body = at.get("masking"), at.get("body")
         if "conservation" in at:
             kept, through = at["conservation"][0], at["conservation"][1:]

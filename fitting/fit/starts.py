@@ -96,10 +96,12 @@ def starting_points(
         parted = hints_of(layout.model).linear
         alike.setdefault((parted.lobes, parted.fixed) if parted else k, []).append(k)
     every = [[layouts[k] for k in members] for members in alike.values()]
-    if len(every) > 1:  # a core each: one that waits for a program of its own leaves the other cores to the others
+    if len(every) > 1:
+        # A thread for each: while one waits for its programs the others go on. Not for batches, too: threads of a pool
+        # that wait for that pool would wait for ever.
         points = over(lambda each: _of_alike(each, data, problem, count, map, first), every)
     else:
-        points = [_of_alike(every[0], data, problem, count, over, first)]
+        points = [_of_alike(each, data, problem, count, over, first) for each in every]
     found: dict[int, np.ndarray] = {}
     for members, each in zip(alike.values(), points, strict=True):
         found |= dict(zip(members, each, strict=True))

@@ -1,6 +1,6 @@
 """The search on the coarse grid: from many starting points, by successive halving, for every model at once."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import chain
@@ -98,23 +98,39 @@ def fit_coarse(
             if stage.rough and backend == "optimistix":
                 return follow_many(points, limits)
             models, where = (rough, roughly) if stage.rough else (layouts, problem)
-            return in_turn(lambda k, z: solve(Objective(models[k], where), z, backend=backend, **limits), points)
+            return in_turn(
+                pool.map, lambda k, z: solve(Objective(models[k], where), z, backend=backend, **limits), points
+            )
 
         def follow_many(points: list[np.ndarray], limits: Mapping[str, Any]) -> list[list[Solution]]:
             """Several by each call: on few bins it takes as long as what it computes."""
             found = in_turn(
+                pool.map,
                 lambda k, z: solve_many(Objective(rough[k], roughly).normal_equations_of_many, z, **limits),
                 [_shared_out(each) for each in points],
             )
             return [[*chain.from_iterable(of_model)][: len(each)] for of_model, each in zip(found, points, strict=True)]
 
-        def in_turn(solved: Callable[[int, np.ndarray], Any], given: list[Any]) -> list[list[Any]]:
-            """Of every model's points, the first of all models first: so cores read programs of different ones."""
-            order = sorted((j, k) for k, each in enumerate(given) for j in range(len(each)))
-            found = dict(zip(order, pool.map(lambda jk: solved(jk[1], given[jk[1]][jk[0]]), order), strict=True))
-            return [[found[j, k] for j in range(len(each))] for k, each in enumerate(given)]
-
         return successive_halving(points, follow, config, [0] * len(points))
+
+
+def in_turn(
+    over: Callable[..., Iterable], solved: Callable[[int, np.ndarray], Any], given: Sequence[Any]
+) -> list[list[Any]]:
+    """Results by model and point; the first points of all models go first: threads load different models' programs.
+
+    Args:
+        over: maps a function over places. solved: what comes of a model, by its number, and a point. given: points of
+            every model.
+    """
+    places = sorted((number, k) for k, each in enumerate(given) for number in range(len(each)))
+
+    def one(place: tuple[int, int]) -> Any:  # noqa: ANN401 - as solved
+        number, k = place
+        return solved(k, given[k][number])
+
+    found = dict(zip(places, over(one, places), strict=True))
+    return [[found[number, k] for number in range(len(each))] for k, each in enumerate(given)]
 
 
 def _shared_out(points: np.ndarray) -> list[np.ndarray]:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from merlfit.fitting.pipeline import run
+from merlfit.fitting.pipeline.search import in_turn
 from merlfit.fitting.results import schema
 from merlfit.fitting.settings.config import load
 from merlfit.merl_io.bands import MERL
@@ -27,6 +28,17 @@ class Ended:
     solution: SimpleNamespace
     errors: SimpleNamespace
     candidates: list = field(default_factory=list)
+
+
+def test_models_take_turns_and_each_has_its_own_results():
+    began = []
+
+    def solved(k, z):
+        began.append((k, z))
+        return 10 * k + z
+
+    assert in_turn(map, solved, [[1, 2, 3], [], [4, 5]]) == [[1, 2, 3], [], [24, 25]]
+    assert began == [(0, 1), (2, 4), (0, 2), (2, 5), (0, 3)]
 
 
 @pytest.fixture

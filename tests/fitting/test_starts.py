@@ -166,7 +166,7 @@ def test_they_are_the_same_every_time_and_another_first_moves_all(problem):
 
 def test_those_of_models_with_unlike_lobes_are_the_same_side_by_side(problem):
     layouts = [LAYOUT, LAYOUT.with_material(replace(LAYOUT.material, diffraction="off"))]
-    alone = [points_of(each, problem, 4, first=first) for each, first in zip(layouts, (FIRST, FIRST), strict=True)]
+    alone = [points_of(each, problem, 4, first=FIRST) for each in layouts]
     with ThreadPoolExecutor(2) as pool:
         beside = starting_points(layouts, SEEN, problem, 4, pool.map, FIRST)
     for one, other in zip(alone, beside, strict=True):

@@ -73,3 +73,12 @@ def test_at_the_ends_of_the_bounds_bands_are_good_to_4_percent():
     ]
     assert np.max(away) < 0.045
     assert np.max(np.array(away)[:, :3]) < 0.03
+
+
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+def test_it_keeps_the_precision_that_it_is_given(precision):
+    wavelengths = np.array([[0.61], [0.54], [0.45]], precision)
+    constants = (np.full((3, 1), x, precision) for x in (1.2, 2.0))
+    found = reflectance(np.array([0.1, 0.9], precision), *constants, precision(1.5), precision(0.4), wavelengths)
+    assert found.dtype == precision
+    assert found.shape == (3, 2)

@@ -361,6 +361,7 @@ def test_factors_depend_on_what_was_recorded(effects):
         TwoScale("subsurface", "lobe", split="conserving"),
         TwoScale("none", "quadrature"),
         TwoScale("lambert", "off", index="film"),
+        TwoScale("none", "quadrature", index="film", colour="fresnel"),
         Measured(TwoScale("lambert", "lobe"), "derived"),
     ],
     ids=str,
