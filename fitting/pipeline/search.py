@@ -120,16 +120,12 @@ def in_turn(
     """Results by model and point; the first points of all models go first: threads load different models' programs.
 
     Args:
-        over: maps a function over places. solved: what comes of a model, by its number, and a point. given: points of
+        over: maps a function over numbers of models and points. solved: what comes of a model, by its number, and a point. given: points of
             every model.
     """
     places = sorted((number, k) for k, each in enumerate(given) for number in range(len(each)))
-
-    def one(place: tuple[int, int]) -> Any:  # noqa: ANN401 - as solved
-        number, k = place
-        return solved(k, given[k][number])
-
-    found = dict(zip(places, over(one, places), strict=True))
+    results = over(solved, [k for _, k in places], [given[k][number] for number, k in places])
+    found = dict(zip(places, results, strict=True))
     return [[found[number, k] for number in range(len(each))] for k, each in enumerate(given)]
 
 
