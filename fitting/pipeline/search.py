@@ -120,8 +120,8 @@ def in_turn(
     """Results by model and point; the first points of all models go first: threads load different models' programs.
 
     Args:
-        over: maps a function over numbers of models and points. solved: what comes of a model, by its number, and a point. given: points of
-            every model.
+        over: maps a function over numbers of models and over points. solved: what comes of a model, by its number, and
+            a point. given: points of every model.
     """
     places = sorted((number, k) for k, each in enumerate(given) for number in range(len(each)))
     results = over(solved, [k for _, k in places], [given[k][number] for number, k in places])
