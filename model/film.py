@@ -21,7 +21,7 @@ from .numerics import Real, safe_divide
 from .parameters import WAVELENGTHS_UM
 
 NODES, STEP = 15, 0.4  # of a band, and standard deviations between two of them
-AT_ONCE = 5  # of a loop over nodes: all written out would make a program with derivatives six times as large
+AT_ONCE = 5  # of a loop over nodes: all 15 written out would make a program with derivatives twice as large
 FWHM = 2 * math.sqrt(2 * math.log(2))  # of a Gaussian, in standard deviations
 _AT = STEP * (np.arange(NODES) - NODES // 2)
 WEIGHTS = tuple((np.exp(-(_AT**2) / 2) / np.exp(-(_AT**2) / 2).sum()).tolist())  # of the nodes
