@@ -107,7 +107,7 @@ class TwoScale(Effects, Reflectance):
             chosen["surface_albedo"] = TwoScale.surface_albedo
         if scattered and self.diffraction == "quadrature":
             chosen["lobe_surface"] = terms.lobe_surface
-        if scattered and self.diffraction != "off" and self.split == "conserving":
+        if self.diffraction != "off" and self.split == "conserving":
             chosen["facet_albedo"] = terms.facet_albedo
         return {name: partial(term, self) for name, term in chosen.items()}
 
@@ -136,20 +136,21 @@ class TwoScale(Effects, Reflectance):
         Args:
             v: parameters, those per channel as ``(C,)`` or with more axes of length one.
         """
+        wavelengths_um = s.wavelength_um.reshape(-1)
+        inner = self.changed(order=min(energy.ORDER, self.order))
         read = {q.name: v[q.name] for q in self.parameters if q.name != declared.ALBEDO.name}
         values = {name: x.reshape((-1, 1, 1, 1)) if jnp.ndim(x) else x for name, x in read.items()}
-        wavelengths_um = s.wavelength_um.reshape(-1)
+        shared = {name: f(v, s) for name, f in inner.tables(scattered=True).items() if name != "surface_albedo"}
         largest_B = 2 * v["b"] / jnp.min(wavelengths_um) if "b" in v else jnp.ones(())
-        incidences = energy.incidences(v["beta"])
-        placed = jax.lax.stop_gradient((v["beta"], v["p"], largest_B))  # nodes need no derivative
-        geometry, measure = energy.half_vectors(incidences, *energy.slopes(*placed))
-        s = setting(geometry, wavelengths_um)
-        if self.renormalised and self.diffraction != "off":
-            one_minus_sin = 2 * jnp.sin(jnp.pi / 4 - geometry.theta_d[None] / 2) ** 2
-            values["relative_variance"] = energy.share_of(v["b"] / wavelengths_um, v["c"])(one_minus_sin)
-        inner = self.changed(order=min(energy.ORDER, self.order))
-        lobes = {name: f(values, s) for name, f in inner.factors().items() if name not in ("body", "conservation")}
-        return jnp.sum(inner.assemble(lobes, s).brdf(s) * measure, (-2, -1))
+        nodes = energy.slopes(*jax.lax.stop_gradient((v["beta"], v["p"], largest_B)))  # they need no derivative
+
+        def at(incidence: Array) -> Array:  # of one at a time, whose intermediates stay in a core's cache
+            geometry, measure = energy.half_vectors(incidence[None], *nodes)
+            s, known = setting(geometry, wavelengths_um), {**values, **shared}
+            lobes = {name: f(known, s) for name, f in inner.factors().items() if name not in ("body", "conservation")}
+            return jnp.sum(inner.assemble(lobes, s).brdf(s) * measure, (1, 2, 3))
+
+        return jax.lax.map(at, energy.incidences(v["beta"])).T
 
     def conservation(self, v: Values, s: Setting) -> Array:
         """What the lobes are multiplied by (0) and what the body is multiplied by (1), stacked: see `energy`."""

@@ -263,9 +263,13 @@ def _rates(
         own = reads(model, where.scattered).parameters[name]
         still = {q: jnp.zeros_like(values[q]) for q in own}
         tangents = [{**still, q: rates[q][q]} for q in own]
-        compute = lambda own, table=table: table({**values, **own}, s)  # noqa: E731
-        found[name], slope = jax.linearize(compute, {q: values[q] for q in own})
-        slopes = jax.vmap(slope)(jax.tree.map(lambda *x: jnp.stack(x), *tangents))
+
+        def moved(tangent: dict[str, Array], own: Sequence[str] = own, table: Factor = table) -> tuple[Array, Array]:
+            return jax.jvp(lambda own: table({**values, **own}, s), ({q: values[q] for q in own},), (tangent,))
+
+        # not linearised: of a table that is made by a loop everything would be stored in between
+        stacked = jax.tree.map(lambda *x: jnp.stack(x), *tangents)
+        found[name], slopes = jax.vmap(moved, out_axes=(None, 0))(stacked)
         for q in rates:
             rates[q][name] = slopes[own.index(q)] if q in own else jnp.zeros_like(found[name])
     return {**values, **found}, rates
