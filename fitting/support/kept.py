@@ -78,7 +78,8 @@ class Kept:
         update_wrapper(flat, self._function)
         plain = jax.jit(flat, compiler_options=OLDER_EMITTERS)
         try:
-            name = _digest(_said(self._function), _said(static), _without_addresses(str(structure)), repr(shapes))
+            said = _said(self._function), _said(static), _without_addresses(str(structure)), repr(shapes)
+            name = _digest(*said, str(jax.config.jax_enable_x64))  # pyright: ignore[reportAttributeAccessIssue] - made when it runs
         except Unnamed:
             return plain
         loading = _ahead.loading.get(name)
@@ -190,7 +191,7 @@ def _path(name: str) -> Path:
 
 def _source() -> str:
     """Digest of our source as it is on disk, and of the version of JAX."""
-    digest = hashlib.sha1(f"{jax.__version__} {jax.config.jax_enable_x64}".encode())  # pyright: ignore[reportAttributeAccessIssue] - made when it runs
+    digest = hashlib.sha1(jax.__version__.encode())
     for path in sorted(path for part in PARTS for path in (Path(__file__).parents[2] / part).rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
