@@ -32,7 +32,7 @@ def not_offered(settings: Config) -> str:
         return "model auto, which adds lobes file by file"
     if len(settings.exponents) > 1:
         return f"weights {settings.fit.weights}, which go on file by file"
-    return "" if settings.fit.backend == "optimistix" else f"backend {settings.fit.backend}"
+    return "" if settings.fit.backend == "trust-region" else f"backend {settings.fit.backend}"
 
 
 class Gpu:

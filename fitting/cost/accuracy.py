@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -64,8 +63,7 @@ def remaining(model: Model, problem: Problem) -> float:
     normal = Objective(layout, problem).normal_equations(z)
     if not np.all(np.isfinite(normal)):
         return np.inf
-    step = jax.jit(compress)(z, normal).value  # compiled, or each of its operations is a program
-    return float(np.linalg.norm(np.asarray(step)[:-1]))
+    return float(np.linalg.norm(compress(np.asarray(z), normal).value[:-1]))
 
 
 def estimate(model: Model, problem: Problem, config: Config) -> float:

@@ -1,10 +1,9 @@
-"""Levenberg-Marquardt on normal equations that are summed in blocks; optimistix is the solver.
+"""Levenberg-Marquardt on normal equations that are summed in blocks.
 
-optimistix wants a residual function and differentiates it. Ours has a million residuals, so it is shown an equivalent
-one with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of
-squares as the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps of the
-solver M is summed at the point that it wants to see next, and the solver is given the affine function with that value
-and that Jacobian. Its step is compiled once for all models, grids and files, of several solves side by side.
+What solvers want is residuals and a Jacobian. Ours has a million residuals, so solvers are shown an equivalent problem
+with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of squares as
+the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps M is summed at the
+point that is to be seen next; the step itself (:mod:`.trust_region`) knows the P + 1 residuals alone.
 
 The cost is that of Eq. 56 times 1 + PRIOR |z|^2, a weak prior that holds directions which the data leave open and
 vanishes with the cost. It is a sum of squares like the cost itself: of the residuals times sqrt(1 + PRIOR |z|^2).
@@ -14,19 +13,18 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
+from ...model.numerics import namespace_of
 from ..support.choices import Backend
+from .coordinates import Numbers
 from .residuals import Objective
-from .trust_region import TrustRegion
+from .trust_region import FIRST_RADIUS, Linear, at_rest, bounded_step, next_radius
 
 PRIOR = 1e-2  # weight of |z|^2: as much as in the posterior of a material whose residuals are worth 100 bins in all
 JITTER = 1e-13  # added to the unit diagonal of the scaled M; costs below 1e-13 of the energy are not resolved
@@ -84,124 +82,109 @@ class Solution:
         return self.cost * (1 + PRIOR * float(self.z @ self.z))
 
 
-def _factor(m: Array) -> Array:
-    """Upper triangular R with R^T R = m, for a positive semi-definite m of any scaling."""
-    scale = jnp.sqrt(jnp.maximum(jnp.diag(m), 1e-300))
-    unit = m / scale / scale[:, None]
-    return jnp.linalg.cholesky(unit + JITTER * jnp.eye(len(m))).T * scale
+def prior_factor(z: Numbers) -> tuple[Numbers, Numbers]:
+    """What the prior multiplies residuals by, s = sqrt(1 + PRIOR |z|^2), and its derivatives (..., P)."""
+    factor = namespace_of(z).sqrt(1 + PRIOR * (z * z).sum(-1))
+    return factor, PRIOR * z / factor[..., None]
 
 
-class _Affine(eqx.Module):
-    """The compressed residuals near ``at``: value (P+1,) and Jacobian (P+1, P)."""
-
-    at: Array
-    value: Array
-    slope: Array
-
-    def __call__(self, z: Array) -> Array:
-        return self.value + self.slope @ (z - self.at)
-
-
-def prior_factor(z: ArrayLike) -> tuple[Array, Array]:
-    """What the prior multiplies residuals by, s = sqrt(1 + PRIOR |z|^2), and its derivatives (P,)."""
-    z = jnp.asarray(z)
-    factor = jnp.sqrt(1 + PRIOR * jnp.sum(z * z))
-    return factor, PRIOR * z / factor
-
-
-def compress(z: Array, normal: Array | np.ndarray) -> _Affine:
+def compress(z: Numbers, normal: Numbers) -> Linear:
     """P + 1 residuals that stand for all, prior included: same cost, gradient and Gauss-Newton matrix at ``z``.
 
     Args:
-        normal: per-channel (J|r)^T W (J|r), shape (C, P+1, P+1); J of the prediction, r = measured - predicted.
+        z: free coordinates (..., P). normal: per-channel (J|r)^T W (J|r), shape (..., C, P+1, P+1); J of the
+            prediction, r = measured - predicted.
     """
-    sign = jnp.ones(len(z) + 1).at[-1].set(-1.0)  # the residual's derivative is minus that of the prediction
+    xp, unit = namespace_of(normal), np.eye(z.shape[-1] + 1)
+    sign, last = np.r_[np.ones(z.shape[-1]), -1.0], unit[-1]  # the residual's derivative is that of -prediction
     factor, slope = prior_factor(z)
-    with_prior = (factor * jnp.eye(len(z) + 1)).at[-1, :-1].add(slope)  # (J|r) to (s J + r ds/dz | s r)
-    signed = jnp.sum(jnp.asarray(normal), 0) * sign * sign[:, None]
-    r = _factor(with_prior.T @ signed @ with_prior)
-    r = jnp.where(jnp.all(jnp.isfinite(r)), r, jnp.eye(len(r)) * NON_FINITE_COST)
-    return _Affine(z, r[:, -1], r[:, :-1])
+    # (J|r) to (s J + r ds/dz | s r)
+    with_prior = factor[..., None, None] * unit + last[:, None] * (slope @ unit[:-1])[..., None, :]
+    whole = with_prior.swapaxes(-1, -2) @ (normal.sum(-3) * sign * sign[:, None]) @ with_prior
+    usable = xp.isfinite(whole).all((-1, -2))[..., None, None]
+    r = _factor(xp.where(usable, whole, unit))
+    r = xp.where(usable & xp.isfinite(r).all((-1, -2))[..., None, None], r, unit * NON_FINITE_COST)
+    return Linear(r[..., -1], r[..., :-1])
 
 
-class SolverState(eqx.Module):
-    """Where one solve is; of several, all arrays have a leading axis.
+def _factor(m: Numbers) -> Numbers:
+    """Upper triangular R with R^T R = m, for a positive semi-definite m of any scaling; not finite where m is not."""
+    xp, unit = namespace_of(m), np.eye(m.shape[-1])
+    scale = xp.sqrt(xp.maximum(xp.diagonal(m, axis1=-2, axis2=-1), 1e-300))
+    scaled = m / scale[..., None, :] / scale[..., None] + JITTER * unit
+    return _cholesky(scaled).swapaxes(-1, -2) * scale[..., None, :]
+
+
+def _cholesky(m: Numbers) -> Numbers:
+    """Lower triangular factors of matrices, NaN of those that have none."""
+    if namespace_of(m) is jnp:
+        return jnp.linalg.cholesky(m)
+    try:
+        return np.linalg.cholesky(m)
+    except np.linalg.LinAlgError:
+        return np.full_like(m, np.nan) if m.ndim == 2 else np.stack([_cholesky(each) for each in m])
+
+
+class Way(NamedTuple):
+    """Where solves are, (M, ...) of M.
 
     Attributes:
-        y: accepted point (P,). state: of the solver. kept: normal equations at y.
-        offset: relative offset at y. steps: evaluations. blocked: last step whose trial was not finite.
-        converged: whether it met the tolerance. active: whether it goes on.
+        y: accepted point (P,). near: compressed residuals and Jacobian there. kept: normal equations there.
+        trial: point to be seen next. radius: in which the linear model is trusted. offset: relative offset at y.
+        steps: evaluations. blocked: last step whose trial was not finite. converged: whether it met the tolerance.
+        active: whether it goes on.
     """
 
-    y: Array
-    state: Any
-    kept: Array
-    offset: Array
-    steps: Array
-    blocked: Array
-    converged: Array
-    active: Array
+    y: Numbers
+    near: Linear
+    kept: Numbers
+    trial: Numbers
+    radius: Numbers
+    offset: Numbers
+    steps: Numbers
+    blocked: Numbers
+    converged: Numbers
+    active: Numbers
 
 
-@cache
-def steps(size: int, rtol: float) -> tuple[Callable[..., SolverState], Callable[..., SolverState]]:
-    """Start and step of the solver for P parameters, of one solve, to be compiled."""
-    solver = TrustRegion(rtol=rtol, atol=rtol)
-
-    def affine(z: Array, near: _Affine) -> tuple[Array, None]:
-        return near(z), None
-
-    def init() -> Any:  # noqa: ANN401 - the solver's own
-        z, value = jnp.zeros(size), jnp.zeros(size + 1)
-        near, shape = _Affine(z, value, jnp.zeros((size + 1, size))), jax.ShapeDtypeStruct(value.shape, value.dtype)
-        return solver.init(affine, z, near, {}, shape, None, frozenset())
-
-    dynamic, static = eqx.partition(eqx.filter_jit(init)(), eqx.is_array)  # one program for all of its arrays
-
-    def start(y: Array, kept: Array) -> SolverState:
-        state = eqx.tree_at(lambda s: s.y_eval, dynamic, y)
-        never, finite = jnp.asarray(-CLEAR), jnp.all(jnp.isfinite(kept))
-        return SolverState(
-            y, state, kept, jnp.asarray(jnp.inf, float), jnp.asarray(0), never, jnp.asarray(False), finite
-        )
-
-    def advance(tolerance: float | Array, way: SolverState, normal: Array) -> SolverState:
-        state: Any = eqx.combine(way.state, static)
-        near = compress(state.y_eval, normal)
-        y, state, _ = solver.step(affine, way.y, near, {}, state, frozenset())
-        stop = state.terminate | (state.search_state < rtol)  # no radius is left in which to go on
-        steps = way.steps + 1
-        better = (state.num_steps_since_acceptance == 0) | (steps == 1)
-        offset = jnp.where(better, relative_offset(near.value), way.offset)
-        finite = jnp.all(jnp.isfinite(normal))
-        blocked = jnp.where(finite, way.blocked, steps)
-        usable = finite | (steps > 1)  # what is not finite where it starts goes nowhere
-        converged = usable & ((stop & (steps > blocked + CLEAR)) | (offset < tolerance))
-        kept, active = jnp.where(better, normal, way.kept), usable & ~converged
-        moved = SolverState(y, eqx.filter(state, eqx.is_array), kept, offset, steps, blocked, converged, active)
-        return jax.tree.map(lambda new, old: jnp.where(way.active, new, old), moved, way)
-
-    return start, advance
+def begin(points: Numbers, normal: Numbers) -> Way:
+    """Solves that have not yet gone a step, with the normal equations (M, C, P+1, P+1) of where they start, (M, P)."""
+    xp, (many, size) = namespace_of(points), points.shape
+    never = xp.zeros(many, bool)
+    near = Linear(xp.zeros((many, size + 1)), xp.zeros((many, size + 1, size)))
+    count, radius = xp.zeros(many, int), xp.full(many, FIRST_RADIUS)
+    active = xp.isfinite(normal).all((1, 2, 3))
+    return Way(points, near, normal, points, radius, xp.full(many, xp.inf), count, count - CLEAR, never, active)
 
 
-@cache
-def _compiled_steps(size: int, rtol: float) -> tuple[Callable[..., SolverState], Callable[..., SolverState]]:
-    """The same of several solves at once, compiled."""
-    start, advance = steps(size, rtol)
-    return jax.jit(jax.vmap(start)), jax.jit(_one_after_the_other(advance))
+def advance(tolerance: float | Array, rtol: float, way: Way, normal: Numbers) -> Way:
+    """A step of those that are active.
 
-
-def _one_after_the_other(
-    advance: Callable[[float | Array, SolverState, Array], SolverState],
-) -> Callable[[float | Array, SolverState, Array], SolverState]:
-    """Over the leading axis of states and equations; on a GPU side by side.
-
-    On a CPU XLA spreads a batch of decompositions over its own threads, and waits for them in one of these: calls from
-    as many threads of ours as it has would wait for ever (jaxlib 0.10).
+    Args:
+        tolerance: relative offset below which a solve goes no further. normal: equations at the trial points.
     """
-    if jax.default_backend() != "cpu":
-        return jax.vmap(advance, (None, 0, 0))
-    return lambda tolerance, ways, normal: jax.lax.map(lambda pair: advance(tolerance, *pair), (ways, normal))
+    xp = namespace_of(normal)
+    seen, first = compress(way.trial, normal), way.steps == 0
+    step, steps = way.trial - way.y, way.steps + 1
+    radius, taken = next_radius(way.radius, step, way.near, seen.cost)
+    radius, better = xp.where(first, way.radius, radius), taken | first
+    offset = xp.where(better, relative_offset(seen.value), way.offset)
+    finite = xp.isfinite(normal).all((1, 2, 3))
+    blocked = xp.where(finite, way.blocked, steps)
+    usable = finite | ~first  # what is not finite where it starts goes nowhere
+    # at rest, or no radius is left in which to go on
+    stop = (taken & ~first & at_rest(way.trial, step, way.near, seen, rtol)) | (radius < rtol)
+    converged = usable & ((stop & (steps > blocked + CLEAR)) | (offset < tolerance))
+    y, kept = _chosen(better, way.trial, way.y), _chosen(better, normal, way.kept)
+    near = Linear(_chosen(better, seen.value, way.near.value), _chosen(better, seen.slope, way.near.slope))
+    moved = Way(
+        y, near, kept, y + bounded_step(near, radius), radius, offset, steps, blocked, converged, usable & ~converged
+    )
+    return jax.tree.map(lambda new, old: _chosen(way.active, new, old), moved, way)
+
+
+def _chosen(which: Numbers, one: Numbers, other: Numbers) -> Numbers:
+    return namespace_of(one).where(which.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
 
 
 def solve_many(
@@ -219,34 +202,28 @@ def solve_many(
         evaluate: normal equations (M, C, P+1, P+1) of M points (M, P). points: where to start, (M, P).
         max_steps, rtol, offset: as for `solve`, of each.
     """
-    start, advance = _compiled_steps(points.shape[1], rtol)
     begun = np.asarray(points, float)
-    ways = start(begun, evaluate(begun))
-    for step in range(max_steps):
-        if not np.asarray(ways.active).any():
-            break
-        ways = advance(offset, ways, evaluate(np.asarray(ways.state.y_eval)) if step else ways.kept)
-    ended: SolverState = jax.tree.map(np.asarray, ways)
-    return [_ended(jax.tree.map(lambda x, k=k: x[k], ended)) for k in range(len(begun))]
+    with np.errstate(all="ignore"):  # of steps that are not taken
+        way = begin(begun, np.asarray(evaluate(begun)))
+        for step in range(max_steps):
+            if not way.active.any():
+                break
+            way = advance(offset, rtol, way, np.asarray(evaluate(way.trial)) if step else way.kept)
+    return [_ended(jax.tree.map(lambda x, k=k: x[k], way)) for k in range(len(begun))]
 
 
-def _ended(way: SolverState) -> Solution:
-    kept = np.asarray(way.kept)
-    cost = float(kept[:, -1, -1].sum()) if np.all(np.isfinite(kept)) else float("nan")
-    return Solution(np.asarray(way.y), cost, kept, max(int(way.steps), 1), float(way.offset), bool(way.converged))
+def _ended(way: Way) -> Solution:
+    cost = float(way.kept[:, -1, -1].sum()) if np.all(np.isfinite(way.kept)) else float("nan")
+    return Solution(way.y, cost, way.kept, max(int(way.steps), 1), float(way.offset), bool(way.converged))
 
 
 def _scipy(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solution:
     """The same compressed residuals given to MINPACK: a cross-check."""
     from scipy.optimize import least_squares
 
-    def near(z: np.ndarray) -> _Affine:
-        point = jnp.asarray(z)
-        return compress(point, evaluate(point))
-
-    jac: Any = lambda z: np.asarray(near(z).slope)  # noqa: E731 - Any: scipy's stub knows names only
+    jac: Any = lambda z: compress(z, evaluate(z)).slope  # noqa: E731 - Any: scipy's stub knows names only
     found = least_squares(
-        lambda z: np.asarray(near(z).value), z, jac, method="lm", xtol=rtol, ftol=rtol**2, max_nfev=limit
+        lambda z: compress(z, evaluate(z)).value, z, jac, method="lm", xtol=rtol, ftol=rtol**2, max_nfev=limit
     )
     return _solution(evaluate, found.x, int(found.nfev), bool(found.status > 0))
 
@@ -259,12 +236,12 @@ def _jaxopt(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solut
 
     @jax.custom_jvp
     def residual(z: Array) -> Array:
-        return compress(z, evaluate(z)).value
+        return jnp.asarray(compress(np.asarray(z), evaluate(z)).value)
 
     @residual.defjvp
     def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-        near = compress(primals[0], evaluate(primals[0]))
-        return near.value, near.slope @ tangents[0]
+        near = compress(np.asarray(primals[0]), evaluate(primals[0]))
+        return jnp.asarray(near.value), jnp.asarray(near.slope) @ tangents[0]
 
     solver = jaxopt.LevenbergMarquardt(
         residual, materialize_jac=True, solver="cholesky", maxiter=limit, tol=rtol**2,
@@ -276,9 +253,9 @@ def _jaxopt(evaluate: Callable, z: np.ndarray, limit: int, rtol: float) -> Solut
 
 
 def _solution(evaluate: Callable, z: np.ndarray, steps: int, converged: bool) -> Solution:
-    normal = evaluate(jnp.asarray(z))
-    offset = float(relative_offset(compress(jnp.asarray(z), normal).value))
-    return Solution(z, float(normal[:, -1, -1].sum()), np.asarray(normal), steps, offset, converged)
+    normal = evaluate(z)
+    offset = float(relative_offset(compress(z, normal).value))
+    return Solution(z, float(normal[:, -1, -1].sum()), normal, steps, offset, converged)
 
 
 def solve(
@@ -286,7 +263,7 @@ def solve(
     z: np.ndarray,
     max_steps: int = 100,
     rtol: float = 1e-5,
-    backend: Backend = "optimistix",
+    backend: Backend = "trust-region",
     offset: float = OFFSET_TOLERANCE,
 ) -> Solution:
     """Minimise Eq. 56 from the free coordinates ``z``.
@@ -294,8 +271,8 @@ def solve(
     Args:
         max_steps: evaluations of the normal equations at the most; 1 evaluates the starting point.
         rtol: tolerance on z and on the residuals.
-        offset: of :func:`relative_offset`, below which ``optimistix`` goes no further.
-        backend: ``optimistix``; ``scipy`` (MINPACK) and ``jaxopt`` (an extra) are there for cross-checks.
+        offset: of :func:`relative_offset`, below which the trust region goes no further.
+        backend: ``trust-region``; ``scipy`` (MINPACK) and ``jaxopt`` (an extra) are there for cross-checks.
 
     A trial step to where the model is not finite is rejected; the returned ``z`` is always finite.
     """
@@ -311,13 +288,14 @@ def solve(
     return found
 
 
-def relative_offset(compressed: Array) -> Array:
+def relative_offset(compressed: Numbers) -> Numbers:
     """Bates and Watts' convergence measure: the part of the residual vector's length that the tangent space can remove.
 
     Free of units and of the parametrisation; 0 at a stationary point, 1 where the model is locally perfect. Squared, it
     is the relative decrease of cost that a Gauss-Newton step promises.
 
     Args:
-        compressed: residuals of :func:`compress`, (P+1,): the last one is what no step can remove.
+        compressed: residuals of :func:`compress`, (..., P+1): the last one is what no step can remove.
     """
-    return jnp.linalg.norm(compressed[:-1]) / jnp.maximum(jnp.linalg.norm(compressed), 1e-300)
+    xp, squares = namespace_of(compressed), compressed**2
+    return xp.sqrt(squares[..., :-1].sum(-1) / xp.maximum(squares.sum(-1), 1e-300))

@@ -7,8 +7,8 @@ coordinates are padded to the longest with some on which nothing depends. A solv
 one, so that a batch does not take as long as its slowest. On a CPU, files one by one are faster.
 """
 
-from collections.abc import Callable, Sequence
-from functools import cache, partial
+from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,7 +21,7 @@ from ...model.reflectance import Reflectance
 from ..support.choices import Device
 from .coordinates import Structure, Table, flat_and_slopes
 from .hints import General, general_of
-from .levenberg_marquardt import OFFSET_TOLERANCE, Solution, SolverState, steps
+from .levenberg_marquardt import OFFSET_TOLERANCE, Solution, Way, advance, begin
 from .problem import Directions, Part, Problem
 from .residuals import compact_equations, places, products_by_matrix, rows_of
 from .transforms import Layout
@@ -133,10 +133,9 @@ def solve_stacked(
         at_once: directions that a step may take.
     """
     kinds, tables, size = _compiled_of(layouts)
-    _, renewed = _compiled(size, rtol)
     widest, few = _widths(problems, at_once)
     slots = np.full(widest if len(starts) > few else few, -1)  # which start each has
-    ways, nothing = _idle(problems, len(slots), size, rtol)
+    ways, nothing = _idle(problems, len(slots), size)
     begun, found = 0, {}
     while True:
         busy = np.flatnonzero(slots >= 0)
@@ -151,7 +150,7 @@ def solve_stacked(
         for slot, k in enumerate(slots[slots >= 0].tolist()):  # those that are empty come last
             kind[slot], material[slot], own = starts[k]
             z[slot, : len(own)] = own
-        ways = renewed(ways, rows, np.arange(width) >= len(busy), slots >= 0, z, nothing)
+        ways = _renewed(ways, rows, np.arange(width) >= len(busy), slots >= 0, z, nothing)
         active = slots >= 0
         going = occupied = int(active.sum())
         enough = occupied - max(1, occupied // FEW) if begun < len(starts) else few if width > few else 0
@@ -172,7 +171,7 @@ def compile_ahead(
     kinds, tables, size = _compiled_of(layouts)
     widest, few = _widths(problems, at_once)
     for width in (few, widest)[: 1 + (count > few)]:
-        ways, _ = _idle(problems, width, size, rtol)
+        ways, _ = _idle(problems, width, size)
         number = np.zeros(width, np.int32)
         _stepped.lower(kinds, rtol, tables, problems, ways, number, number, OFFSET_TOLERANCE, 1).compile()
 
@@ -191,26 +190,19 @@ def _widths(problems: Stack, at_once: int) -> tuple[int, int]:
     return widest, max(1, widest // FEW)
 
 
-def _idle(problems: Stack, width: int, size: int, rtol: float) -> tuple[SolverState, np.ndarray]:
+def _idle(problems: Stack, width: int, size: int) -> tuple[Way, np.ndarray]:
     """Solves of nothing, on the device of the problems, and their normal equations."""
     nothing = np.zeros((problems.rest.shape[1], size + 1, size + 1))
-    start, _ = _compiled(size, rtol)
-    return jax.device_put(start(np.zeros((width, size)), nothing), problems.root.sharding), nothing
+    begun = begin(np.zeros((width, size)), np.broadcast_to(nothing, (width, *nothing.shape)))
+    return jax.device_put(begun, problems.root.sharding), nothing
 
 
-@cache
-def _compiled(size: int, rtol: float) -> tuple[Callable[..., SolverState], Callable[..., SolverState]]:
-    """Solves at their starts; and some that are on their way, with others at their start in the places of the rest."""
-    start, _ = steps(size, rtol)
-    begin = jax.vmap(start, (0, None))
-
-    def renewed(ways: SolverState, rows: Array, fresh: Array, used: Array, z: Array, nothing: Array) -> SolverState:
-        chosen = jax.vmap(lambda new, one, other: jax.tree.map(partial(jnp.where, new), one, other))(
-            fresh, begin(z, nothing), jax.tree.map(lambda x: x[rows], ways)
-        )
-        return eqx.tree_at(lambda s: s.active, chosen, chosen.active & used)
-
-    return jax.jit(begin), jax.jit(renewed)
+@jax.jit
+def _renewed(ways: Way, rows: Array, fresh: Array, used: Array, z: Array, nothing: Array) -> Way:
+    """Some solves on their way, and others at their start in the places of the rest."""
+    begun = begin(z, jnp.broadcast_to(nothing, (len(z), *nothing.shape)))
+    chosen = jax.tree.map(lambda one, other: _where(fresh, one, other[rows]), begun, ways)
+    return chosen._replace(active=chosen.active & used)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -219,17 +211,15 @@ def _stepped(
     rtol: float,
     tables: tuple[Table, ...],
     problems: Stack,
-    ways: SolverState,
+    ways: Way,
     kind: Array,
     material: Array,
     offset: Array,
     max_steps: Array,
-) -> SolverState:
+) -> Way:
     """A step of all solves."""
-    normal = _equations(kinds, tables, problems, ways.state.y_eval, kind, material)
-    _, advance = steps(ways.y.shape[1], rtol)
-    ways = jax.vmap(advance, (None, 0, 0))(offset, ways, normal)
-    return eqx.tree_at(lambda s: s.active, ways, ways.active & (ways.steps < max_steps))
+    ways = advance(offset, rtol, ways, _equations(kinds, tables, problems, ways.trial, kind, material))
+    return ways._replace(active=ways.active & (ways.steps < max_steps))
 
 
 def _equations(
@@ -272,7 +262,7 @@ def _chain(kind: _Kind, slopes: Array, size: int) -> Array:
     return general[..., :-1] @ widened[..., None, :, :] + general[..., -1:] * np.eye(size + 1)[-1]
 
 
-def _solutions(ways: SolverState, rows: np.ndarray, sizes: Sequence[int]) -> list[Solution]:
+def _solutions(ways: Way, rows: np.ndarray, sizes: Sequence[int]) -> list[Solution]:
     """Those in some of the rows, of so many coordinates."""
     y, kept, count, offset, converged = (
         np.asarray(x)[rows] for x in (ways.y, ways.kept, ways.steps, ways.offset, ways.converged)

@@ -95,7 +95,7 @@ def fit_coarse(
 
         def follow(points: list[np.ndarray], stage: Round) -> list[list[Solution]]:
             backend, limits = config.fit.backend, {"max_steps": stage.steps, "offset": stage.offset}
-            if stage.rough and backend == "optimistix":
+            if stage.rough and backend == "trust-region":
                 return follow_many(points, limits)
             models, where = (rough, roughly) if stage.rough else (layouts, problem)
             return in_turn(

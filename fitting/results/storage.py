@@ -17,7 +17,7 @@ from ...merl_io.source import MerlError, whole
 from ..settings.config import Config
 from .schema import BY_HAND, SCHEMA_VERSION, Result
 
-PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "lineax", "optimistix", "emcee", "arviz-stats")
+PACKAGES = ("merlfit", "jax", "jaxlib", "numpy", "scipy", "equinox", "emcee", "arviz-stats")
 
 MEASURED = (".binary", *SCATTERED)  # endings of files that are fitted
 LARGEST = 2**26  # bytes of a result: one of a hundred channels has a thirtieth of that

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import BeforeValidator, Field
 
 from ...merl_io.azimuth import AZIMUTHS
 from ...merl_io.binary import Dims, dims_of
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 AUTO = "auto"  # in place of a model's name: the two-scale model, and sums over it
 
 
-def _installed(backend: Backend) -> Backend:
-    if importlib.util.find_spec(backend) is None:
+def _usable(backend: Any) -> Any:  # noqa: ANN401 - whatever stands there
+    if backend == "optimistix":  # of results from before the trust region had no need of it
+        return "trust-region"
+    if backend == "jaxopt" and importlib.util.find_spec(backend) is None:
         raise ValueError(f"{backend} is not installed (pip install 'merlfit[crosscheck]')")
     return backend
 
@@ -184,7 +186,7 @@ class FitSection:
         grid: rows of theta_h and theta_d that the last steps use (``run.GRIDS``): all of them, a seventh, a 21st.
         azimuths: nodes that a row of azimuths is gathered in (``merl_io.azimuth``).
         precision: of the model; sums are always taken in float64.
-        backend: solver; others than optimistix are for cross-checks.
+        backend: solver; others than our trust region are for cross-checks.
     """
 
     starts: Annotated[int, Field(ge=1, le=32)] = 8
@@ -195,7 +197,7 @@ class FitSection:
     grid: Literal["fine", "medium", "coarse"] = "fine"
     azimuths: Annotated[int, Field(ge=2, le=90)] = AZIMUTHS
     precision: Precision = "float64"
-    backend: Annotated[Backend, AfterValidator(_installed)] = "optimistix"
+    backend: Annotated[Backend, BeforeValidator(_usable)] = "trust-region"
 
 
 AFFORDABLE = 40  # free numbers: a chain of as many takes half an hour, of those of thirty wavelengths a day

@@ -4,8 +4,8 @@ from typing import Any, Literal
 
 Precision = Literal["float64", "float32"]
 """In which a model is evaluated; sums are always taken in float64."""
-Backend = Literal["optimistix", "scipy", "jaxopt"]
-"""Solvers; others than optimistix are for cross-checks."""
+Backend = Literal["trust-region", "scipy", "jaxopt"]
+"""Solvers; others than our trust region are for cross-checks."""
 THETA_MAX = 1.4  # rad: HP15 Eq. 31 and HP17 Table 2 leave out directions closer to the horizon
 EXPONENT = 1.4  # exponent of the compressive weight, HP17 after Eq. 58
 Exponent = float | Literal["log"]

@@ -55,7 +55,7 @@ def lowest(layout, problem, fixed):
         return {**fixed, **dict(zip(own, e, strict=False)), "n": e[len(own) : len(own) + 3], "k": e[len(own) + 3 :]}
 
     def near(x):
-        z = jnp.asarray(layout.free(values(x)))
+        z = np.asarray(layout.free(values(x)))
         return compress(z, Objective(layout, problem).normal_equations(z))
 
     def slope(x):

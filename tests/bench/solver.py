@@ -1,6 +1,7 @@
 """Our trust region against optimistix' own parts, from the same starting points on the coarse grid."""
 
 import time
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -10,7 +11,6 @@ import optimistix as optx
 from merlfit.fitting.fit.levenberg_marquardt import OFFSET_TOLERANCE, compress, relative_offset, solve
 from merlfit.fitting.fit.problem import make_problem
 from merlfit.fitting.fit.residuals import Objective
-from merlfit.fitting.fit.trust_region import TrustRegion
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
 from merlfit.fitting.pipeline.search import COARSE, COARSE_AZIMUTHS, COARSE_ORDER, cheaper
@@ -28,10 +28,21 @@ SCALE = 100.0  # of the residuals, with which the stock solver's first damping, 
 SAME = 1e-3  # of the cost: ends so near to each other are the same
 
 
+class OfParts(optx.AbstractGaussNewton):
+    """optimistix' Gauss-Newton with a descent and a search of choice."""
+
+    rtol: float
+    atol: float
+    descent: optx.AbstractDescent
+    search: optx.AbstractSearch
+    norm: Callable = optx.max_norm
+    verbose: Callable = lambda **_: None
+
+
 TOLERANCES = {"rtol": 1e-5, "atol": 1e-5}
 SOLVERS = {
     "stock": optx.LevenbergMarquardt(**TOLERANCES),
-    "indirect": TrustRegion(
+    "indirect": OfParts(
         **TOLERANCES, descent=optx.IndirectDampedNewtonDescent(),
         search=optx.ClassicalTrustRegion(high_cutoff=0.75, low_cutoff=0.25),
     ),
@@ -56,7 +67,7 @@ def driven(solver, evaluate, z):
     def step(y, dynamic, normal):
         state = eqx.combine(dynamic, static)
         found = compress(state.y_eval, normal)
-        near = (found.value, found.slope, found.at)
+        near = (found.value, found.slope, state.y_eval)
         y, state, _ = solver.step(affine, y, near, {}, state, frozenset())
         kept = (state.num_steps_since_acceptance == 0, relative_offset(found.value), jnp.sum(found.value**2))
         return y, eqx.filter(state, eqx.is_array), state.terminate, *kept

@@ -96,7 +96,7 @@ def test_blocks_and_threads_do_not_change_the_sum(coarse, monkeypatch):
 def test_solvers_of_three_libraries_agree(coarse):
     start = LOBE.free({**CONDUCTOR, **EXPONENTS}) + 0.1
     objective = Objective(LOBE, coarse[1])
-    ours, minpack, jaxopt = (solve(objective, start, 60, 1e-7, b) for b in ("optimistix", "scipy", "jaxopt"))
+    ours, minpack, jaxopt = (solve(objective, start, 60, 1e-7, b) for b in ("trust-region", "scipy", "jaxopt"))
     assert ours.cost < solve(objective, start, 1).cost / 10
     for other in (minpack, jaxopt):
         assert other.cost == pytest.approx(ours.cost, rel=5e-3)

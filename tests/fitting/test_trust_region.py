@@ -1,37 +1,13 @@
 """The trust region's parts against what defines them, and the whole on problems with known ends."""
 
-from types import SimpleNamespace
-
-import jax
-import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
 import pytest
-from merlfit.fitting.fit.trust_region import FIRST_RADIUS, BoundedStep, Radius, TrustRegion
-
-
-def linear(residual, jacobian):
-    """A linear model as optimistix hands it over."""
-    return SimpleNamespace(
-        residual=jnp.asarray(residual),
-        jac=lx.MatrixLinearOperator(jnp.asarray(jacobian)),
-        as_min=lambda: jnp.sum(jnp.asarray(residual) ** 2) / 2,
-    )
-
-
-@jax.jit
-def _step(residual, jacobian, radius):
-    descent = BoundedStep()
-    state = descent.init(jnp.zeros(jacobian.shape[1]), None)
-    found, result = descent.step(radius, descent.query(None, linear(residual, jacobian), state))
-    return found, result == optx.RESULTS.successful
+from merlfit.fitting.fit.levenberg_marquardt import PRIOR, solve_many
+from merlfit.fitting.fit.trust_region import Linear, at_rest, bounded_step, next_radius
 
 
 def step(residual, jacobian, radius):
-    found, successful = _step(residual, jacobian, radius)
-    assert successful
-    return np.asarray(found)
+    return bounded_step(Linear(residual, jacobian), np.array(radius))
 
 
 @pytest.mark.parametrize("radius", [1e-6, 1e-2, 1.0, 100.0])
@@ -58,43 +34,61 @@ def test_directions_without_effect_are_not_gone_along():
     np.testing.assert_array_equal(step(np.array([0.0, 1.0, 0.0]), jacobian, 1.0), [0.0, 0.0])
 
 
+def test_solves_side_by_side_are_those_by_themselves():
+    rng = np.random.default_rng(5)
+    residual, jacobian, radius = rng.normal(size=(3, 7)), rng.normal(size=(3, 7, 4)), np.array([0.01, 1.0, 100.0])
+    together = bounded_step(Linear(residual, jacobian), radius)
+    alone = [step(*each) for each in zip(residual, jacobian, radius, strict=True)]
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
+
+
 @pytest.mark.parametrize(
-    ("gained", "radius", "accepted"),
+    ("gained", "radius", "taken"),
     [(0.9, 2.0, True), (0.5, 1.0, True), (0.1, 0.5, True), (-0.1, 0.25, False), (-np.inf, 0.25, False)],
 )
-def test_the_radius_follows_what_was_gained_of_what_was_promised(gained, radius, accepted):
-    assert float(Radius().init(jnp.zeros(1), None)) == FIRST_RADIUS
-    length, yes, state = _radius(False, 1.0, 0.5 - gained / 2)
-    assert (float(length), float(state), bool(yes)) == (radius, radius, accepted)
-    length, yes, _ = _radius(True, 0.0, 0.5)
-    assert (float(length), bool(yes)) == (FIRST_RADIUS, True)
+def test_the_radius_follows_what_was_gained_of_what_was_promised(gained, radius, taken):
+    """After a step of which all of the cost, 1/2, was promised."""
+    before = Linear(np.array([1.0]), np.array([[-1.0]]))
+    found, yes = next_radius(np.array(1.0), np.array([1.0]), before, np.array(0.5 - gained / 2))
+    assert (float(found), bool(yes)) == (radius, taken)
 
 
-@jax.jit
-def _radius(first, went, cost):
-    """Length, whether the step is taken, and state after a step of which all of the cost, 1/2, was promised."""
-    before = linear([1.0], [[-1.0]])
-    after = SimpleNamespace(as_min=lambda: jnp.asarray(cost))
-    search, at = Radius(), jnp.zeros(1)
-    length, yes, _, state = search.step(first, at, at + went, before, after, search.init(at, None))
-    return length, yes, state
+def test_at_rest_is_what_moves_by_less_than_the_tolerance():
+    near, far = (Linear(np.array([1.0, x]), np.zeros((2, 1))) for x in (2.0, 2.0 + 4e-5))
+    for z, moved, after, still in ((9.0, 9e-5, near, True), (9.0, 2e-4, near, False), (0.0, 9e-5, near, False)):
+        assert at_rest(np.array([z]), np.array([moved]), near, after, 1e-5) == still
+    assert not at_rest(np.array([0.0]), np.array([0.0]), near, far, 1e-5)
 
 
-def rosenbrock(z, scale):
-    return jnp.array([scale * (z[1] - z[0] ** 2), 1 - z[0]])
+def solved(residual, jacobian, z, **limits):
+    """The solve of one problem, weak prior included."""
+
+    def equations(points):
+        both = np.concatenate([-jacobian(points[0]), residual(points[0])[:, None]], 1)
+        return (both.T @ both)[None, None]
+
+    return solve_many(equations, np.array([z]), **limits)[0]
 
 
 @pytest.mark.parametrize(("scale", "most"), [(10.0, 30), (1000.0, 600)])
 def test_a_curved_valley_is_followed_to_its_end(scale, most):
-    found = optx.least_squares(
-        rosenbrock, TrustRegion(1e-10, 1e-10), jnp.array([-1.2, 1.0]), args=scale, max_steps=most
-    )
-    np.testing.assert_allclose(found.value, [1.0, 1.0], rtol=1e-6)
+    found = solved(
+        lambda z: np.array([scale * (z[1] - z[0] ** 2), 1 - z[0]]),
+        lambda z: np.array([[-2 * scale * z[0], scale], [-1.0, 0.0]]),
+        [-1.2, 1.0], max_steps=most, rtol=1e-10, offset=1e-9,
+    )  # fmt: skip
+    assert found.converged
+    np.testing.assert_allclose(found.z, [1.0, 1.0], rtol=1e-6)
 
 
 def test_a_wall_of_not_a_number_is_backed_away_from():
-    def residual(z, _):
-        return jnp.array([jnp.where(z[0] < 3.0, z[0] - 2.9, jnp.nan), 0.1 * z[0]])
+    def residual(z):
+        return np.array([z[0] - 2.9 if z[0] < 3.0 else np.nan, 0.1 * z[0]])
 
-    found = optx.least_squares(residual, TrustRegion(1e-8, 1e-8), jnp.array([-5.0]), max_steps=60)
-    assert found.value[0] == pytest.approx(2.9 / 1.01, rel=1e-5)
+    found = solved(residual, lambda _: np.array([[1.0], [0.1]]), [-5.0], max_steps=60, rtol=1e-8)
+    # of ((z - 2.9)^2 + 0.01 z^2) (1 + PRIOR z^2) the derivative, 2.02 z - 5.8 and 2 PRIOR z the two factors' own
+    polynomial = np.polyadd(
+        np.polymul([2.02, -5.8], [PRIOR, 0.0, 1.0]), np.polymul([1.01, -5.8, 2.9**2], [2 * PRIOR, 0.0])
+    )
+    lowest = next(r.real for r in np.roots(polynomial) if abs(r.imag) < 1e-12)
+    assert found.z[0] == pytest.approx(lowest, rel=1e-5)
