@@ -10,6 +10,7 @@ perfect white surface facing the lamp, or in the open under the environment, wou
 pictures is the idea of Bieron & Peers 2020, "An adaptive BRDF fitting metric".
 """
 
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Literal
 
@@ -50,21 +51,27 @@ def normals(positions: np.ndarray) -> np.ndarray:
     return np.concatenate([positions, np.sqrt(np.maximum(1 - np.sum(positions**2, -1, keepdims=True), 0.0))], -1)
 
 
-def sphere(lighting: Lighting, positions: np.ndarray, dims: Dims = DIMS) -> csr_array:
+def sphere(
+    lighting: Lighting, positions: np.ndarray, dims: Dims = DIMS, over: Callable[..., Iterable[csr_array]] = map
+) -> csr_array:
     """Pixels of a sphere that is seen from far along z, as sums over folded bins: radiance over BRDF, (N, H D P/2).
 
     Args:
-        positions: of the pixels, (N, 2), in radii of the sphere and inside it. dims: of the bins.
+        positions: of the pixels, (N, 2), in radii of the sphere and inside it. dims: of the bins. over: maps a function
+            over parts of them.
     """
-    normal = normals(positions)
-    lit, found = (_by_lamp if lighting == "lamp" else _by_environment), []
-    for k in range(0, len(normal), AT_ONCE):
-        bins, weights = lit(normal[k : k + AT_ONCE], dims)
+    lit = _by_lamp if lighting == "lamp" else _by_environment
+
+    def part(normal: np.ndarray) -> csr_array:
+        bins, weights = lit(normal, dims)
         starts = np.arange(0, bins.size + 1, bins.shape[1], dtype=np.int32)  # as bins are: half the memory
-        found.append(csr_array((weights.ravel(), bins.ravel(), starts), (len(bins), np.prod(dims) // 2)))
-        found[-1].eliminate_zeros()
-        found[-1].sum_duplicates()
-    return csr_array(vstack(found, "csr"))
+        found = csr_array((weights.ravel(), bins.ravel(), starts), (len(bins), np.prod(dims) // 2))
+        found.eliminate_zeros()
+        found.sum_duplicates()
+        return found
+
+    normal = normals(positions)
+    return csr_array(vstack([*over(part, [normal[k : k + AT_ONCE] for k in range(0, len(normal), AT_ONCE)])], "csr"))
 
 
 def render(pixels: csr_array, brdf: np.ndarray) -> np.ndarray:

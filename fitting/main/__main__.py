@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def _leave(code: int) -> None:
-    """End the process as `multiprocessing` ends its own; Python would take modules and programs apart first, in 0.8 s."""
+    """End the process as `multiprocessing` ends its own: taking modules and programs apart, Python would take 0.8 s."""
     threading._shutdown()  # pyright: ignore[reportAttributeAccessIssue] - waits for threads
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):

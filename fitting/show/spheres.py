@@ -18,6 +18,7 @@ from ...merl_io.samples import folded
 from ...scene.colour import coloured, difference, displayed
 from ...scene.spheres import Lighting, render, sphere
 from ..fit.weights import within
+from ..support.threads import side_by_side
 from .curves import added, part_name
 from .style import DECADES, OKABE_ITO, at_mirror, new, printable
 from .subject import Subject
@@ -74,7 +75,7 @@ def of_parts(subject: Subject) -> tuple[dict[str, np.ndarray], dict[str, np.ndar
 def _sphere(lighting: Lighting, dims: Dims) -> tuple[np.ndarray, csr_array]:
     """Pixels of a square that are inside the sphere's disc, and their weights of all bins."""
     positions, inside = square(COMPUTED[lighting])
-    return inside.ravel(), csr_array(sphere(lighting, positions[inside], dims), dtype=np.float32)
+    return inside.ravel(), csr_array(sphere(lighting, positions[inside], dims, side_by_side), dtype=np.float32)
 
 
 def _where(used: np.ndarray, brdf: np.ndarray) -> np.ndarray:
