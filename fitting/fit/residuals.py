@@ -167,33 +167,17 @@ def rows_of(general: General) -> np.ndarray:
 
 
 def products(columns: Sequence[Array]) -> Array:
-    """Products of all columns (C, n) with each other, (C, G+1, G+1): sums that need no other copy of them."""
-    upper = {
-        (i, j): jnp.sum(columns[i] * columns[j], -1, dtype=jnp.float64)
-        for i in range(len(columns))
-        for j in range(i + 1)
-    }
-    count = range(len(columns))
-    return jnp.stack([jnp.stack([upper[max(i, j), min(i, j)] for j in count], -1) for i in count], -1)
-
-
-def products_by_matrix(columns: Sequence[Array]) -> Array:
-    """The same as a product of matrices, for a GPU."""
+    """Products of all columns (C, n) with each other, (C, G+1, G+1)."""
     matrix = jnp.stack(columns, -2).astype(jnp.float64)
     return matrix @ matrix.swapaxes(-1, -2)
 
 
-def compact_equations(
-    model: Reflectance,
-    values: Mapping[str, Array],
-    part: Part,
-    multiplied: Callable[[Sequence[Array]], Array] = products,
-) -> Array:
+def compact_equations(model: Reflectance, values: Mapping[str, Array], part: Part) -> Array:
     """Normal equations by physical values: one row and column a parameter, whether it is per channel or not."""
     moving = _rates(model, values, part.directions)
 
     def step(total: Array, b: Part) -> tuple[Array, None]:
-        return total + multiplied(_block_columns(model, *moving, b)), None
+        return total + products(_block_columns(model, *moving, b)), None
 
     groups, channels = len(model.parameters) + 1, part.target.shape[1]
     return jax.lax.scan(step, jnp.zeros((channels, groups, groups)), part)[0]

@@ -23,7 +23,7 @@ from .coordinates import Structure, Table, flat_and_slopes
 from .hints import General, general_of
 from .levenberg_marquardt import OFFSET_TOLERANCE, Solution, Way, advance, begin
 from .problem import Directions, Part, Problem
-from .residuals import compact_equations, places, products_by_matrix, rows_of
+from .residuals import compact_equations, places, rows_of
 from .transforms import Layout
 
 AT_ONCE = 1 << 22  # directions of all solves in a step: 100 MB for each number that there is of every one of them
@@ -241,7 +241,7 @@ def _equations(
     whole = kinds[0].general.model
     parts = Part(problems.directions, problems.root[material], problems.target[material])
     mapped = jax.vmap(
-        lambda values, part: compact_equations(whole, values, part, products_by_matrix),
+        lambda values, part: compact_equations(whole, values, part),
         (0, Part(None, 0, 0)),  # pyright: ignore[reportArgumentType] - axes
     )
     last = np.eye(z.shape[1] + 1)[-1]

@@ -6,7 +6,6 @@ It is the directional-hemispherical reflectance, the integral of the BRDF times 
 from collections.abc import Mapping
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -26,8 +25,9 @@ from ..support.kept import kept
 from ..support.threads import side_by_side
 from .hints import general_of
 
-COUNT = 4  # incidences that are stated at the most: one program for all files
-AT_ONCE = 8  # sets of parameters of a call
+COUNT = 4  # incidences that are stated at the most
+AT_ONCE = 4  # pairs of a set of parameters and so many incidences in a call
+STEP, LEAST = 1e-4, 1e-3  # of the differences that are slopes, relative to the parameter, which counts as no less
 USUAL = np.radians([0.0, 30.0, 60.0])  # of a file that has none of its own
 FEWEST = 8  # samples of an incidence of the file's own
 SAME = 1e-4  # rad: incidences that differ by less are one
@@ -98,55 +98,53 @@ def solid_angles(theta_o: np.ndarray, phi: np.ndarray) -> np.ndarray:
     return (area / count)[at].reshape(len(images), -1).sum(0) / 2
 
 
-def with_slopes(
-    material: Reflectance, values: Mapping[str, ArrayLike], bands: Bands, theta_i: np.ndarray
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """TIS of parameters at incidences (rad), `COUNT` at the most, (A,): (C, A), and its slopes by parameter, (C, A).
-
-    A channel's depends on no other channel's parameters, so that one slope says what its own do to it. Without the
-    apparatus. One program for all variants of a model (:func:`.hints.general_of`).
-    """
-    general = general_of(material)
-    given = general.values({q.name: jnp.asarray(values[q.name]) for q in material.parameters})
-    padded = jnp.asarray(np.resize(theta_i, COUNT))
-    at_fit, slopes = jax.device_get(_with_slopes(general.model, given, jnp.asarray(bands.wavelengths_um), padded))
-    return at_fit[:, : len(theta_i)], {
-        q.name: slopes[name][:, : len(theta_i)] for q, name in zip(material.parameters, general.names, strict=True)
-    }
-
-
 def of_values(material: Reflectance, values: Mapping[str, np.ndarray], bands: Bands, theta_i: np.ndarray) -> np.ndarray:
-    """TIS of n sets of parameters, with a leading axis (n,), at incidences (rad), `COUNT` at the most, (A,): (n, C, A).
+    """TIS of n sets of parameters, with a leading axis (n,), at incidences (rad), (A,): (n, C, A).
 
-    Without the apparatus. One program for all variants of a model (:func:`.hints.general_of`), 20 ms a set.
+    Without the apparatus. One program for all variants of a model (:func:`.hints.general_of`) and any incidences, 20 ms
+    for each set and `COUNT` of them.
     """
-    general, wavelengths, incidences = general_of(material), np.array(bands.wavelengths_um), np.resize(theta_i, COUNT)
+    general, wavelengths = general_of(material), np.array(bands.wavelengths_um)
     own = {q.name: np.asarray(values[q.name], float) for q in material.parameters}
     (count,) = {len(x) for x in own.values()}
-    rows = np.minimum(np.arange(-(-count // AT_ONCE) * AT_ONCE), count - 1).reshape(-1, AT_ONCE)
-    parts = [general.values({name: x[some] for name, x in own.items()}) for some in rows]
-    found = side_by_side(lambda part: np.asarray(_of_many(general.model, part, wavelengths, incidences)), parts)
-    return np.concatenate(found)[:count, :, : len(theta_i)]
+    groups = np.resize(theta_i, (-(-len(theta_i) // COUNT), COUNT))
+    pairs = np.arange(-(-count * len(groups) // AT_ONCE) * AT_ONCE) % (count * len(groups))
+
+    def of_some(some: np.ndarray) -> np.ndarray:
+        part = general.values({name: x[some // len(groups)] for name, x in own.items()})
+        return np.asarray(_of_many(general.model, part, wavelengths, groups[some % len(groups)]))
+
+    found = np.concatenate(side_by_side(of_some, pairs.reshape(-1, AT_ONCE)))[: count * len(groups)]
+    of_sets = np.moveaxis(found.reshape(count, len(groups), -1, COUNT), 1, 2)  # (n, C, groups, COUNT)
+    return of_sets.reshape(*of_sets.shape[:2], -1)[..., : len(theta_i)]
 
 
 @kept()
 def _of_many(model: Reflectance, values: Mapping[str, Array], wavelengths_um: Array, theta_i: Array) -> Array:
+    """Of pairs of a set and incidences, (N, C, A)."""
     which = {name: x for name, x in values.items() if name == WHICH_BODY}
     moving = {name: x for name, x in values.items() if name not in which}
-    return jax.lax.map(lambda v: directional_albedo(model, {**v, **which}, theta_i, wavelengths_um), moving)
+    return jax.lax.map(
+        lambda pair: directional_albedo(model, {**pair[0], **which}, pair[1], wavelengths_um), (moving, theta_i)
+    )
 
 
-@kept()
-def _with_slopes(
-    model: Reflectance, values: Mapping[str, Array], wavelengths_um: Array, theta_i: Array
-) -> tuple[Array, dict[str, Array]]:
-    names = [q.name for q in model.parameters]
-    which = {name: x for name, x in values.items() if name not in names}
+def with_slopes(
+    material: Reflectance, values: Mapping[str, ArrayLike], bands: Bands, theta_i: np.ndarray
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """TIS of parameters at incidences (rad), (A,): (C, A), and its slopes by parameter, (C, A).
 
-    def albedo(own: dict[str, Array]) -> Array:
-        return directional_albedo(model, {**which, **own}, theta_i, wavelengths_um)
-
-    own = {name: jnp.asarray(values[name], float) for name in names}
-    at_fit, push = jax.linearize(albedo, own)
-    each = {name: jnp.stack([jnp.full_like(own[name], name == moved) for moved in names]) for name in names}
-    return at_fit, dict(zip(names, jax.lax.map(push, each), strict=True))
+    A channel's depends on no other channel's parameters, so that one slope says what its own do to it. By differences
+    within the bounds: a program of the derivatives would take 6 s to compile.
+    """
+    at = {q.name: np.asarray(values[q.name], float) for q in material.parameters}
+    ends = {}
+    for q in material.parameters:
+        x, step = at[q.name], STEP * np.maximum(np.abs(at[q.name]), LEAST)
+        ends[q.name] = [np.clip(x + s * step, np.minimum(x, q.lower), np.maximum(x, q.upper)) for s in (1, -1)]
+    moved = [at, *({**at, name: end} for name, both in ends.items() for end in both)]
+    at_fit, *found = of_values(material, {name: np.stack([one[name] for one in moved]) for name in at}, bands, theta_i)
+    return at_fit, {
+        name: (up - down) / (high - low)[..., None]
+        for (name, (high, low)), up, down in zip(ends.items(), found[::2], found[1::2], strict=True)
+    }
