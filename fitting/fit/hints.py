@@ -172,8 +172,8 @@ def _two_scale(model: Any) -> Hints:  # noqa: ANN401 - of the class that its nam
     """The measured highlight may be the facets' lobe, or diffracted light; the search is with the printed split.
 
     A diffraction lobe's half width is where 2 tan(theta_h) / lambda = 1 / b. Channels are separated nearly: with F
-    instead of Q for the colour of diffracted light, and with all of that. The conserving split costs a hundred times as
-    much.
+    instead of Q for the colour of diffracted light, and with all of that. The conserving split costs forty times as
+    much on the coarse grid.
     """
     diffracts = model.diffraction != "off"
 

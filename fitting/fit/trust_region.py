@@ -9,8 +9,8 @@ the radius is one number. optimistix' Levenberg-Marquardt lengthens its steps on
 at least 1.2 to 8 times as many evaluations. ``results/bench/solver.md`` compares them.
 
 All arrays have leading axes for solves side by side. By NumPy; where JAX traces it, by JAX (:func:`.namespace_of`): a
-step is some thousand numbers, and as compiled programs, one for each count of parameters and solves, they took 2 s of
-a new process to trace and load.
+step is some thousand numbers, and as compiled programs, one for each count of parameters and solves, they took a
+second of a new process to trace and load.
 """
 
 from typing import NamedTuple

@@ -257,7 +257,7 @@ def finished(
     """Where a model comes to from the coarse grid's ``problem`` on the last grid."""
     layout, rough, solution = found
     z, last = solution.z, cheaper(layout, COARSE_ORDER)
-    if last != rough:  # the conserving split costs a hundred times as much, and moves a fit a little
+    if last != rough:  # the conserving split costs forty times as much there, and moves a fit a little
         with clock.stage("coarse"):
             z = solve(Objective(last, problem), z, config.fit.coarse_steps, backend=config.fit.backend).z
     report(f"{config.fit.grid} grid: {layout.model.variant}")
