@@ -72,6 +72,10 @@ def test_a_backend_that_is_not_installed_is_a_bad_setting(monkeypatch):
         parse({"fit": {"backend": "jaxopt"}}, "here")
 
 
+def test_results_of_earlier_versions_name_the_solver_by_its_library():
+    assert parse({"fit": {"backend": "optimistix"}}, "here") == Config()
+
+
 def test_default_toml_is_the_defaults():
     text = (ROOT / "configs" / "default.toml").read_text()
     assert parse(tomllib.loads(text), "default.toml") == Config()

@@ -380,7 +380,7 @@ def test_tables_depend_on_what_was_recorded_and_change_nothing(effects):
 
     found = tables(v)
     conserving = material_of(effects).split == "conserving"
-    expected = {"masking_curve", "facet_reflectance"} | ({"surface_albedo"} if conserving else set())
+    expected = {"masking_curve", "facet_reflectance"} | ({"surface_albedo", "facet_albedo"} if conserving else set())
     expected |= set() if material_of(effects).diffraction == "off" else {"relative_variance"}
     assert set(found) == expected | ({"specular_exponent", "diffracted_exponent"} if derived else set())
     for q in v:
