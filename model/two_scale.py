@@ -146,9 +146,9 @@ class TwoScale(Effects, Reflectance):
 
         def at(incidence: Array) -> Array:  # of one at a time, whose intermediates stay in a core's cache
             geometry, measure = energy.half_vectors(incidence[None], *nodes)
-            s, known = setting(geometry, wavelengths_um), {**values, **shared}
-            lobes = {name: f(known, s) for name, f in inner.factors().items() if name not in ("body", "conservation")}
-            return jnp.sum(inner.assemble(lobes, s).brdf(s) * measure, (1, 2, 3))
+            seen, known = setting(geometry, wavelengths_um), {**values, **shared}
+            lobes = {n: f(known, seen) for n, f in inner.factors().items() if n not in ("body", "conservation")}
+            return jnp.sum(inner.assemble(lobes, seen).brdf(seen) * measure, (1, 2, 3))
 
         return jax.lax.map(at, energy.incidences(v["beta"])).T
 

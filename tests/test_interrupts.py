@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from merlfit.fitting.posterior.chain import _advance
 from merlfit.fitting.results.storage import read_result
-from merlfit.fitting.support.terminal import Stopped
+from merlfit.fitting.support.terminal import BAD_INPUT, Stopped
 
 ROOT = Path(__file__).parents[1]
 PROGRAM = f"""
@@ -156,14 +156,34 @@ class Stops:
                 raise ImportError(name) from None
 
 sys.meta_path.insert(0, Stops())
-if {place!r} == "exit":
-    atexit.register(os.kill, os.getpid(), signal.SIGINT)
 from merlfit.__main__ import main
 sys.argv = ["merlfit", "models"]
-main()
+try:
+    main()
+finally:
+    if {place!r} == "exit":
+        atexit.register(os.kill, os.getpid(), signal.SIGINT)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (code, said)
+
+
+def test_the_command_ends_when_all_is_done_that_waits_for_its_end():
+    """Threads are waited for, what is registered is called, what encloses the command goes on, and output is whole."""
+    program = """
+import atexit, sys, threading, time
+from merlfit.__main__ import main
+sys.argv = ["merlfit", "check", "no.binary"]
+try:
+    main()
+finally:
+    atexit.register(print, "registered")
+    threading.Thread(target=lambda: (time.sleep(0.3), print("thread"))).start()
+    print("enclosing")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == BAD_INPUT
+    assert done.stdout.splitlines()[-3:] == ["enclosing", "thread", "registered"]
 
 
 def test_without_a_folder_for_programs_a_line_says_so():

@@ -87,7 +87,7 @@ def _misplaced(fitted: Fitted, axes: Axes, between: tuple[int, ...]) -> np.ndarr
 
 
 def _tis(result: Result, theta_i: np.ndarray) -> np.ndarray:
-    """Of the fit at incidences (rad), `COUNT` at the most, (A,): (C, A)."""
+    """Of the fit at incidences (rad), (A,): (C, A)."""
     assert result.model is not None
     values = {name: np.asarray(x)[None] for name, x in result.values().items()}
     return of_values(result.model.material, values, result.model.bands, theta_i)[0]
@@ -106,8 +106,7 @@ def to_zemax(targets: list[Path], result: Result, said: str) -> list[str]:
     model, fitted = result.model, Fitted.of(result.model, result.values())
     axes, misplaced = axes_for(fitted)
     values, theta_i = _on(fitted, axes), np.radians(axes[0])
-    parts = [theta_i[k : k + COUNT] for k in range(0, len(theta_i), COUNT)]
-    tis = np.concatenate([_tis(result, part) for part in parts], -1)
+    tis = _tis(result, theta_i)
     lines = []
     for channel, target in enumerate(targets):
         near = (

@@ -1,6 +1,6 @@
 """Levenberg-Marquardt on normal equations that are summed in blocks.
 
-What solvers want is residuals and a Jacobian. Ours has a million residuals, so solvers are shown an equivalent problem
+Solvers want residuals and their Jacobian. A fit has a million residuals, so solvers are shown an equivalent problem
 with P + 1: if R is the Cholesky factor of M = (J|r)^T W (J|r), then the last column of R has the same sum of squares as
 the residuals, and its other columns, as a Jacobian, the same J^T J and J^T r. Between two steps M is summed at the
 point that is to be seen next; the step itself (:mod:`.trust_region`) knows the P + 1 residuals alone.
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ...model.numerics import namespace_of
+from ...model.numerics import TINY, namespace_of
 from ..support.choices import Backend
 from .coordinates import Numbers
 from .residuals import Objective
@@ -110,7 +110,7 @@ def compress(z: Numbers, normal: Numbers) -> Linear:
 def _factor(m: Numbers) -> Numbers:
     """Upper triangular R with R^T R = m, for a positive semi-definite m of any scaling; not finite where m is not."""
     xp, unit = namespace_of(m), np.eye(m.shape[-1])
-    scale = xp.sqrt(xp.maximum(xp.diagonal(m, axis1=-2, axis2=-1), 1e-300))
+    scale = xp.sqrt(xp.maximum(xp.diagonal(m, axis1=-2, axis2=-1), TINY))
     scaled = m / scale[..., None, :] / scale[..., None] + JITTER * unit
     return _cholesky(scaled).swapaxes(-1, -2) * scale[..., None, :]
 
@@ -161,7 +161,8 @@ def advance(tolerance: float | Array, rtol: float, way: Way, normal: Numbers) ->
     """A step of those that are active.
 
     Args:
-        tolerance: relative offset below which a solve goes no further. normal: equations at the trial points.
+        tolerance: relative offset below which a solve goes no further. rtol: of steps and residuals, below which it is
+            at rest. way: where solves are. normal: equations at their trial points.
     """
     xp = namespace_of(normal)
     seen, first = compress(way.trial, normal), way.steps == 0
@@ -169,21 +170,22 @@ def advance(tolerance: float | Array, rtol: float, way: Way, normal: Numbers) ->
     radius, taken = next_radius(way.radius, step, way.near, seen.cost)
     radius, better = xp.where(first, way.radius, radius), taken | first
     offset = xp.where(better, relative_offset(seen.value), way.offset)
-    finite = xp.isfinite(normal).all((1, 2, 3))
+    finite = xp.isfinite(normal).all((1, 2, 3)) & (seen.value[..., -1] < NON_FINITE_COST)
     blocked = xp.where(finite, way.blocked, steps)
     usable = finite | ~first  # what is not finite where it starts goes nowhere
     # at rest, or no radius is left in which to go on
     stop = (taken & ~first & at_rest(way.trial, step, way.near, seen, rtol)) | (radius < rtol)
     converged = usable & ((stop & (steps > blocked + CLEAR)) | (offset < tolerance))
-    y, kept = _chosen(better, way.trial, way.y), _chosen(better, normal, way.kept)
-    near = Linear(_chosen(better, seen.value, way.near.value), _chosen(better, seen.slope, way.near.slope))
+    y, kept = chosen(better, way.trial, way.y), chosen(better, normal, way.kept)
+    near = Linear(chosen(better, seen.value, way.near.value), chosen(better, seen.slope, way.near.slope))
     moved = Way(
         y, near, kept, y + bounded_step(near, radius), radius, offset, steps, blocked, converged, usable & ~converged
     )
-    return jax.tree.map(lambda new, old: _chosen(way.active, new, old), moved, way)
+    return jax.tree.map(lambda new, old: chosen(way.active, new, old), moved, way)
 
 
-def _chosen(which: Numbers, one: Numbers, other: Numbers) -> Numbers:
+def chosen(which: Numbers, one: Numbers, other: Numbers) -> Numbers:
+    """One where it is said, (M,), otherwise the other, (M, ...)."""
     return namespace_of(one).where(which.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
 
 
@@ -202,13 +204,14 @@ def solve_many(
         evaluate: normal equations (M, C, P+1, P+1) of M points (M, P). points: where to start, (M, P).
         max_steps, rtol, offset: as for `solve`, of each.
     """
-    begun = np.asarray(points, float)
-    with np.errstate(all="ignore"):  # of steps that are not taken
-        way = begin(begun, np.asarray(evaluate(begun)))
-        for step in range(max_steps):
-            if not way.active.any():
-                break
-            way = advance(offset, rtol, way, np.asarray(evaluate(way.trial)) if step else way.kept)
+    begun = np.array(points, float)
+    way = begin(begun, np.asarray(evaluate(begun)))
+    for step in range(max_steps):
+        if not way.active.any():
+            break
+        normal = np.asarray(evaluate(way.trial)) if step else way.kept
+        with np.errstate(all="ignore"):  # of steps that are not taken
+            way = advance(offset, rtol, way, normal)
     return [_ended(jax.tree.map(lambda x, k=k: x[k], way)) for k in range(len(begun))]
 
 
@@ -298,4 +301,4 @@ def relative_offset(compressed: Numbers) -> Numbers:
         compressed: residuals of :func:`compress`, (..., P+1): the last one is what no step can remove.
     """
     xp, squares = namespace_of(compressed), compressed**2
-    return xp.sqrt(squares[..., :-1].sum(-1) / xp.maximum(squares.sum(-1), 1e-300))
+    return xp.sqrt(squares[..., :-1].sum(-1) / xp.maximum(squares.sum(-1), TINY))

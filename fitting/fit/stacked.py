@@ -21,7 +21,7 @@ from ...model.reflectance import Reflectance
 from ..support.choices import Device
 from .coordinates import Structure, Table, flat_and_slopes
 from .hints import General, general_of
-from .levenberg_marquardt import OFFSET_TOLERANCE, Solution, Way, advance, begin
+from .levenberg_marquardt import OFFSET_TOLERANCE, Solution, Way, advance, begin, chosen
 from .problem import Directions, Part, Problem
 from .residuals import compact_equations, places, rows_of
 from .transforms import Layout
@@ -201,8 +201,8 @@ def _idle(problems: Stack, width: int, size: int) -> tuple[Way, np.ndarray]:
 def _renewed(ways: Way, rows: Array, fresh: Array, used: Array, z: Array, nothing: Array) -> Way:
     """Some solves on their way, and others at their start in the places of the rest."""
     begun = begin(z, jnp.broadcast_to(nothing, (len(z), *nothing.shape)))
-    chosen = jax.tree.map(lambda one, other: _where(fresh, one, other[rows]), begun, ways)
-    return chosen._replace(active=chosen.active & used)
+    going = jax.tree.map(lambda one, other: chosen(fresh, one, other[rows]), begun, ways)
+    return going._replace(active=going.active & used)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -236,21 +236,17 @@ def _equations(
         own = _chain(each, slopes, z.shape[1])
         if k == 0:
             values, chain = given, own
-        chosen = partial(_where, kind == k)
-        values, chain = {name: chosen(x, values[name]) for name, x in given.items()}, chosen(own, chain)
+        theirs = partial(chosen, kind == k)
+        values, chain = {name: theirs(x, values[name]) for name, x in given.items()}, theirs(own, chain)
     whole = kinds[0].general.model
     parts = Part(problems.directions, problems.root[material], problems.target[material])
     mapped = jax.vmap(
-        lambda values, part: compact_equations(whole, values, part),
+        partial(compact_equations, whole),
         (0, Part(None, 0, 0)),  # pyright: ignore[reportArgumentType] - axes
     )
     last = np.eye(z.shape[1] + 1)[-1]
     rest = problems.rest[material][..., None, None] * (last[:, None] * last)
     return chain.swapaxes(-1, -2) @ mapped(values, parts) @ chain + rest
-
-
-def _where(chosen: Array, one: Array, other: Array) -> Array:
-    return jnp.where(chosen.reshape(-1, *(1,) * (jnp.ndim(one) - 1)), one, other)
 
 
 def _chain(kind: _Kind, slopes: Array, size: int) -> Array:

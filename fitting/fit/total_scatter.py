@@ -26,8 +26,8 @@ from ..support.threads import side_by_side
 from .hints import general_of
 
 COUNT = 4  # incidences that are stated at the most
-AT_ONCE = 4  # pairs of a set of parameters and so many incidences in a call
-STEP, LEAST = 1e-4, 1e-3  # of the differences that are slopes, relative to the parameter, which counts as no less
+WIDTH, AT_ONCE = 4, 2  # incidences beside a set of parameters, and so many such pairs in a call: one program for all
+STEP, LEAST = 1e-4, 1e-3  # of differences that are slopes, relative to a parameter, or to so much of a linear one
 USUAL = np.radians([0.0, 30.0, 60.0])  # of a file that has none of its own
 FEWEST = 8  # samples of an incidence of the file's own
 SAME = 1e-4  # rad: incidences that differ by less are one
@@ -99,15 +99,15 @@ def solid_angles(theta_o: np.ndarray, phi: np.ndarray) -> np.ndarray:
 
 
 def of_values(material: Reflectance, values: Mapping[str, np.ndarray], bands: Bands, theta_i: np.ndarray) -> np.ndarray:
-    """TIS of n sets of parameters, with a leading axis (n,), at incidences (rad), (A,): (n, C, A).
+    """TIS of n sets of parameters, with a leading axis (n,), at incidences (rad), one or more, (A,): (n, C, A).
 
     Without the apparatus. One program for all variants of a model (:func:`.hints.general_of`) and any incidences, 20 ms
-    for each set and `COUNT` of them.
+    for each set and `WIDTH` of them.
     """
     general, wavelengths = general_of(material), np.array(bands.wavelengths_um)
     own = {q.name: np.asarray(values[q.name], float) for q in material.parameters}
     (count,) = {len(x) for x in own.values()}
-    groups = np.resize(theta_i, (-(-len(theta_i) // COUNT), COUNT))
+    groups = np.resize(theta_i, (-(-len(theta_i) // WIDTH), WIDTH))
     pairs = np.arange(-(-count * len(groups) // AT_ONCE) * AT_ONCE) % (count * len(groups))
 
     def of_some(some: np.ndarray) -> np.ndarray:
@@ -115,7 +115,7 @@ def of_values(material: Reflectance, values: Mapping[str, np.ndarray], bands: Ba
         return np.asarray(_of_many(general.model, part, wavelengths, groups[some % len(groups)]))
 
     found = np.concatenate(side_by_side(of_some, pairs.reshape(-1, AT_ONCE)))[: count * len(groups)]
-    of_sets = np.moveaxis(found.reshape(count, len(groups), -1, COUNT), 1, 2)  # (n, C, groups, COUNT)
+    of_sets = np.moveaxis(found.reshape(count, len(groups), -1, WIDTH), 1, 2)  # (n, C, groups, WIDTH)
     return of_sets.reshape(*of_sets.shape[:2], -1)[..., : len(theta_i)]
 
 
@@ -140,7 +140,8 @@ def with_slopes(
     at = {q.name: np.asarray(values[q.name], float) for q in material.parameters}
     ends = {}
     for q in material.parameters:
-        x, step = at[q.name], STEP * np.maximum(np.abs(at[q.name]), LEAST)
+        x = at[q.name]
+        step = STEP * (np.abs(x - q.offset) if q.scale == "log" else np.maximum(np.abs(x), LEAST))
         ends[q.name] = [np.clip(x + s * step, np.minimum(x, q.lower), np.maximum(x, q.upper)) for s in (1, -1)]
     moved = [at, *({**at, name: end} for name, both in ends.items() for end in both)]
     at_fit, *found = of_values(material, {name: np.stack([one[name] for one in moved]) for name in at}, bands, theta_i)

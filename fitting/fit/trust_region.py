@@ -13,16 +13,19 @@ step is some thousand numbers, and as compiled programs, one for each count of p
 second of a new process to trace and load.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-from ...model.numerics import namespace_of
+import jax
+import numpy as np
+
+from ...model.numerics import TINY, namespace_of
 from .coordinates import Numbers
 
 FIRST_RADIUS = 1.0
 GOOD, POOR = 0.75, 0.25  # of the promised decrease: more than this lengthens the radius, less than that shortens it
 LONGER, SHORTER, MUCH_SHORTER = 2.0, 0.5, 0.25  # times the step; the last where a step led upwards
 NEWTON_STEPS = 30  # for the damping that makes a step as long as the radius: monotone, quadratic at the end
-TINY = 1e-300
 
 
 class Linear(NamedTuple):
@@ -56,19 +59,19 @@ def bounded_step(near: Linear, radius: Numbers) -> Numbers:
         d = gradient / damped
         return d, (d * d / damped).sum(-1)
 
-    mu = xp.zeros_like(radius)
-    for _ in range(NEWTON_STEPS):
+    def newton(mu: Numbers) -> Numbers:
         # 1/|d| is concave in mu: from the left its tangent never overshoots the root of 1/|d| = 1/radius
         d, fall = lengthened(mu)
         length = _length(d)
-        mu = mu + xp.maximum((length / radius - 1) * length**2 / xp.maximum(fall, TINY), 0.0)
-    d, _ = lengthened(mu)
+        return mu + xp.maximum((length / radius - 1) * length**2 / xp.maximum(fall, TINY), 0.0)
+
+    d, _ = lengthened(_repeated(newton, xp.zeros_like(radius)))
     d = d * xp.minimum(1.0, radius / xp.maximum(_length(d), TINY))[..., None]
     return -(d[..., None, :] @ right)[..., 0, :]
 
 
 def next_radius(radius: Numbers, step: Numbers, before: Linear, cost: Numbers) -> tuple[Numbers, Numbers]:
-    """How far the linear model ``before`` a step is trusted after it, and whether the step, if it gains, is taken.
+    """Radius after a step of the linear model ``before`` it, and whether the step is taken: unless it raises the cost.
 
     Args:
         cost: after the step.
@@ -86,6 +89,18 @@ def at_rest(z: Numbers, step: Numbers, before: Linear, after: Linear, rtol: floa
     xp = namespace_of(z)
     still = (xp.abs(step) < rtol * (1 + xp.abs(z))).all(-1)
     return still & (xp.abs(after.value - before.value) < rtol * (1 + xp.abs(after.value))).all(-1)
+
+
+def _repeated(step: Callable[[Numbers], Numbers], start: Numbers) -> Numbers:
+    """So many Newton steps, or until nothing moves."""
+    if namespace_of(start) is not np:
+        return jax.lax.fori_loop(0, NEWTON_STEPS, lambda _, x: step(x), start)
+    now = start
+    for _ in range(NEWTON_STEPS):
+        before, now = now, step(now)
+        if (before == now).all():
+            break
+    return now
 
 
 def _length(x: Numbers) -> Numbers:

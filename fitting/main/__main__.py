@@ -4,7 +4,6 @@ import atexit
 import os
 import signal
 import sys
-import threading
 from contextlib import suppress
 
 
@@ -12,28 +11,30 @@ def main() -> None:
     """Entry point; until the commands hear Ctrl-C, and after they do, it ends the program without a word."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # which raises wherever an import or an exit is
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    codes: list[int] = []
+    atexit.register(_leave, codes)  # before anything else is, and so called last
     from .fitting.commands.cli import main as commands  # pyright: ignore[reportMissingImports] - installed, it lies beside
 
-    code = 0
     try:
         commands()
     except SystemExit as end:
-        if not isinstance(end.code, int | None):
-            raise
-        code = end.code or 0
-    if sys.getprofile() or sys.gettrace():  # they have something to say when the program ends
-        sys.exit(code)
-    _leave(code)
+        if isinstance(end.code, int | None):
+            codes.append(end.code or 0)
+        raise
+    codes.append(0)
 
 
-def _leave(code: int) -> None:
-    """End the process as `multiprocessing` ends its own: taking modules and programs apart, Python would take 0.8 s."""
-    threading._shutdown()  # pyright: ignore[reportAttributeAccessIssue] - waits for threads
-    atexit._run_exitfuncs()
+def _leave(codes: list[int]) -> None:
+    """End the process when all is done that waits for its end; Python would take its programs apart first, in 0.8 s.
+
+    Args:
+        codes: the exit code; none of an end that Python is to tell of.
+    """
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):  # closed, or never open
             stream.flush()
-    os._exit(code)
+    for code in codes[-1:]:
+        os._exit(code)
 
 
 if __name__ == "__main__":

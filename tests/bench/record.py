@@ -13,7 +13,7 @@ import numpy as np
 
 RESULTS = Path(__file__).parents[2] / "results" / "bench"
 RECONSTRUCTIONS = "neural reconstructions of MERL (Sztrajman et al. 2021), not measurements"
-LIBRARIES = ("jax", "jaxlib", "numpy", "scipy", "optimistix")
+LIBRARIES = ("jax", "jaxlib", "numpy", "scipy")
 
 
 def machine():

@@ -117,6 +117,13 @@ def test_what_no_text_says_all_of_is_not_kept(folder):
             kept._said((1, {"a": unnamed}))
 
 
+def test_programs_of_another_precision_are_others(folder):
+    for precise in (True, False):
+        with jax.enable_x64(precise):
+            Kept(combined)(*arguments())
+    assert len([*folder.glob("*.bin")]) == 2
+
+
 def test_what_was_used_is_loaded_ahead_the_next_time(folder, monkeypatch):
     with loaded_ahead("fits"):
         Kept(combined)(*arguments())

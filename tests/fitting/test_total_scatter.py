@@ -15,6 +15,7 @@ from merlfit.fitting.fit.total_scatter import (
     AT_ONCE,
     COUNT,
     USUAL,
+    WIDTH,
     incidences_of,
     of_file,
     of_values,
@@ -98,9 +99,9 @@ def test_sets_of_parameters_have_the_integrals_of_their_models():
         "c": np.full(count, 2.0), "sigma_s": np.full(count, 0.03), "eta": np.full((count, 3), 1.5),
         "albedo": np.tile([0.1, 0.3, 0.6], (count, 1)),
     }  # fmt: skip
-    theta_i = np.radians([10.0, 60.0])
+    theta_i = np.radians(np.linspace(10.0, 60.0, WIDTH + 1))
     found = of_values(material, values, MERL, theta_i)
-    assert found.shape == (count, 3, 2)
+    assert found.shape == (count, 3, WIDTH + 1)
     for k in (0, count - 1):
         own = {name: jnp.asarray(x[k]) for name, x in values.items()}
         np.testing.assert_allclose(found[k], directional_albedo(material, own, theta_i), rtol=1e-6)
@@ -124,12 +125,20 @@ def test_slopes_are_those_of_the_integral():
         np.testing.assert_allclose(slopes[name], true, rtol=1e-4, atol=3e-4, err_msg=name)  # order 12
 
 
-def test_slopes_at_a_bound_are_those_within():
-    values = {**TRUTH, "F0": np.array([0.04, 1e-12, 0.0])}
-    _, slopes = with_slopes(GGX, values, MERL, np.radians([30.0]))
-    inside, _ = with_slopes(GGX, {**TRUTH, "F0": np.full(3, 1e-3)}, MERL, np.radians([30.0]))
-    outside, _ = with_slopes(GGX, {**TRUTH, "F0": np.full(3, 0.0)}, MERL, np.radians([30.0]))
-    np.testing.assert_allclose(slopes["F0"][:, 0], ((inside - outside) / 1e-3)[:, 0], rtol=1e-3)
+def test_slopes_at_bounds_and_of_tiny_parameters_are_those_of_the_integral():
+    """The coefficients of optical scatter are far below one; an albedo may be nothing, or all."""
+    theta_i, where = np.radians([30.0]), np.array([1e-6, 1e-8, 1e-10])
+    abg = models()["abg"]()
+    values = {q.name: np.full(3, q.default) if q.per_channel else q.default for q in abg.parameters}
+    values |= {"B": where} if next(q for q in abg.parameters if q.name == "B").per_channel else {"B": 1e-8}
+    _, slopes = with_slopes(abg, values, MERL, theta_i)
+    own = {q: jnp.asarray(x, float) for q, x in values.items()}
+    still = {q: jnp.full_like(x, q == "B") for q, x in own.items()}
+    _, true = jax.jvp(lambda v: directional_albedo(abg, v, theta_i), (own,), (still,))
+    np.testing.assert_allclose(slopes["B"], true, rtol=1e-4)
+    bounds = {**TRUTH, "albedo": np.array([0.0, 0.5, 1.0])}
+    _, slopes = with_slopes(GGX, bounds, MERL, theta_i)
+    np.testing.assert_allclose(slopes["albedo"], 1, rtol=0.01)
 
 
 def test_an_interval_holds_what_draws_of_the_approximation_hold():

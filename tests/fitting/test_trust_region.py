@@ -92,3 +92,27 @@ def test_a_wall_of_not_a_number_is_backed_away_from():
     )
     lowest = next(r.real for r in np.roots(polynomial) if abs(r.imag) < 1e-12)
     assert found.z[0] == pytest.approx(lowest, rel=1e-5)
+
+
+def test_one_that_goes_nowhere_hinders_no_other():
+    """Not finite at its start, with equations of no squares, and two that end after different numbers of steps."""
+    slope, targets = np.array([[1.0], [0.1]]), np.array([5.0, 1e-3])
+
+    def equations(points):
+        found = []
+        for k, z in enumerate(points):
+            both = np.concatenate([slope, (np.array([targets[k % 2], 0.1]) - slope @ z)[:, None]], 1)
+            found.append([[both.T @ both], [-np.eye(2)], [np.full((2, 2), np.nan)]][max(k - 1, 0)])
+        return np.array(found)
+
+    found = solve_many(equations, np.zeros((4, 1)), rtol=1e-8)
+    alone = [
+        solve_many(lambda p, k=k: equations(np.repeat(p, 2, 0))[k : k + 1], np.zeros((1, 1)), rtol=1e-8)[0]
+        for k in (0, 1)
+    ]
+    assert [each.converged for each in found] == [True, True, False, False]
+    assert [each.steps for each in found[2:]] == [1, 1]
+    for one, other in zip(found, alone, strict=False):
+        assert (one.steps, one.cost) == (other.steps, other.cost)
+        np.testing.assert_array_equal(one.z, other.z)
+    assert found[0].steps > found[1].steps
