@@ -25,8 +25,12 @@ DEFAULT = "hp17"
 WAYS = {name: {"preset": name} for name in PRESETS if name != "reference"}  # which no fit takes
 WAYS |= {"ggx": {"model": "ggx"}, "auto": {"model": "auto"}}
 OTHERS = ("ggx", "auto")  # no presets
+LEAST_SHOWN = 0.5  # CIELAB
 WORDS = {DEFAULT: "default: two scales", "ggx": "GGX, a rival", "auto": "--model auto", "free": "free weight"}
-NEXT_TO = {"preview": (-6, 8), "free": (6, -14), "auto": (-8, 10)}  # points from the mark to its word; others (8, 5)
+NEXT_TO = {  # points from the mark to its word, and on which side the mark is
+    "preview": (-8, -12, "right"), "fast": (-8, 5, "right"), "microfacet": (4, -16, "left"), DEFAULT: (10, -14, "left"),
+    "free": (4, -15, "left"),
+}  # fmt: skip
 
 
 def measure(settings, first, *paths):
@@ -68,14 +72,16 @@ def drawn(rows, path):
         )
         axis.plot(row["very first s"], row["CIELAB"], "|", color=colour, markersize=9)
         axis.plot(row["new process s"], row["CIELAB"], "*" if own else "o", color=colour, markersize=17 if own else 8)
+        right, up, side = NEXT_TO.get(way, (8, 5, "left"))
         axis.annotate(
-            WORDS.get(way, way), (row["new process s"], row["CIELAB"]), NEXT_TO.get(way, (8, 5)),
-            textcoords="offset points", color=colour, weight="bold" if own else "normal",
+            WORDS.get(way, way), (row["new process s"], row["CIELAB"]), (right, up), textcoords="offset points",
+            horizontalalignment=side, color=colour, weight="bold" if own else "normal",
         )  # fmt: skip
     axis.set(
-        xscale="log", ylim=(0, 1.15 * max(row["CIELAB"] for row in rows)),
+        xscale="log", ylim=(LEAST_SHOWN, 1.1 * max(row["CIELAB"] for row in rows)),
         xlabel="seconds from the shell to the result of one file; the line ends at those of the very first time",
-        ylabel="CIELAB distance of spheres", title="What accuracy costs: 12 neural reconstructions, medians",
+        ylabel="CIELAB distance of spheres",
+        title="What accuracy costs: 12 neural reconstructions, medians",
     )  # fmt: skip
     axis.set_xticks([5, 10, 20, 50, 100, 200])
     axis.xaxis.set_major_formatter(ScalarFormatter())
