@@ -89,7 +89,7 @@ class Kept:
             return program
         begun = perf_counter()
         try:
-            exported = export.export(plain)(*leaves)
+            exported = export.export(plain)(*[jax.ShapeDtypeStruct(*shape) for shape in shapes])
             if perf_counter() - begun > LEAST:
                 _write(name, bytes(exported.serialize()))
             return _compiled(exported)
@@ -102,7 +102,7 @@ def _compiled(exported: export.Exported) -> Callable:
         return exported.call(*leaves)
 
     called.__name__ = exported.fun_name
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in exported.in_avals]
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in exported.in_avals]
     return jax.jit(called, compiler_options=OLDER_EMITTERS).lower(*shapes).compile()
 
 
@@ -179,10 +179,9 @@ def kept(static: int = 1) -> Callable[[Callable], Kept]:
     return partial(Kept, static=static)
 
 
-def _shape(x: Any) -> tuple:  # noqa: ANN401 - an array, or a number of Python
-    if (of_array := getattr(x, "dtype", None)) is None:
-        return (), type(x).__name__
-    return np.shape(x), of_array.name, bool(getattr(x, "weak_type", False))
+def _shape(x: Any) -> tuple[tuple[int, ...], str]:  # noqa: ANN401 - an array, or a number of Python
+    """Shape and type; weak types count as others, since the same number is weak or not by which program it came from."""
+    return np.shape(x), (x if hasattr(x, "dtype") else jax.typeof(x)).dtype.name
 
 
 def _path(name: str) -> Path:

@@ -77,11 +77,16 @@ def test_each_static_argument_shape_and_structure_has_its_own(folder):
         arguments(body="none"),
         (TwoScale("lambert"), {"x": np.ones(3)}, PAIR),
         (TwoScale("lambert"), {"x": np.float64(2.0)}, Pair(PAIR.one, PAIR.other, "product")),
-        (TwoScale("lambert"), {"x": 2.0}, PAIR),  # a number of Python, which has no precision of its own
     ):
         found, expected = function(*given), combined(*given)
         np.testing.assert_allclose(found["scaled"], expected["scaled"])
-    assert len(list(folder.glob("*.bin"))) == 5
+    assert len(list(folder.glob("*.bin"))) == 4
+
+
+def test_the_same_number_has_the_same_program_wherever_it_came_from(folder):
+    for number in (np.float64(2.0), 2.0, jnp.float64(2.0), jnp.asarray(2.0), jnp.asarray(2)):  # the last three: weak or not
+        Kept(combined)(TwoScale("lambert"), {"x": number}, PAIR)
+    assert len(list(folder.glob("*.bin"))) == 2  # float64 and int64
 
 
 def test_a_damaged_file_is_made_anew(folder):
