@@ -20,8 +20,8 @@ ON_CPU = (  # short ones first
     "rivals",
 )  # fmt: skip
 APART = (  # only when they are named
-    "tiers", "convergence", "sums", "posterior", "calibration", "first_order", "first_order_rivals", "predictions",
-    "halves", "nickel", "gpu", "report",
+    "tiers", "convergence", "sums", "posterior", "calibration", "first_order", "first_order_rivals",
+    "first_order_scattered", "predictions", "halves", "nickel", "gpu", "report",
 )  # fmt: skip
 SECTIONS = (*ON_CPU, *APART)
 

@@ -4,7 +4,7 @@ import tempfile
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -19,11 +19,15 @@ from merlfit.fitting.posterior.sampling import draw
 from merlfit.fitting.settings.config import load
 from merlfit.fitting.support.compilation import use_persistent_cache
 from merlfit.fitting.support.threads import CORES
+from merlfit.merl_io import inputs
 from merlfit.merl_io.binary import Measurement
 from merlfit.merl_io.grid import merl_grid
+from merlfit.merl_io.scattered import alike
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import binom, norm
 
+from ..measured import files_of
+from ..measured_halves import half_of
 from .record import Record, Target
 
 MATERIALS, FEW = 200, 50  # with noise of each reach
@@ -37,13 +41,38 @@ RIVALS = tuple(name for name in KINDS if name != OWN)
 # bins along theta_h, theta_d, phi_d: deviations of the kernel that correlates the noise
 REACHES = {"short": (1.0, 4.0, 16.0), "long": (4.0, 16.0, 64.0)}
 ALIKE = 0.8  # correlation of the channels' noise
+SCATTERED = ("unstated", "stated")  # of directions of genuine files: whether the file says how uncertain values are
 COST = (1e-3, 3e-2)  # of the noise, relative to the energy: log-uniform
+STATED = (0.01, 0.3)  # typical uncertainty that a file states, relative to the value: log-uniform
+APART = 3.0  # times that of a sample, or the same part of it, at the most: log-uniform
 BINS = 10  # of the histogram of ranks
 TOLD = 10  # materials after which the table is written anew
 DRAWN = 4000  # samples of uniform ranks, by which others are judged
 STRAYS = (
     "p: in how many of 4000 samples of uniform ranks their distribution strays as far anywhere, by the binomial "
     "probability there (simultaneous bands, Säilynoja et al. 2022)"
+)
+DATA = "synthetic: drawn from the priors of the fit, noise of the stated kind"
+GENUINE = (
+    "synthetic values, drawn from the priors of the fit, in directions and with residuals of genuine measurements: RGL "
+    "EPFL material database (Dupuy & Jakob 2018), CC0"
+)
+WORDS = {
+    "short": "short correlation", "long": "long correlation", "unstated": "residuals of genuine files",
+    "stated": "residuals of genuine files and stated noise",
+}  # fmt: skip
+IN_BINS = (
+    f"The noise is Gaussian, alike by {ALIKE} in all channels, and blurred: "
+    f"{' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} (standard deviations by theta_h, theta_d, "
+    "phi_d, reflected where the grid ends; the same parameters and the same white noise for both). Its variance is 1/w "
+    "times a number."
+)
+IN_DIRECTIONS = (
+    "Directions are those of a genuine file of RGL, each once, twenty files in turn. The noise is what that file's own "
+    "fit leaves (weighted residuals, either sign, channels in any order), divided by the roots of the weights here. So "
+    "it has the correlations and the few large residuals of genuine ones, and lacks what that fit took. Stated noise "
+    f"comes besides: independent, of a typical {STATED[0]:.0%} to {STATED[1]:.0%} of the value (log-uniform by file), "
+    f"and of up to {APART:g} times as much or as little (by sample), and the file says of how much."
 )
 
 
@@ -58,11 +87,19 @@ def noise(rng, shape, reach):
 
 
 def synthetic(seed, reach, model):
-    """Layout, truth in free coordinates and noisy samples of one material drawn from the prior."""
+    """Settings, layout, truth in free coordinates, measurement and noisy samples of a material of the prior."""
     rng, kinds = np.random.default_rng([20261122, seed]), KINDS[model]
-    config = load(**kinds[seed % len(kinds)])
+    config, make = load(**kinds[seed % len(kinds)]), of_bins
+    if reach in SCATTERED:
+        config, make = config.for_scattered, of_directions
     layout = layout_for(config, candidates(config)[0])
-    truth, grid = rng.standard_normal(layout.size), merl_grid()
+    truth = rng.standard_normal(layout.size)
+    return config, layout, truth, *make(rng, seed, reach, config, layout, truth)
+
+
+def of_bins(rng, seed, reach, config, layout, truth):
+    """Measurement without noise, whose values the weights are of, and samples with noise."""
+    grid = merl_grid()
     used = grid.above & (grid.weight > 0)
     blank = Measurement(Path(f"synthetic-{seed}"), np.ones((3, *used.shape)), used, 0, 0, 0, "", "")
     clean = predict_samples(layout, truth, weighted_samples(blank, 0.0, np.pi / 2))
@@ -74,7 +111,53 @@ def synthetic(seed, reach, model):
     root = np.sqrt(np.where(samples.weight > 0, samples.weight, np.inf))
     scale = np.sqrt(share * energy / np.sum(samples.weight > 0))
     noisy = clean + scale * noise(rng, clean.shape, reach) / root
-    return config, layout, truth, measurement, replace(samples, value=noisy)
+    return measurement, replace(samples, value=noisy)
+
+
+def of_directions(rng, seed, reach, config, layout, truth):
+    """In directions of a genuine file, with what its own fit leaves as noise; and with stated noise besides.
+
+    The residuals are weighted ones, with either sign and the channels in any order. Weights are those of noisy values.
+    """
+    files = [path for path, origin in files_of().items() if origin == "rgl"]
+    measured, left = residuals(files[seed % len(files)])
+    weigh = partial(ordered, exponent=config.exponents[0], theta_max=config.fit.theta_max)
+    samples, rows = weigh(measured)
+    clean, weight = np.full(left.shape, np.nan), np.zeros(left.shape)
+    clean[:, rows] = np.where(samples.weight > 0, predict_samples(layout, truth, samples), np.nan)
+    samples, rows = weigh(replace(measured, values=clean))
+    weight[:, rows] = samples.weight
+    left = rng.choice([-1, 1]) * left[rng.permutation(len(left))]
+    share, energy = np.exp(rng.uniform(*np.log(COST))), np.nansum(weight * clean**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        noisy = clean + np.sqrt(share * energy / np.sum(left**2)) * left / np.sqrt(weight)
+    stated = None
+    if reach == "stated":
+        level = np.exp(rng.uniform(*np.log(STATED)) + rng.uniform(-1, 1, clean.shape) * np.log(APART))
+        stated = level * clean
+        noisy += stated * rng.standard_normal(clean.shape)
+    measurement = replace(measured, values=noisy, uncertainty=stated)
+    return measurement, weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
+
+
+@lru_cache(4)
+def residuals(path):
+    """A genuine file, each direction once, and the weighted residuals of its fit, (C, N), 0 where there is none."""
+    config, whole = load(posterior=False).for_scattered, inputs.read(path)
+    first = np.unique(alike(whole.theta_i, whole.theta_o, whole.phi), return_index=True)[1]
+    measured = half_of(whole, first)
+    samples, rows = ordered(measured, config.exponents[0], config.fit.theta_max)
+    fitted, found = fit(measured, samples, config), np.zeros(measured.values.shape)
+    predicted = predict_samples(fitted.layout, fitted.solution.z, samples)
+    found[:, rows] = np.sqrt(samples.weight) * (samples.value - predicted)
+    return measured, found
+
+
+def ordered(measured, exponent, theta_max):
+    """Samples of a file that has each direction once, and which of its directions each is, (S,)."""
+    numbers = np.where(measured.valid, 1.0 + np.arange(len(measured.phi)), np.nan)
+    numbered = weighted_samples(replace(measured, values=numbers), 0.0, theta_max)
+    return weighted_samples(measured, exponent, theta_max), numbered.value.max(0).astype(int) - 1
 
 
 def measure(seed, reach, model=OWN, chain=True):
@@ -91,6 +174,8 @@ def measure(seed, reach, model=OWN, chain=True):
         found = norm.cdf((truth - middle) / np.sqrt(np.diag(fitted.noise.covariance)))
         ranks = dict(zip(layout.coordinates, found.tolist(), strict=True))
         return {**row, "N": fitted.count, "message": fitted.status.name}, {**device, "ranks": ranks}
+    if fitted.model_error is not None:
+        samples = weighted_samples(measurement, fitted.exponent, config.fit.theta_max, fitted.model_error)
     with tempfile.TemporaryDirectory() as folder:
         p = draw(fitted, samples, config.posterior.max_steps, config.seed, Path(folder) / "chain.npz")
     details = {**device, "k": p.pareto_k, "steps": p.diagnosis.steps, "retrainings left": p.chain.retrainings}
@@ -108,27 +193,29 @@ def unshrunk(fitted):
     return fitted.solution.z + np.linalg.solve(hessian + ridge, gradient)
 
 
-def run(folder, out, every, chain=True, models=(OWN,)):
-    """200 materials with noise of each reach, or 50, as of each of several models; the table is by parameter."""
+def run(folder, out, every, chain=True, models=(OWN,), reaches=tuple(REACHES)):
+    """200 materials with each kind of noise, or 50, as of each of several models; the table is by parameter."""
     section, what = ("calibration", "the posterior") if chain else ("first_order", "the normal approximation")
-    section, of = (section, "") if models == (OWN,) else (f"{section}_rivals", f" of {', '.join(models)}")
-    count = MATERIALS if every and models == (OWN,) else FEW
+    of = "" if models == (OWN,) else f" of {', '.join(models)}"
+    if of:
+        section += "_rivals"
+    if reaches == SCATTERED:
+        section, of = f"{section}_scattered", f"{of} in scattered directions"
+    most = FEW if of else MATERIALS
+    count = most if every else FEW
     record = Record(
-        section, f"Calibration of {what} by simulation{of}",
-        "synthetic: drawn from the priors of the fit, noise of the stated kind",
+        section, f"Calibration of {what} by simulation{of}", DATA if reaches != SCATTERED else GENUINE,
         ["Parameters are drawn from the prior"
-         f"{' (bodies none and lambert in turn)' if models == (OWN,) else ''}. The noise is Gaussian, alike by "
-         f"{ALIKE} in all channels, and blurred: {' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} "
-         "(standard deviations by theta_h, theta_d, phi_d, reflected where the grid ends; the same parameters and the "
-         f"same white noise for both). Its variance is 1/w times a number for which its cost is log-uniform in {COST} "
-         f"of the energy. Fitted as `merlfit fit` does it. Ranks: of the truth in {what}"
+         f"{' (bodies none and lambert in turn)' if models == (OWN,) else ''}. "
+         f"{IN_BINS if reaches != SCATTERED else IN_DIRECTIONS} Its cost is log-uniform in {COST} of the energy. "
+         f"Fitted as `merlfit fit` does it. Ranks: of the truth in {what}"
          f"{' (weighted draws)' if chain else ' of the free coordinates'}, how many in each tenth; {STRAYS}; coverage: "
          "of the 90 % intervals.",
          "What chance does: of 38 p of exact intervals the smallest is below 0.01 in up to a third of such tables, "
          "below 0.01/38 in one of a hundred. Of 25 intervals more than 95 % would hold the truth in 27 % of cases, of "
          "50 in 11 %, of 200 in 0.4 %."],
-        {f"{reach} {key}": Target(f"{what}, {reach} correlation", limit, unit, at_least=least)
-         for reach in REACHES for key, what, limit, unit, least in (
+        {f"{reach} {key}": Target(f"{what}, {WORDS[reach]}", limit, unit, at_least=least)
+         for reach in reaches for key, what, limit, unit, least in (
              ("p", "smallest p, times the number of parameters", 0.01, "", True),
              ("all low", "coverage of all 90 % intervals", 88, "%", True),
              ("all high", "coverage of all 90 % intervals", 92, "%", False),
@@ -140,27 +227,26 @@ def run(folder, out, every, chain=True, models=(OWN,)):
     kept.resume()
     fixed = tuple(record.notes)
     done = {(row["seed"], row["correlation"], row.get("model", OWN)) for row in kept.rows}
-    jobs = [(seed, reach, model) for seed in range(count) for reach in REACHES for model in models]
+    jobs = [(seed, reach, model) for seed in range(count) for reach in reaches for model in models]
     left = [job for job in jobs if job not in done]
     with ProcessPoolExecutor(CORES, get_context("spawn"), use_persistent_cache) as pool:
         for row, details in pool.map(partial(measure, chain=chain), *zip(*left, strict=True)) if left else ():
             kept.add(row, details)
             if len(kept.rows) % TOLD == 0:
-                record.notes = [*fixed, *tables(record, kept, models)]
+                record.notes = [*fixed, *tables(record, kept, models, reaches, most)]
                 record.write()
-    record.notes = [*fixed, *tables(record, kept, models)]
-    whole = len(models) * len(REACHES) * (MATERIALS if models == (OWN,) else FEW)
-    kept.finished = record.finished = len(kept.rows) >= whole
+    record.notes = [*fixed, *tables(record, kept, models, reaches, most)]
+    kept.finished = record.finished = len(kept.rows) >= most * len(models) * len(reaches)
     kept.write()
     record.write()
 
 
-def tables(record, kept, models):
+def tables(record, kept, models, reaches, most):
     """Rows and targets of all materials so far, by reach of the noise and parameter, and what is to be said of them."""
     record.rows.clear()
     devices = Counter(row["details"]["device"] for row in kept.rows)
     said = [f"Computed on: {', '.join(f'{name} ({many} runs)' for name, many in sorted(devices.items()))}."]
-    for reach, model in product(REACHES, models):
+    for reach, model in product(reaches, models):
         rows = [row for row in kept.rows if (row["correlation"], row.get("model", OWN)) == (reach, model)]
         found = [row["details"]["ranks"] for row in rows if "ranks" in row["details"]]
         if not found:
@@ -175,13 +261,13 @@ def tables(record, kept, models):
             })  # fmt: skip
         many = np.quantile([row["N"] for row in rows if row["N"]], (0.1, 0.5, 0.9))
         said.append(
-            f"Noise of {reach} correlation{'' if model == OWN else f', {model}'}: {len(rows)} of "
-            f"{MATERIALS if models == (OWN,) else FEW} materials; N is {many[1]:.3g} in the median, {many[0]:.3g} to "
-            f"{many[2]:.3g} in eight of ten; {len(rows) - len(found)} have no intervals, since the fit or a diagnostic "
-            f"failed. Of all 90 % intervals {together(found, '')} Of parameters that all channels share: "
-            f"{together(found, 'shared')} Of those of one channel: {together(found, 'channel')}"
+            f"{WORDS[reach].capitalize()}{'' if model == OWN else f', {model}'}: {len(rows)} of {most} materials; N is "
+            f"{many[1]:.3g} in the median, {many[0]:.3g} to {many[2]:.3g} in eight of ten; "
+            f"{len(rows) - len(found)} have no intervals, since the fit or a diagnostic failed. Of all 90 % intervals "
+            f"{together(found, '')} Of parameters that all channels share: {together(found, 'shared')} "
+            f"Of those of one channel: {together(found, 'channel')}"
         )
-    for reach in REACHES:
+    for reach in reaches:
         found = [
             row["details"]["ranks"] for row in kept.rows if row["correlation"] == reach and "ranks" in row["details"]
         ]

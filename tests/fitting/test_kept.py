@@ -84,7 +84,7 @@ def test_each_static_argument_shape_and_structure_has_its_own(folder):
 
 
 def test_the_same_number_has_the_same_program_wherever_it_came_from(folder):
-    for number in (np.float64(2.0), 2.0, jnp.float64(2.0), jnp.asarray(2.0), jnp.asarray(2)):  # the last three: weak or not
+    for number in (np.float64(2.0), 2.0, jnp.float64(2.0), jnp.asarray(2.0), jnp.asarray(2)):  # JAX's: weak or not
         Kept(combined)(TwoScale("lambert"), {"x": number}, PAIR)
     assert len(list(folder.glob("*.bin"))) == 2  # float64 and int64
 
