@@ -4,7 +4,7 @@ import tempfile
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -43,7 +43,7 @@ REACHES = {"short": (1.0, 4.0, 16.0), "long": (4.0, 16.0, 64.0)}
 ALIKE = 0.8  # correlation of the channels' noise
 SCATTERED = ("unstated", "stated")  # of directions of genuine files: whether the file says how uncertain values are
 COST = (1e-3, 3e-2)  # of the noise, relative to the energy: log-uniform
-STATED = (0.01, 0.3)  # typical uncertainty that a file states, relative to the value: log-uniform
+STATED = (0.01, 0.1)  # typical uncertainty that a file states, relative to the value: log-uniform
 APART = 3.0  # times that of a sample, or the same part of it, at the most: log-uniform
 BINS = 10  # of the histogram of ranks
 TOLD = 10  # materials after which the table is written anew
@@ -64,15 +64,15 @@ WORDS = {
 IN_BINS = (
     f"The noise is Gaussian, alike by {ALIKE} in all channels, and blurred: "
     f"{' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} (standard deviations by theta_h, theta_d, "
-    "phi_d, reflected where the grid ends; the same parameters and the same white noise for both). Its variance is 1/w "
-    "times a number."
+    "phi_d, reflected where the grid ends; the same parameters and the same white noise for both), of variance 1/w "
+    "times a number;"
 )
 IN_DIRECTIONS = (
     "Directions are those of a genuine file of RGL, each once, twenty files in turn. The noise is what that file's own "
-    "fit leaves (weighted residuals, either sign, channels in any order), divided by the roots of the weights here. So "
-    "it has the correlations and the few large residuals of genuine ones, and lacks what that fit took. Stated noise "
-    f"comes besides: independent, of a typical {STATED[0]:.0%} to {STATED[1]:.0%} of the value (log-uniform by file), "
-    f"and of up to {APART:g} times as much or as little (by sample), and the file says of how much."
+    "fit leaves (weighted residuals, with either sign, channels in any order) times a number. So it has the "
+    "correlations and the few large residuals of genuine ones, and lacks what that fit took. Stated noise comes "
+    f"besides: independent, of a typical {STATED[0]:.0%} to {STATED[1]:.0%} of the value (log-uniform by file), and of up to "
+    f"{APART:g} times as much or as little (by sample), and the file says of how much. Without the latter,"
 )
 
 
@@ -115,49 +115,48 @@ def of_bins(rng, seed, reach, config, layout, truth):
 
 
 def of_directions(rng, seed, reach, config, layout, truth):
-    """In directions of a genuine file, with what its own fit leaves as noise; and with stated noise besides.
+    """The same in directions of a genuine file, with what its own fit leaves as noise; or with stated noise besides.
 
-    The residuals are weighted ones, with either sign and the channels in any order. Weights are those of noisy values.
+    With stated noise the measurement has the noise, too, as weights are found anew during the fit.
     """
-    files = [path for path, origin in files_of().items() if origin == "rgl"]
+    files = [path for path in files_of() if path.parent.name == "rgl"]
     measured, left = residuals(files[seed % len(files)])
-    weigh = partial(ordered, exponent=config.exponents[0], theta_max=config.fit.theta_max)
-    samples, rows = weigh(measured)
+    weigh = partial(weighted_samples, exponent=config.exponents[0], theta_max=config.fit.theta_max)
+    samples, rows = weigh(measured), ordered(measured, config.fit.theta_max)
     clean, weight = np.full(left.shape, np.nan), np.zeros(left.shape)
     clean[:, rows] = np.where(samples.weight > 0, predict_samples(layout, truth, samples), np.nan)
-    samples, rows = weigh(replace(measured, values=clean))
+    measured = replace(measured, values=clean)
+    samples, rows = weigh(measured), ordered(measured, config.fit.theta_max)
     weight[:, rows] = samples.weight
     left = rng.choice([-1, 1]) * left[rng.permutation(len(left))]
-    share, energy = np.exp(rng.uniform(*np.log(COST))), np.nansum(weight * clean**2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        noisy = clean + np.sqrt(share * energy / np.sum(left**2)) * left / np.sqrt(weight)
-    stated = None
-    if reach == "stated":
-        level = np.exp(rng.uniform(*np.log(STATED)) + rng.uniform(-1, 1, clean.shape) * np.log(APART))
-        stated = level * clean
-        noisy += stated * rng.standard_normal(clean.shape)
-    measurement = replace(measured, values=noisy, uncertainty=stated)
-    return measurement, weighted_samples(measurement, config.exponents[0], config.fit.theta_max)
+    share, energy = np.exp(rng.uniform(*np.log(COST))), np.sum(samples.weight * samples.value**2)
+    root = np.sqrt(np.where(weight > 0, weight, np.inf))
+    noisy = clean + np.sqrt(share * energy / np.sum(left**2)) * left / root
+    if reach != "stated":
+        return measured, replace(samples, value=np.where(samples.weight > 0, noisy[:, rows], 0.0))
+    stated = clean * np.exp(rng.uniform(*np.log(STATED)) + rng.uniform(-1, 1, clean.shape) * np.log(APART))
+    noisy += stated * rng.standard_normal(clean.shape)
+    measured = replace(measured, values=noisy, uncertainty=stated)
+    return measured, weigh(measured)
 
 
-@lru_cache(4)
+@cache
 def residuals(path):
     """A genuine file, each direction once, and the weighted residuals of its fit, (C, N), 0 where there is none."""
     config, whole = load(posterior=False).for_scattered, inputs.read(path)
     first = np.unique(alike(whole.theta_i, whole.theta_o, whole.phi), return_index=True)[1]
-    measured = half_of(whole, first)
-    samples, rows = ordered(measured, config.exponents[0], config.fit.theta_max)
-    fitted, found = fit(measured, samples, config), np.zeros(measured.values.shape)
+    measured, found = half_of(whole, first), np.zeros((len(whole.values), len(first)))
+    samples = weighted_samples(measured, config.exponents[0], config.fit.theta_max)
+    fitted = fit(measured, samples, config)
     predicted = predict_samples(fitted.layout, fitted.solution.z, samples)
-    found[:, rows] = np.sqrt(samples.weight) * (samples.value - predicted)
+    found[:, ordered(measured, config.fit.theta_max)] = np.sqrt(samples.weight) * (samples.value - predicted)
     return measured, found
 
 
-def ordered(measured, exponent, theta_max):
-    """Samples of a file that has each direction once, and which of its directions each is, (S,)."""
+def ordered(measured, theta_max):
+    """Which of the directions of a file that has each once its samples are, (S,)."""
     numbers = np.where(measured.valid, 1.0 + np.arange(len(measured.phi)), np.nan)
-    numbered = weighted_samples(replace(measured, values=numbers), 0.0, theta_max)
-    return weighted_samples(measured, exponent, theta_max), numbered.value.max(0).astype(int) - 1
+    return np.rint(weighted_samples(replace(measured, values=numbers), 0.0, theta_max).value.max(0)).astype(int) - 1
 
 
 def measure(seed, reach, model=OWN, chain=True):
@@ -207,7 +206,7 @@ def run(folder, out, every, chain=True, models=(OWN,), reaches=tuple(REACHES)):
         section, f"Calibration of {what} by simulation{of}", DATA if reaches != SCATTERED else GENUINE,
         ["Parameters are drawn from the prior"
          f"{' (bodies none and lambert in turn)' if models == (OWN,) else ''}. "
-         f"{IN_BINS if reaches != SCATTERED else IN_DIRECTIONS} Its cost is log-uniform in {COST} of the energy. "
+         f"{IN_BINS if reaches != SCATTERED else IN_DIRECTIONS} its cost is log-uniform in {COST} of the energy. "
          f"Fitted as `merlfit fit` does it. Ranks: of the truth in {what}"
          f"{' (weighted draws)' if chain else ' of the free coordinates'}, how many in each tenth; {STRAYS}; coverage: "
          "of the 90 % intervals.",
