@@ -71,8 +71,8 @@ IN_DIRECTIONS = (
     "Directions are those of a genuine file of RGL, each once, twenty files in turn. The noise is what that file's own "
     "fit leaves (weighted residuals, with either sign, channels in any order) times a number. So it has the "
     "correlations and the few large residuals of genuine ones, and lacks what that fit took. Stated noise comes "
-    f"besides: independent, of a typical {STATED[0]:.0%} to {STATED[1]:.0%} of the value (log-uniform by file), and of up to "
-    f"{APART:g} times as much or as little (by sample), and the file says of how much. Without the latter,"
+    f"besides: independent, of a typical {STATED[0]:.0%} to {STATED[1]:.0%} of the value (log-uniform by file), and "
+    f"of up to {APART:g} times as much or as little (by sample), and the file says of how much. Without the latter,"
 )
 
 
