@@ -45,6 +45,7 @@ SCATTERED = ("unstated", "stated")  # of directions of genuine files: whether th
 COST = (1e-3, 3e-2)  # of the noise, relative to the energy: log-uniform
 STATED = (0.01, 0.1)  # typical uncertainty that a file states, relative to the value: log-uniform
 APART = 3.0  # times that of a sample, or the same part of it, at the most: log-uniform
+ROUNDS = 20  # in which weights become those of the noisy values
 BINS = 10  # of the histogram of ranks
 TOLD = 10  # materials after which the table is written anew
 DRAWN = 4000  # samples of uniform ranks, by which others are judged
@@ -115,28 +116,30 @@ def of_bins(rng, seed, reach, config, layout, truth):
 
 
 def of_directions(rng, seed, reach, config, layout, truth):
-    """The same in directions of a genuine file, with what its own fit leaves as noise; or with stated noise besides.
+    """Noisy measurement in directions of a genuine file, with what its own fit leaves as noise, and its samples.
 
-    With stated noise the measurement has the noise, too, as weights are found anew during the fit.
+    Weights are those of noisy values, as of genuine files: so the values are those whose own weights make this noise.
     """
     files = [path for path in files_of() if path.parent.name == "rgl"]
     measured, left = residuals(files[seed % len(files)])
     weigh = partial(weighted_samples, exponent=config.exponents[0], theta_max=config.fit.theta_max)
     samples, rows = weigh(measured), ordered(measured, config.fit.theta_max)
-    clean, weight = np.full(left.shape, np.nan), np.zeros(left.shape)
+    clean = np.full(left.shape, np.nan)
     clean[:, rows] = np.where(samples.weight > 0, predict_samples(layout, truth, samples), np.nan)
-    measured = replace(measured, values=clean)
-    samples, rows = weigh(measured), ordered(measured, config.fit.theta_max)
-    weight[:, rows] = samples.weight
+    share = np.exp(rng.uniform(*np.log(COST)))
     left = rng.choice([-1, 1]) * left[rng.permutation(len(left))]
-    share, energy = np.exp(rng.uniform(*np.log(COST))), np.sum(samples.weight * samples.value**2)
-    root = np.sqrt(np.where(weight > 0, weight, np.inf))
-    noisy = clean + np.sqrt(share * energy / np.sum(left**2)) * left / root
-    if reach != "stated":
-        return measured, replace(samples, value=np.where(samples.weight > 0, noisy[:, rows], 0.0))
-    stated = clean * np.exp(rng.uniform(*np.log(STATED)) + rng.uniform(-1, 1, clean.shape) * np.log(APART))
-    noisy += stated * rng.standard_normal(clean.shape)
-    measured = replace(measured, values=noisy, uncertainty=stated)
+    values, energy = clean, None
+    for _ in range(ROUNDS):
+        measured, weight = replace(measured, values=values), np.full(left.shape, np.inf)
+        samples, rows = weigh(measured), ordered(measured, config.fit.theta_max)
+        weight[:, rows] = np.where(samples.weight > 0, samples.weight, np.inf)
+        energy = energy or np.sum(samples.weight * samples.value**2)
+        values = clean + np.sqrt(share * energy / np.sum(left**2)) * left / np.sqrt(weight)
+    stated = None
+    if reach == "stated":
+        stated = clean * np.exp(rng.uniform(*np.log(STATED)) + rng.uniform(-1, 1, clean.shape) * np.log(APART))
+        values = values + stated * rng.standard_normal(clean.shape)
+    measured = replace(measured, values=values, uncertainty=stated)
     return measured, weigh(measured)
 
 
