@@ -132,6 +132,11 @@ class ScatteredSamples:
     model_error: float | None = None
     repeatability: float = 0.0
 
+    @property
+    def phi_d(self) -> np.ndarray:
+        """Folded to [0, pi/2] (rad), (S,)."""
+        return _folded(self.theta_h, self.theta_d, self.cos_i, self.cos_o)
+
     def taken(self, rows: np.ndarray) -> "ScatteredSamples":
         """Some of them, in another order."""
         return replace(
@@ -150,9 +155,12 @@ def half_difference(
     h = i + o
     theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
     theta_d = np.arctan2(np.linalg.norm(i - o, axis=-1), np.linalg.norm(h, axis=-1))
-    across = 2 * np.sin(theta_h) * np.sin(theta_d)
-    cos_phi = np.abs(o[..., 2] - i[..., 2]) / np.maximum(across, 1e-12)
-    return theta_h, theta_d, np.arccos(np.clip(cos_phi, 0, 1))
+    return theta_h, theta_d, _folded(theta_h, theta_d, i[..., 2], o[..., 2])
+
+
+def _folded(theta_h: np.ndarray, theta_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
+    cos_phi = np.abs(cos_o - cos_i) / np.maximum(2 * np.sin(theta_h) * np.sin(theta_d), 1e-12)
+    return np.arccos(np.clip(cos_phi, 0, 1))
 
 
 def scattered(

@@ -26,13 +26,12 @@ from scipy.special import ndtri, stdtrit
 
 from ...merl_io.samples import Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredSamples
-from ...merl_io.scattered import thin as thin_scattered
 from ..support.threads import CORES
 from .levenberg_marquardt import Solution
 from .problem import energy
 
 RUNS = (1, 5, 15)  # bins of theta_h, theta_d, phi_d that are taken together: J hardly changes over them
-SCATTERED_RUNS = 2048  # of neighbouring scattered samples
+CELLS = (18, 9, 6)  # along the root of theta_h, theta_d, phi_d: scattered samples of one are taken together
 STEP = 1e-5  # of the differences that make a Jacobian, in standard deviations of the prior
 ROUNDS, SETTLED = 100, 2e-3  # of finding what the fit took: at most, and the change of B after which it stays
 LEAST_PAIRS = 20  # of bins at one lag: fewer say nothing of a correlation
@@ -106,20 +105,20 @@ def noise_of(
     """
     z, slopes = np.asarray(solution.z), np.diag(solution.normal.sum(0))[:-1]
     unit = np.sqrt(energy(samples))
-    few, together = _together(samples)
+    few, together, mean = _together(samples)
     mass = together(samples.weight)
     with np.errstate(invalid="ignore", divide="ignore"):
         of_run = np.where(mass > 0, 1 / np.sqrt(mass), 0.0)
     residual = of_run * together(samples.weight * (samples.value - predicted)) / unit
     at = predict(z, few)
     with ThreadPoolExecutor(CORES) as pool:
-        rates = list(pool.map(lambda step: (predict(z + step, few) - at) / STEP, STEP * np.eye(len(z))))
+        rates = list(pool.map(lambda step: mean((predict(z + step, few) - at) / STEP), STEP * np.eye(len(z))))
     jacobian = np.sqrt(mass) / unit * np.stack(rates)
     jacobian = np.where(np.isfinite(jacobian) & (mass > 0), jacobian, 0.0)
     squares = np.sum(jacobian.reshape(len(z), -1) ** 2, 1)  # of all bins they are those of the normal equations
     ratio = np.sqrt(slopes / np.where(squares > 0, squares, 1.0))
     jacobian *= np.where(squares > 0, ratio, 1.0).reshape(-1, *(1,) * mass.ndim)
-    floor = solution.cost / count / (BEST if residual[0].size >= FEW else 1.0)
+    floor = solution.cost / count / (BEST if samples.weight[0].size >= FEW else 1.0)
     if isinstance(samples, ScatteredSamples):
         floor = max(floor, (samples.model_error or 0.0) ** 2 / unit**2, samples.repeatability / unit**2)
     return Noise(solution.cost, count, precision_of(jacobian, residual, mass > 0, count, floor))
@@ -127,17 +126,25 @@ def noise_of(
 
 def _together(
     samples: Samples | ScatteredSamples,
-) -> tuple[Samples | ScatteredSamples, Callable[[np.ndarray], np.ndarray]]:
-    """A sample for each run of neighbours; and sums of an array (C, ...) over these runs."""
+) -> tuple[Samples | ScatteredSamples, Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]:
+    """Samples for places on three axes, sums of an array (C, ...) of all samples there, and means of these samples'."""
     if isinstance(samples, ScatteredSamples):
-        few, size = thin_scattered(samples, SCATTERED_RUNS), len(samples.theta_h)
-        edges = np.unique(np.round(np.linspace(0, size, len(few.theta_h) + 1)).astype(int))[:-1]
-        return few, lambda x: np.add.reduceat(x, edges, axis=1)
+        parts = np.stack([np.sqrt(samples.theta_h * np.pi / 2), samples.theta_d, samples.phi_d]) / (np.pi / 2)
+        sides = np.array(CELLS)[:, None]
+        cell = np.ravel_multi_index(tuple(np.minimum((parts * sides).astype(int), sides - 1)), CELLS)
+
+        def summed(x: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(cell, plane, np.prod(CELLS)).reshape(CELLS) for plane in x])
+
+        mass = summed(samples.weight)
+        return samples, summed, lambda x: summed(samples.weight * x) / np.where(mass > 0, mass, 1.0)
     runs = runs_for(samples, RUNS)
     lengths = [(r,) * (n // r) if isinstance(r, int) else r for r, n in zip(runs, samples.cos_i.shape, strict=True)]
     starts = [np.cumsum(each) - each for each in map(np.asarray, lengths)]
-    return thin(samples, runs), lambda x: reduce(
-        lambda y, axis: np.add.reduceat(y, starts[axis], axis=axis + 1), range(3), x
+    return (
+        thin(samples, runs),
+        lambda x: reduce(lambda y, axis: np.add.reduceat(y, starts[axis], axis=axis + 1), range(3), x),
+        lambda x: x,
     )
 
 
