@@ -10,7 +10,6 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.fit.weights import weighted_samples
 from merlfit.fitting.pipeline.models import candidates, layout_for
@@ -182,7 +181,7 @@ def measure(seed, reach, model=OWN, chain=True):
         p = draw(fitted, samples, config.posterior.max_steps, config.seed, Path(folder) / "chain.npz")
     details = {**device, "k": p.pareto_k, "steps": p.diagnosis.steps, "retrainings left": p.chain.retrainings}
     if p.sufficient:
-        values, true = (np.asarray(jax.vmap(layout.flat)(jnp.asarray(z))) for z in (p.draws, truth[None]))
+        values, true = layout.flat(p.draws), layout.flat(truth)
         details["ranks"] = dict(zip(layout.names, (p.weights @ (values < true)).tolist(), strict=True))
     return {**row, "N": fitted.count, "message": p.message}, details
 

@@ -3,7 +3,6 @@
 import tempfile
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from merlfit.fitting.fit.levenberg_marquardt import compress
@@ -83,7 +82,7 @@ def measure(path):
     rows += [(name, *lowest(layout, problem, fixed)) for name, fixed in READINGS.items()]
     with tempfile.TemporaryDirectory() as folder:
         drawn = draw(fitted, samples, config.posterior.max_steps, config.seed, Path(folder) / "chain.npz")
-    physical = np.asarray(jax.vmap(layout.flat)(jnp.asarray(drawn.draws)))
+    physical = layout.flat(drawn.draws)
     found = dict(zip(layout.names, quantiles(physical, drawn.weights).T.tolist(), strict=True))
     return {
         "rows": [
