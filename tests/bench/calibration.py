@@ -2,7 +2,7 @@
 
 import tempfile
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
@@ -231,8 +231,8 @@ def run(folder, out, every, chain=True, models=(OWN,), reaches=tuple(REACHES)):
     jobs = [(seed, reach, model) for seed in range(count) for reach in reaches for model in models]
     left = [job for job in jobs if job not in done]
     with ProcessPoolExecutor(CORES, get_context("spawn"), use_persistent_cache) as pool:
-        for row, details in pool.map(partial(measure, chain=chain), *zip(*left, strict=True)) if left else ():
-            kept.add(row, details)
+        for run_of_one in as_completed([pool.submit(measure, *job, chain) for job in left]):
+            kept.add(*run_of_one.result())
             if len(kept.rows) % TOLD == 0:
                 record.notes = [*fixed, *tables(record, kept, models, reaches, most)]
                 record.write()
