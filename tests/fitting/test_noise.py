@@ -56,7 +56,7 @@ def test_deviations_of_shared_local_and_single_coordinates_are_those_of_many_fit
 
 
 def test_in_scattered_directions_too_deviations_are_those_of_many_fits():
-    """Noise is smooth over directions. Along their order alone most neighbours are missed: 0.56 to 0.71 times as large."""
+    """Noise is smooth over directions. Along their order alone most neighbours are missed: then 0.56 to 0.71 of it."""
     rng, count = np.random.default_rng(6), 3000
     theta_i, theta_o = np.arccos(rng.uniform(0.3, 1, (2, count)))
     light = np.stack([np.sin(theta_i), 0 * theta_i, np.cos(theta_i)])
