@@ -26,23 +26,26 @@ from scipy.special import ndtri, stdtrit
 
 from ...merl_io.samples import Samples, runs_for, thin
 from ...merl_io.scattered import ScatteredSamples
+from ...merl_io.scattered import thin as thin_scattered
 from ..support.threads import CORES
 from .levenberg_marquardt import Solution
 from .problem import energy
 
 RUNS = (1, 5, 15)  # bins of theta_h, theta_d, phi_d that are taken together: J hardly changes over them
-CELLS = (18, 9, 6)  # along the root of theta_h, theta_d, phi_d: scattered samples of one are taken together
+CELLS = (18, 9, 6)  # of scattered samples, along the root of theta_h, theta_d, phi_d: with more few hold any
+PREDICTED = 8192  # scattered samples of which rates are computed, at the most
 STEP = 1e-5  # of the differences that make a Jacobian, in standard deviations of the prior
 ROUNDS, SETTLED = 100, 2e-3  # of finding what the fit took: at most, and the change of B after which it stays
-LEAST_PAIRS = 20  # of bins at one lag: fewer say nothing of a correlation
+LEAST_PAIRS = 20  # of places at one lag: fewer say nothing of a correlation
 OPEN = 1e-3  # of S_0/N: curvature below which the data leave a direction open
-# No direction is held to be known better than by so many times N independent residuals: of few samples, which show no
-# correlation, than by N.
+# No direction is held to be known better than by so many times N independent residuals: of few places, which hardly
+# show a correlation, than by N.
 BEST, FEW = 4.0, 100
 NINETY = 0.95  # quantile at which Student's t and the normal distribution shall agree
 TINY = 1e-12
 LEAST_COUNT = 1.5  # residuals: of fewer Student's t would say nothing
 Predict = Callable[[np.ndarray, Samples | ScatteredSamples], np.ndarray]
+Sum = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ def noise_of(
     """
     z, slopes = np.asarray(solution.z), np.diag(solution.normal.sum(0))[:-1]
     unit = np.sqrt(energy(samples))
-    few, together, mean = _together(samples)
+    few, together, mean = _cells(samples) if isinstance(samples, ScatteredSamples) else _runs(samples)
     mass = together(samples.weight)
     with np.errstate(invalid="ignore", divide="ignore"):
         of_run = np.where(mass > 0, 1 / np.sqrt(mass), 0.0)
@@ -118,34 +121,41 @@ def noise_of(
     squares = np.sum(jacobian.reshape(len(z), -1) ** 2, 1)  # of all bins they are those of the normal equations
     ratio = np.sqrt(slopes / np.where(squares > 0, squares, 1.0))
     jacobian *= np.where(squares > 0, ratio, 1.0).reshape(-1, *(1,) * mass.ndim)
-    floor = solution.cost / count / (BEST if samples.weight[0].size >= FEW else 1.0)
+    floor = solution.cost / count / (BEST if np.count_nonzero((mass > 0).any(0)) >= FEW else 1.0)
     if isinstance(samples, ScatteredSamples):
         floor = max(floor, (samples.model_error or 0.0) ** 2 / unit**2, samples.repeatability / unit**2)
     return Noise(solution.cost, count, precision_of(jacobian, residual, mass > 0, count, floor))
 
 
-def _together(
-    samples: Samples | ScatteredSamples,
-) -> tuple[Samples | ScatteredSamples, Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]:
-    """Samples for places on three axes, sums of an array (C, ...) of all samples there, and means of these samples'."""
-    if isinstance(samples, ScatteredSamples):
-        parts = np.stack([np.sqrt(samples.theta_h * np.pi / 2), samples.theta_d, samples.phi_d]) / (np.pi / 2)
-        sides = np.array(CELLS)[:, None]
-        cell = np.ravel_multi_index(tuple(np.minimum((parts * sides).astype(int), sides - 1)), CELLS)
-
-        def summed(x: np.ndarray) -> np.ndarray:
-            return np.stack([np.bincount(cell, plane, np.prod(CELLS)).reshape(CELLS) for plane in x])
-
-        mass = summed(samples.weight)
-        return samples, summed, lambda x: summed(samples.weight * x) / np.where(mass > 0, mass, 1.0)
+def _runs(samples: Samples) -> tuple[Samples, Sum, Sum]:
+    """Of bins: `_cells` says what. Rates of a run are those of its middle."""
     runs = runs_for(samples, RUNS)
     lengths = [(r,) * (n // r) if isinstance(r, int) else r for r, n in zip(runs, samples.cos_i.shape, strict=True)]
     starts = [np.cumsum(each) - each for each in map(np.asarray, lengths)]
-    return (
-        thin(samples, runs),
-        lambda x: reduce(lambda y, axis: np.add.reduceat(y, starts[axis], axis=axis + 1), range(3), x),
-        lambda x: x,
-    )
+
+    def summed(x: np.ndarray) -> np.ndarray:
+        return reduce(lambda y, axis: np.add.reduceat(y, starts[axis], axis=axis + 1), range(3), x)
+
+    return thin(samples, runs), summed, lambda rates: rates
+
+
+def _cells(samples: ScatteredSamples) -> tuple[ScatteredSamples, Sum, Sum]:
+    """Samples at which to predict, and two functions that bring arrays (C, ...) to places on three axes.
+
+    The first sums what all samples have, the second takes the mean of rates at the samples that are predicted.
+    """
+    few = thin_scattered(samples, PREDICTED)
+
+    def sum_of(seen: ScatteredSamples) -> Sum:
+        parts = np.stack([np.sqrt(seen.theta_h * np.pi / 2), seen.theta_d, seen.phi_d]) / (np.pi / 2)
+        sides = np.array(CELLS)[:, None]
+        cell = np.ravel_multi_index(tuple(np.minimum((parts * sides).astype(int), sides - 1)), CELLS)
+        return lambda x: np.stack([np.bincount(cell, each, np.prod(CELLS)).reshape(CELLS) for each in x])
+
+    of_few = sum_of(few)
+    mass = of_few(few.weight)
+    weighed = np.where(mass > 0, mass, 1.0)
+    return few, sum_of(samples), lambda rates: of_few(few.weight * np.where(few.weight > 0, rates, 0.0)) / weighed
 
 
 def precision_of(
@@ -202,16 +212,17 @@ def _gradient_covariance(jacobian: np.ndarray, moments: list[np.ndarray], pairs:
     smooth = jacobian
     for axis, (products, count) in enumerate(zip(moments[1:], pairs[1:], strict=True), 2):
         lags = np.abs(np.subtract.outer(*(np.arange(len(products)),) * 2))
-        smooth = np.moveaxis(np.tensordot(_correlation(products, count)[lags], smooth, (1, axis)), 0, axis)
+        known = _correlation(products, count, LEAST_PAIRS * len(many))
+        smooth = np.moveaxis(np.tensordot(known[lags], smooth, (1, axis)), 0, axis)
     mixed = np.tensordot(jacobian, covariance, (1, 0))  # (P, ..., D)
     flat, smooth, alone = (x.reshape(len(jacobian), -1) for x in (np.moveaxis(mixed, -1, 1), smooth, jacobian))
     found = flat @ smooth.T
     return _at_least((found + found.T) / 2, flat @ alone.T)
 
 
-def _correlation(products: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """By lag, until the first that is not positive (Geyer's initial positive sequence)."""
-    kept = np.where(pairs >= LEAST_PAIRS, products, 0.0) / np.maximum(pairs, 1)
+def _correlation(products: np.ndarray, pairs: np.ndarray, least: int) -> np.ndarray:
+    """By lag, until the first that is not positive (Geyer's initial positive sequence) or has too few pairs."""
+    kept = np.where(pairs >= least, products, 0.0) / np.maximum(pairs, 1)
     if not kept[0] > 0:
         return np.eye(len(kept))[0]
     positive = np.logical_and.accumulate(kept > 0)

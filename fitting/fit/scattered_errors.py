@@ -54,10 +54,8 @@ def pictures(samples: ScatteredSamples, predicted: np.ndarray) -> tuple[float, f
     if samples.between is not None:
         values, covered = drawn(samples.between, np.where(whole, both, np.nan))
     else:
-        across = np.abs(samples.cos_o - samples.cos_i)[whole]
-        theta_h, theta_d = samples.theta_h[whole], samples.theta_d[whole]
-        around = np.maximum(2 * np.sin(theta_h) * np.sin(theta_d), 1e-12)
-        values, covered = gridded(theta_h, theta_d, np.arccos(np.clip(across / around, 0, 1)), both[:, whole])
+        angles = (x[whole] for x in (samples.theta_h, samples.theta_d, samples.phi_d))
+        values, covered = gridded(*angles, both[:, whole])
     if shown_by(covered) < LEAST_SHOWN:
         return float("nan"), float("nan"), float("nan")
     file, fit = np.split(np.nan_to_num(values), 2)

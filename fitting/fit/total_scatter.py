@@ -136,7 +136,7 @@ def with_slopes(
 
     A channel's depends on no other channel's parameters, so that one slope says what its own do to it. By differences
     within the bounds: a program of the derivatives would take 6 s to compile. They agree with the derivatives of the
-    integral to 1e-4 of these, or to 3e-4 where that is more.
+    integral within 1e-4 of these plus 3e-4.
     """
     at = {q.name: np.asarray(values[q.name], float) for q in material.parameters}
     ends = {}

@@ -180,7 +180,7 @@ def kept(static: int = 1) -> Callable[[Callable], Kept]:
 
 
 def _shape(x: Any) -> tuple[tuple[int, ...], str]:  # noqa: ANN401 - an array, or a number of Python
-    """Shape and type; weak types count as others: whether a number is weak depends on what program it came from."""
+    """Shape and type. Not whether it is weak: a number is or is not by which program it came from."""
     return np.shape(x), (x if hasattr(x, "dtype") else jax.typeof(x)).dtype.name
 
 

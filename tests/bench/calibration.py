@@ -65,14 +65,15 @@ IN_BINS = (
     f"The noise is Gaussian, alike by {ALIKE} in all channels, and blurred: "
     f"{' and '.join(f'{k}, over {v} bins' for k, v in REACHES.items())} (standard deviations by theta_h, theta_d, "
     "phi_d, reflected where the grid ends; the same parameters and the same white noise for both), of variance 1/w "
-    "times a number;"
+    "times a number; its"
 )
 IN_DIRECTIONS = (
     "Directions are those of a genuine file of RGL, each once, twenty files in turn. The noise is what that file's own "
     "fit leaves (weighted residuals, with either sign, channels in any order) times a number. So it has the "
     "correlations and the few large residuals of genuine ones, and lacks what that fit took. Stated noise comes "
     f"besides: independent, of a typical {STATED[0]:.0%} to {STATED[1]:.0%} of the value (log-uniform by file), and "
-    f"of up to {APART:g} times as much or as little (by sample), and the file says of how much. Without the latter,"
+    f"of up to {APART:g} times as much or as little (by sample), and the file says of how much. Both kinds "
+    "have the same parameters and residuals. Of the residuals alone the"
 )
 
 
@@ -156,7 +157,7 @@ def residuals(path):
 
 
 def ordered(measured, theta_max):
-    """Which of the directions of a file that has each once its samples are, (S,)."""
+    """Index of each sample among the directions of a file that has every direction once, (S,)."""
     numbers = np.where(measured.valid, 1.0 + np.arange(len(measured.phi)), np.nan)
     return np.rint(weighted_samples(replace(measured, values=numbers), 0.0, theta_max).value.max(0)).astype(int) - 1
 
@@ -195,20 +196,24 @@ def unshrunk(fitted):
 
 
 def run(folder, out, every, chain=True, models=(OWN,), reaches=tuple(REACHES)):
-    """200 materials with each kind of noise, or 50, as of each of several models; the table is by parameter."""
+    """200 materials with each kind of noise, or 50, as of each of several models; the table is by parameter.
+
+    Args:
+        reaches: kinds of noise, those of bins or `SCATTERED`.
+    """
     section, what = ("calibration", "the posterior") if chain else ("first_order", "the normal approximation")
     of = "" if models == (OWN,) else f" of {', '.join(models)}"
     if of:
         section += "_rivals"
     if reaches == SCATTERED:
         section, of = f"{section}_scattered", f"{of} in scattered directions"
-    most = FEW if of else MATERIALS
+    most = MATERIALS if models == (OWN,) else FEW
     count = most if every else FEW
     record = Record(
         section, f"Calibration of {what} by simulation{of}", DATA if reaches != SCATTERED else GENUINE,
         ["Parameters are drawn from the prior"
          f"{' (bodies none and lambert in turn)' if models == (OWN,) else ''}. "
-         f"{IN_BINS if reaches != SCATTERED else IN_DIRECTIONS} its cost is log-uniform in {COST} of the energy. "
+         f"{IN_BINS if reaches != SCATTERED else IN_DIRECTIONS} cost is log-uniform in {COST} of the energy. "
          f"Fitted as `merlfit fit` does it. Ranks: of the truth in {what}"
          f"{' (weighted draws)' if chain else ' of the free coordinates'}, how many in each tenth; {STRAYS}; coverage: "
          "of the 90 % intervals.",
