@@ -20,11 +20,11 @@ def needed(point: Point, estimate: bool = True) -> float:
 
 
 def idle(point: Point, default: Point | None) -> bool:
-    """Whether the calibration itself says that a fit without any request is more accurate and no slower.
+    """Whether the calibration itself says that a fit without any request is as accurate and no slower.
 
     Such a fit does not wait for an estimate of its error; one that was asked for something does.
     """
-    if default is None or point.promised.p95 <= default.promised.p95:
+    if default is None or point is default or point.promised.p95 < default.promised.p95:
         return False
     usual = point.seconds.median + point.estimate_seconds.median >= default.seconds.median
     return usual and needed(point) >= needed(default, estimate=False)
@@ -56,7 +56,7 @@ class Request:
         """The fastest point that is accurate enough, or the most accurate one that is fast enough.
 
         Where an accuracy is promised for half of the fits only: the fastest of the most accurate points that do so; the
-        other fits are carried on. Points that are worse than the defaults and no faster are never chosen (`idle`).
+        other fits are carried on. Points that are no better than the defaults and no faster are never chosen (`idle`).
 
         Raises:
             ConfigError: not even that, or nothing is so fast.
