@@ -54,8 +54,8 @@ def pictures(samples: ScatteredSamples, predicted: np.ndarray) -> tuple[float, f
     if samples.between is not None:
         values, covered = drawn(samples.between, np.where(whole, both, np.nan))
     else:
-        angles = (x[whole] for x in (samples.theta_h, samples.theta_d, samples.phi_d))
-        values, covered = gridded(*angles, both[:, whole])
+        theta_h, theta_d, phi_d = (x[whole] for x in (samples.theta_h, samples.theta_d, samples.phi_d))
+        values, covered = gridded(theta_h, theta_d, phi_d, both[:, whole])
     if shown_by(covered) < LEAST_SHOWN:
         return float("nan"), float("nan"), float("nan")
     file, fit = np.split(np.nan_to_num(values), 2)
