@@ -9,7 +9,7 @@ from merlfit.fitting.fit import noise
 from merlfit.fitting.fit.noise import noise_of, precision_of
 from merlfit.fitting.fit.problem import energy
 from merlfit.merl_io.bands import MERL
-from merlfit.merl_io.scattered import ScatteredSamples
+from merlfit.merl_io.scattered import ScatteredSamples, half_difference
 from scipy.linalg import toeplitz
 
 SHAPE = (3, 40, 12, 6)  # channels, and bins of three axes
@@ -59,16 +59,12 @@ def test_in_scattered_directions_too_deviations_are_those_of_many_fits():
     """Noise is smooth over directions. Along their order alone most neighbours are missed: then 0.56 to 0.71 of it."""
     rng, count = np.random.default_rng(6), 3000
     theta_i, theta_o = np.arccos(rng.uniform(0.3, 1, (2, count)))
-    light = np.stack([np.sin(theta_i), 0 * theta_i, np.cos(theta_i)])
-    phi = rng.uniform(0, np.pi, count)
-    viewer = np.stack([np.sin(theta_o) * np.cos(phi), np.sin(theta_o) * np.sin(phi), np.cos(theta_o)])
-    theta_h = np.arctan2(*(np.hypot(*(light + viewer)[:2]), (light + viewer)[2]))
-    theta_d = np.arccos(np.linalg.norm(light + viewer, axis=0) / 2)
+    theta_h, theta_d, phi_d = half_difference(theta_i, theta_o, rng.uniform(0, np.pi, count))
     ones = np.ones((3, count))
-    whole = ScatteredSamples(theta_h, theta_d, light[2], viewer[2], ones, ones, np.ones(count), MERL)
+    whole = ScatteredSamples(theta_h, theta_d, np.cos(theta_i), np.cos(theta_o), ones, ones, np.ones(count), MERL)
     alone = [np.cos(2 * theta_d) * (np.arange(3) == k)[:, None] for k in range(3)]
     jacobian = np.stack([(1 + theta_h) * ones, np.exp(-theta_h / 0.3) * ones, *alone])
-    points, said = np.stack([np.sqrt(theta_h), theta_d, whole.phi_d]), []
+    points, said = np.stack([np.sqrt(theta_h), theta_d, phi_d]), []
     noises = [0.1 * waves(rng, points / 0.2) for _ in range(60)]
     errors, left = errors_of(jacobian, noises)
     for one in left[:20]:
@@ -76,8 +72,7 @@ def test_in_scattered_directions_too_deviations_are_those_of_many_fits():
         unit = energy(samples)
         system = np.concatenate([jacobian, one[None]]).reshape(6, -1) / np.sqrt(unit)
         solution = SimpleNamespace(z=np.zeros(5), normal=(system @ system.T)[None], cost=np.sum(one**2) / unit)
-        predict = lambda z, seen: seen.value * 0 + 1 + np.tensordot(z, jacobian, 1)  # noqa: E731
-        found = noise_of(samples, ones, solution, np.inf, predict)
+        found = noise_of(samples, ones, solution, np.inf, lambda z, _: 1 + np.tensordot(z, jacobian, 1))
         said.append(np.diag(np.linalg.inv(found.precision)))
     times = np.sqrt(np.median(said, 0) / np.mean(errors**2, 0))
     assert np.all((times > 0.8) & (times < 1.6)), times
