@@ -33,7 +33,8 @@ from .problem import energy
 
 RUNS = (1, 5, 15)  # bins of theta_h, theta_d, phi_d that are taken together: J hardly changes over them
 CELLS = (18, 9, 6)  # of scattered samples, along the root of theta_h, theta_d, phi_d: with more few hold any
-PREDICTED = 8192  # scattered samples of which rates are computed, at the most
+LEAST_CELLS = 50  # that hold a sample: a scan in one plane has some 30, four have 90
+PREDICTED, ORDERED = 8192, 2048  # scattered samples of which rates are computed, at the most: of cells, of runs
 STEP = 1e-5  # of the differences that make a Jacobian, in standard deviations of the prior
 ROUNDS, SETTLED = 100, 2e-3  # of finding what the fit took: at most, and the change of B after which it stays
 LEAST_PAIRS = 20  # of places at one lag: fewer say nothing of a correlation
@@ -108,7 +109,7 @@ def noise_of(
     """
     z, slopes = np.asarray(solution.z), np.diag(solution.normal.sum(0))[:-1]
     unit = np.sqrt(energy(samples))
-    few, together, mean = _cells(samples) if isinstance(samples, ScatteredSamples) else _runs(samples)
+    few, together, mean = _scattered(samples) if isinstance(samples, ScatteredSamples) else _runs(samples)
     mass = together(samples.weight)
     with np.errstate(invalid="ignore", divide="ignore"):
         of_run = np.where(mass > 0, 1 / np.sqrt(mass), 0.0)
@@ -128,7 +129,7 @@ def noise_of(
 
 
 def _runs(samples: Samples) -> tuple[Samples, Sum, Sum]:
-    """Of bins: `_cells` says what. Rates of a run are those of its middle."""
+    """Of bins: `_scattered` says what. Rates of a run are those of its middle."""
     runs = runs_for(samples, RUNS)
     lengths = [(r,) * (n // r) if isinstance(r, int) else r for r, n in zip(runs, samples.cos_i.shape, strict=True)]
     starts = [np.cumsum(each) - each for each in map(np.asarray, lengths)]
@@ -139,23 +140,32 @@ def _runs(samples: Samples) -> tuple[Samples, Sum, Sum]:
     return thin(samples, runs), summed, lambda rates: rates
 
 
-def _cells(samples: ScatteredSamples) -> tuple[ScatteredSamples, Sum, Sum]:
-    """Samples at which to predict, and two functions that bring arrays (C, ...) to places on three axes.
+def _scattered(samples: ScatteredSamples) -> tuple[ScatteredSamples, Sum, Sum]:
+    """Samples at which to predict, and two functions that bring arrays (C, ...) to places along axes.
 
-    The first sums what all samples have, the second takes the mean of rates at the samples that are predicted.
+    The first sums what all samples have, the second takes the mean of rates at the samples that are predicted. Places
+    are cells on three axes; where few hold any sample, as of one scan, runs of neighbours along their order.
     """
+    cell = _cell(samples)
+    if len(np.unique(cell)) < LEAST_CELLS:
+        few, size = thin_scattered(samples, ORDERED), len(cell)
+        edges = np.unique(np.round(np.linspace(0, size, len(few.theta_h) + 1)).astype(int))[:-1]
+        return few, lambda x: np.add.reduceat(x, edges, axis=1), lambda rates: rates
     few = thin_scattered(samples, PREDICTED)
+    of_few = _cell(few)
 
-    def sum_of(seen: ScatteredSamples) -> Sum:
-        parts = np.stack([np.sqrt(seen.theta_h * np.pi / 2), seen.theta_d, seen.phi_d]) / (np.pi / 2)
-        sides = np.array(CELLS)[:, None]
-        cell = np.ravel_multi_index(tuple(np.minimum((parts * sides).astype(int), sides - 1)), CELLS)
-        return lambda x: np.stack([np.bincount(cell, each, np.prod(CELLS)).reshape(CELLS) for each in x])
+    def summed(x: np.ndarray, place: np.ndarray = cell) -> np.ndarray:
+        return np.stack([np.bincount(place, each, np.prod(CELLS)).reshape(CELLS) for each in x])
 
-    of_few = sum_of(few)
-    mass = of_few(few.weight)
+    mass = summed(few.weight, of_few)
     weighed = np.where(mass > 0, mass, 1.0)
-    return few, sum_of(samples), lambda rates: of_few(few.weight * np.where(few.weight > 0, rates, 0.0)) / weighed
+    return few, summed, lambda rates: summed(few.weight * np.where(few.weight > 0, rates, 0.0), of_few) / weighed
+
+
+def _cell(samples: ScatteredSamples) -> np.ndarray:
+    parts = np.stack([np.sqrt(samples.theta_h * np.pi / 2), samples.theta_d, samples.phi_d]) / (np.pi / 2)
+    sides = np.array(CELLS)[:, None]
+    return np.asarray(np.ravel_multi_index(tuple(np.minimum((parts * sides).astype(int), sides - 1)), CELLS))
 
 
 def precision_of(
