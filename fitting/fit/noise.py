@@ -32,8 +32,10 @@ from .levenberg_marquardt import Solution
 from .problem import energy
 
 RUNS = (1, 5, 15)  # bins of theta_h, theta_d, phi_d that are taken together: J hardly changes over them
-CELLS = (18, 9, 6)  # of scattered samples, along the root of theta_h, theta_d, phi_d: with more few hold any
-LEAST_CELLS = 50  # that hold a sample: a scan in one plane has some 30, four have 90
+# Cells of scattered samples along the root of theta_h, theta_d, phi_d: the finest that hold so many each, of those that
+# hold any. Between cells of few samples hardly any correlation is seen.
+CELLS, LEAST_HELD = ((18, 9, 6), (12, 6, 4), (9, 4, 3)), 4
+LEAST_CELLS = 50  # of the finest, that hold a sample: a scan in one plane has some 30, four have 90
 PREDICTED, ORDERED = 8192, 2048  # scattered samples of which rates are computed, at the most: of cells, of runs
 STEP = 1e-5  # of the differences that make a Jacobian, in standard deviations of the prior
 ROUNDS, SETTLED = 100, 2e-3  # of finding what the fit took: at most, and the change of B after which it stays
@@ -146,26 +148,28 @@ def _scattered(samples: ScatteredSamples) -> tuple[ScatteredSamples, Sum, Sum]:
     The first sums what all samples have, the second takes the mean of rates at the samples that are predicted. Places
     are cells on three axes; where few hold any sample, as of one scan, runs of neighbours along their order.
     """
-    cell = _cell(samples)
-    if len(np.unique(cell)) < LEAST_CELLS:
-        few, size = thin_scattered(samples, ORDERED), len(cell)
+    size = len(samples.theta_h)
+    occupied = [len(np.unique(_cell(samples, sides))) for sides in CELLS]
+    if occupied[0] < LEAST_CELLS:
+        few = thin_scattered(samples, ORDERED)
         edges = np.unique(np.round(np.linspace(0, size, len(few.theta_h) + 1)).astype(int))[:-1]
         return few, lambda x: np.add.reduceat(x, edges, axis=1), lambda rates: rates
-    few = thin_scattered(samples, PREDICTED)
-    of_few = _cell(few)
+    sides = next((each for each, many in zip(CELLS, occupied, strict=True) if size >= LEAST_HELD * many), CELLS[-1])
+    few, cell = thin_scattered(samples, PREDICTED), _cell(samples, sides)
+    of_few = _cell(few, sides)
 
     def summed(x: np.ndarray, place: np.ndarray = cell) -> np.ndarray:
-        return np.stack([np.bincount(place, each, np.prod(CELLS)).reshape(CELLS) for each in x])
+        return np.stack([np.bincount(place, each, np.prod(sides)).reshape(sides) for each in x])
 
     mass = summed(few.weight, of_few)
     weighed = np.where(mass > 0, mass, 1.0)
     return few, summed, lambda rates: summed(few.weight * np.where(few.weight > 0, rates, 0.0), of_few) / weighed
 
 
-def _cell(samples: ScatteredSamples) -> np.ndarray:
+def _cell(samples: ScatteredSamples, sides: tuple[int, int, int]) -> np.ndarray:
     parts = np.stack([np.sqrt(samples.theta_h * np.pi / 2), samples.theta_d, samples.phi_d]) / (np.pi / 2)
-    sides = np.array(CELLS)[:, None]
-    return np.asarray(np.ravel_multi_index(tuple(np.minimum((parts * sides).astype(int), sides - 1)), CELLS))
+    many = np.array(sides)[:, None]
+    return np.asarray(np.ravel_multi_index(tuple(np.minimum((parts * many).astype(int), many - 1)), sides))
 
 
 def precision_of(

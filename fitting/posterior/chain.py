@@ -22,7 +22,7 @@ from .hamiltonian import STEP_SIZES, Hamiltonian
 from .likelihood import Likelihood
 
 WALKERS = 32  # or two for each parameter, which differential evolution needs
-CHECK_EVERY = 100  # steps between looks at the chain
+CHECK_EVERY, GROWTH = 100, 0.1  # steps between looks at the chain; of a long one, so much of its length
 FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of training
 # Of the stand-in's likelihood, whose power is 1/temperature, in each of these rounds; the first also before the
 # emulator. The last must be 1: there the chain begins. Where the emulator is too low walkers get stuck, or never come.
@@ -263,7 +263,7 @@ def extend(
         done = len(chain.states)
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
         lead = Hamiltonian(emulator, chain.root, chain.leap)
-        steps = min(CHECK_EVERY, max_steps - done)
+        steps = min(max(CHECK_EVERY, int(GROWTH * done)), max_steps - done)
         walked = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
         random = tuple(walked.now.random_state[1:])
         chain = replace(

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from . import record
+from . import calibration, record
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 ON_CPU = (  # short ones first
@@ -20,8 +20,8 @@ ON_CPU = (  # short ones first
     "rivals",
 )  # fmt: skip
 APART = (  # only when they are named
-    "tiers", "convergence", "sums", "posterior", "calibration", "first_order", "first_order_rivals",
-    "first_order_scattered", "predictions", "halves", "nickel", "gpu", "report",
+    "tiers", "convergence", "sums", "posterior", *calibration.SECTIONS, "predictions", "halves", "nickel", "gpu",
+    "report",
 )  # fmt: skip
 SECTIONS = (*ON_CPU, *APART)
 
@@ -44,8 +44,8 @@ def main(
         folder = files or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         if sections and len(sections) == 1:
-            module = importlib.import_module(f"{__package__}.{sections[0]}")
-            module.run(folder.resolve(), out, not few, **({"on_cpu": on_cpu} if sections == ["gpu"] else {}))
+            run = calibration.SECTIONS.get(sections[0]) or importlib.import_module(f"{__package__}.{sections[0]}").run
+            run(folder.resolve(), out, not few, **({"on_cpu": on_cpu} if sections == ["gpu"] else {}))
         else:
             for section in sections or ON_CPU:
                 options = ["--files", str(folder), "--out", str(out), *(["--few"] if few else [])]

@@ -195,18 +195,16 @@ def unshrunk(fitted):
     return fitted.solution.z + np.linalg.solve(hessian + ridge, gradient)
 
 
-def run(folder, out, every, chain=True, models=(OWN,), reaches=tuple(REACHES)):
+def run(section, folder, out, every, chain=True, models=(OWN,), reaches=tuple(REACHES)):
     """200 materials with each kind of noise, or 50, as of each of several models; the table is by parameter.
 
     Args:
         reaches: kinds of noise, those of bins or `SCATTERED`.
     """
-    section, what = ("calibration", "the posterior") if chain else ("first_order", "the normal approximation")
+    what = "the posterior" if chain else "the normal approximation"
     of = "" if models == (OWN,) else f" of {', '.join(models)}"
-    if of:
-        section += "_rivals"
     if reaches == SCATTERED:
-        section, of = f"{section}_scattered", f"{of} in scattered directions"
+        of += " in scattered directions"
     most = MATERIALS if models == (OWN,) else FEW
     count = most if every else FEW
     record = Record(
@@ -324,3 +322,13 @@ def together(found, kind):
         f"{100 * a:.1f} ± {100 * da:.1f} % hold the truth, and the ranks' variance is {b:.2f} ± {db:.2f} of that of "
         "uniform ones."
     )
+
+
+SECTIONS = {
+    name: partial(run, name, **of)
+    for name, of in {
+        "calibration": {}, "calibration_scattered": {"reaches": SCATTERED}, "first_order": {"chain": False},
+        "first_order_rivals": {"chain": False, "models": RIVALS},
+        "first_order_scattered": {"chain": False, "reaches": SCATTERED},
+    }.items()
+}  # fmt: skip
