@@ -12,16 +12,18 @@ from typing import Annotated
 
 import typer
 
-from . import calibration, record
+from . import record
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 ON_CPU = (  # short ones first
     "fit", "presets", "cold", "growth", "channels", "batch", "cluster", "solver", "against_scipy", "against_numpy",
     "rivals",
 )  # fmt: skip
+CALIBRATIONS = (
+    "calibration", "calibration_scattered", "first_order", "first_order_rivals", "first_order_scattered",
+)  # fmt: skip
 APART = (  # only when they are named
-    "tiers", "convergence", "sums", "posterior", *calibration.SECTIONS, "predictions", "halves", "nickel", "gpu",
-    "report",
+    "tiers", "convergence", "sums", "posterior", *CALIBRATIONS, "predictions", "halves", "nickel", "gpu", "report",
 )  # fmt: skip
 SECTIONS = (*ON_CPU, *APART)
 
@@ -44,7 +46,9 @@ def main(
         folder = files or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         if sections and len(sections) == 1:
-            run = calibration.SECTIONS.get(sections[0]) or importlib.import_module(f"{__package__}.{sections[0]}").run
+            name = "calibration" if sections[0] in CALIBRATIONS else sections[0]
+            module = importlib.import_module(f"{__package__}.{name}")
+            run = getattr(module, sections[0]) if sections[0] in CALIBRATIONS else module.run
             run(folder.resolve(), out, not few, **({"on_cpu": on_cpu} if sections == ["gpu"] else {}))
         else:
             for section in sections or ON_CPU:

@@ -324,11 +324,8 @@ def together(found, kind):
     )
 
 
-SECTIONS = {
-    name: partial(run, name, **of)
-    for name, of in {
-        "calibration": {}, "calibration_scattered": {"reaches": SCATTERED}, "first_order": {"chain": False},
-        "first_order_rivals": {"chain": False, "models": RIVALS},
-        "first_order_scattered": {"chain": False, "reaches": SCATTERED},
-    }.items()
-}  # fmt: skip
+calibration = partial(run, "calibration")
+calibration_scattered = partial(run, "calibration_scattered", reaches=SCATTERED)
+first_order = partial(run, "first_order", chain=False)
+first_order_rivals = partial(run, "first_order_rivals", chain=False, models=RIVALS)
+first_order_scattered = partial(run, "first_order_scattered", chain=False, reaches=SCATTERED)

@@ -58,8 +58,8 @@ def test_deviations_of_shared_local_and_single_coordinates_are_those_of_many_fit
 
 @pytest.mark.parametrize(
     ("count", "scans", "least"),
-    [(3000, 0, 0.7), (304, 4, 0.8), (300, 0, 0.7), (151, 1, 0.45)],
-    ids=["hemisphere", "four scans", "few directions", "one scan"],
+    [(3000, 0, 0.7), (304, 4, 0.8), (800, 0, 0.8), (300, 0, 0.7), (151, 1, 0.45)],
+    ids=["hemisphere", "four scans", "larger cells", "largest cells", "one scan"],
 )
 def test_in_scattered_directions_deviations_are_those_of_many_fits_or_too_small_by_a_known_part(count, scans, least):
     """Noise is smooth over directions. Of few it is hardly seen to be (docs/statistics.md says so)."""
