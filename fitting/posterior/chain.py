@@ -22,7 +22,8 @@ from .hamiltonian import STEP_SIZES, Hamiltonian
 from .likelihood import Likelihood
 
 WALKERS = 32  # or two for each parameter, which differential evolution needs
-CHECK_EVERY, GROWTH = 100, 0.1  # steps between looks at the chain; of a long one, so much of its length
+CHECK_EVERY = 100  # steps after which the chain is kept, and looked at
+GROWTH = 0.1  # of a long chain, since the last look, before the next: a look at 6000 steps takes 5 s
 FIRST, ROUND = 120, 25  # steps of tuning, discarded: before the emulator, and of each round of training
 # Of the stand-in's likelihood, whose power is 1/temperature, in each of these rounds; the first also before the
 # emulator. The last must be 1: there the chain begins. Where the emulator is too low walkers get stuck, or never come.
@@ -256,14 +257,14 @@ def extend(
 
     Args:
         max_steps: at the most, in all; those given up for retrainings come on top, at most `EARLY` of them for each.
-        progress: called with (steps done, steps at the most). keep: called with the chain at every look.
+        progress: called with (steps done, steps at the most). keep: called with the chain whenever it has gone on.
     """
     found = diagnose(chain.states)
     while len(chain.states) < max_steps and (found.failures() or len(chain.states) < least):
         done = len(chain.states)
         now = emcee.State(chain.states[-1], log_prob=chain.log_prob[-1], random_state=("MT19937", *chain.random))
         lead = Hamiltonian(emulator, chain.root, chain.leap)
-        steps = min(max(CHECK_EVERY, int(GROWTH * done)), max_steps - done)
+        steps = min(CHECK_EVERY, max_steps - done)
         walked = _advance(few.log_posterior, _moves(lead), now, steps, progress, done, max_steps)
         random = tuple(walked.now.random_state[1:])
         chain = replace(
@@ -273,19 +274,20 @@ def extend(
             accepted=chain.accepted + walked.accepted,
             random=random,
         )
-        found = diagnose(chain.states)
-        may = chain.retrainings and len(chain.states) <= EARLY * max_steps
-        low, where = _ignored(emulator, walked) if may and found.slow else (-np.inf, now.coords)
-        if low > TOO_LOW:
-            retrainings = chain.retrainings - 1
-            points = emulator.with_points(few, np.concatenate([where, walked.now.coords]), MOST_EVER).points
-            emulator = Emulator.of(few, layout, points)
-            flat = walked.states.reshape(-1, walked.states.shape[-1])
-            chain = replace(
-                chain, states=walked.states[-1:], log_prob=walked.log_prob[-1:], accepted=0.0, root=_root(flat),
-                leap=lead.fitting_leap(walked.now.coords, retrainings), training_points=points,
-                retrainings=retrainings,
-            )  # fmt: skip
+        if len(chain.states) >= min(int((1 + GROWTH) * found.steps), least or np.inf, max_steps):
             found = diagnose(chain.states)
+            may = chain.retrainings and len(chain.states) <= EARLY * max_steps
+            low, where = _ignored(emulator, walked) if may and found.slow else (-np.inf, now.coords)
+            if low > TOO_LOW:
+                retrainings = chain.retrainings - 1
+                points = emulator.with_points(few, np.concatenate([where, walked.now.coords]), MOST_EVER).points
+                emulator = Emulator.of(few, layout, points)
+                flat = walked.states.reshape(-1, walked.states.shape[-1])
+                chain = replace(
+                    chain, states=walked.states[-1:], log_prob=walked.log_prob[-1:], accepted=0.0, root=_root(flat),
+                    leap=lead.fitting_leap(walked.now.coords, retrainings), training_points=points,
+                    retrainings=retrainings,
+                )  # fmt: skip
+                found = diagnose(chain.states)
         keep(chain)
     return chain
