@@ -274,20 +274,20 @@ def extend(
             accepted=chain.accepted + walked.accepted,
             random=random,
         )
-        if len(chain.states) >= min(int((1 + GROWTH) * found.steps), least or np.inf, max_steps):
+        look = len(chain.states) >= min(int((1 + GROWTH) * found.steps), least or np.inf, max_steps)
+        found = diagnose(chain.states) if look else found
+        may = look and chain.retrainings and len(chain.states) <= EARLY * max_steps
+        low, where = _ignored(emulator, walked) if may and found.slow else (-np.inf, now.coords)
+        if low > TOO_LOW:
+            retrainings = chain.retrainings - 1
+            points = emulator.with_points(few, np.concatenate([where, walked.now.coords]), MOST_EVER).points
+            emulator = Emulator.of(few, layout, points)
+            flat = walked.states.reshape(-1, walked.states.shape[-1])
+            chain = replace(
+                chain, states=walked.states[-1:], log_prob=walked.log_prob[-1:], accepted=0.0, root=_root(flat),
+                leap=lead.fitting_leap(walked.now.coords, retrainings), training_points=points,
+                retrainings=retrainings,
+            )  # fmt: skip
             found = diagnose(chain.states)
-            may = chain.retrainings and len(chain.states) <= EARLY * max_steps
-            low, where = _ignored(emulator, walked) if may and found.slow else (-np.inf, now.coords)
-            if low > TOO_LOW:
-                retrainings = chain.retrainings - 1
-                points = emulator.with_points(few, np.concatenate([where, walked.now.coords]), MOST_EVER).points
-                emulator = Emulator.of(few, layout, points)
-                flat = walked.states.reshape(-1, walked.states.shape[-1])
-                chain = replace(
-                    chain, states=walked.states[-1:], log_prob=walked.log_prob[-1:], accepted=0.0, root=_root(flat),
-                    leap=lead.fitting_leap(walked.now.coords, retrainings), training_points=points,
-                    retrainings=retrainings,
-                )  # fmt: skip
-                found = diagnose(chain.states)
         keep(chain)
     return chain
